@@ -159,10 +159,10 @@ async def _announce(server: uvicorn.Server, address: Address, secure: bool, toke
     for line in lines:
         sys.stdout.write(f"hyperbit panel, {line}\n")
     sys.stdout.flush()
-    notifier.send("READY=1")
-    notifier.send(f"STATUS=serving at {url}")
+    notifier.notify("READY=1")
+    notifier.notify(f"STATUS=serving at {url}")
     while True:
-        notifier.send("WATCHDOG=1")
+        notifier.notify("WATCHDOG=1")
         await asyncio.sleep(WATCHDOG_EVERY)
 
 

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple, Protocol
 
 from controller.flight_recorder import FlightRecorder
 from controller.host.notify import Notifier
+from controller.host.process import Log, Notify, Quit
 from controller.motion.codes import INVALID_GOAL
 from controller.planning.core import events
 from controller.planning.core.core import Core
@@ -116,7 +117,7 @@ class Loop:
 
     def end_goals(self) -> None:
         """Ends the running goal, and waits for its result; the executor stays connected."""
-        self._inbox.post(events.Quit())
+        self._inbox.post(Quit())
         self.ended.wait(LAST_RESULTS)
 
     def close(self, timeout: float = 2.0) -> None:
@@ -282,9 +283,9 @@ class Loop:
                 self._link.drop(reason)
             case events.Wake(at):
                 self._wake = at
-            case events.Notify(text):
-                services.notifier.send(text)
-            case events.Log(level, text, fields):
+            case Notify(text):
+                services.notifier.notify(text)
+            case Log(level, text, fields):
                 log.log(level, "%s", text, extra={"journal": fields})
             case events.Fail(reason):
                 raise PlannerFailed(reason)

@@ -58,7 +58,7 @@ def test_errors_are_read(board, boards):
 
 def test_a_reset_is_asked_for_and_waits_for_the_boot_up_message(board, boards, monkeypatch):
     with boards.board("can0/5") as it:
-        it.objects.put(0x1017, 0, 777)
+        it.objects.set_number(0x1017, 0, 777)
     monkeypatch.setattr("typer.confirm", lambda question, err: "its actuators may move" in question and False)
     code, _, err = board("can0/5", "reset")
     assert (code, "nothing was reset" in err) == (1, True)
@@ -108,7 +108,7 @@ def test_the_command_refuses_while_the_executor_runs(board, arm, tmp_path, actio
 
 def test_a_stopped_board_is_said_to_be_stopped(board, boards):
     with boards.board("can0/5") as it:
-        it.objects.put(0x1017, 0, 100)
+        it.objects.set_number(0x1017, 0, 100)
         it.receive(0, bytes([0x80, 5]), it._now)
         it._supervision.begin(it._now)
         it.receive(0, bytes([0x02, 5]), it._now)

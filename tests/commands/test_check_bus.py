@@ -53,7 +53,7 @@ def test_each_kind_of_answer_is_counted(check, boards):
     boards.fault("error", "can0/1", "2320")
     with boards.board("can0/2") as it:
         it.receive(0, bytes([2, 2]), it._now)
-        it.objects.put(0x1017, 0, 100)
+        it.objects.set_number(0x1017, 0, 100)
         it._supervision.begin(it._now)
     with boards.board("can0/3") as it:
         it.silent = True

@@ -2,7 +2,7 @@
 
 import pytest
 
-from controller.executor.core.events import Quit
+from controller.host.process import Quit
 from controller.program import (
     MOST_BYTES,
     Acknowledge,
@@ -20,7 +20,7 @@ from controller.program import (
     Welcome,
     encode,
 )
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from tests.executor.rig import OPERATOR, OTHER, SIZE, Rig, ready
 
 A, B = 0b000111, 0b011100
@@ -158,7 +158,7 @@ def test_snapshots_come_20_times_a_second_and_on_change_and_diagnostics_every_se
 
 def test_a_snapshot_fits_a_message_whatever_is_wrong(rig: Rig) -> None:
     for k in range(1000):
-        rig.master.fail(Fault("emergency", f"can0/{k}", "é" * 2000))
+        rig.master.fail(ArmFault("emergency", f"can0/{k}", "é" * 2000))
     rig.go()
     assert len(rig.snapshot.faults) == 50
     assert len(encode(rig.snapshot)) < MOST_BYTES

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from controller.executor.core.core import PERIOD
+from controller.executor.core.events import TICK
 from controller.executor.motion.program_execution import FED_WITHIN
 from controller.program import Begun, Ended, Program, Replaced, Replacement, Settled, Stage, pack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
@@ -18,7 +18,7 @@ def rig() -> Rig:
 
 
 def stage(states: int, at: float, mark: int = -1) -> Stage:
-    return Stage(pack(states, SIZE), at=at, mark=mark, settled=at + TRAVEL + PERIOD)
+    return Stage(pack(states, SIZE), at=at, mark=mark, settled=at + TRAVEL + TICK)
 
 
 def replace(

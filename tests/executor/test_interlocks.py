@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core.core import PERIOD
+from controller.executor.core.events import TICK
 from controller.program import Answer, Halt, Lock, Reset
 from drivers.canopen.wiring import Interlock
 from tests.executor.rig import CAN, LOST, SIZE, Rig, ready
@@ -24,7 +24,7 @@ def codes(rig: Rig) -> list[tuple[str, str]]:
 
 def test_motion_ends_at_once_when_one_opens(rig: Rig) -> None:
     rig.run(1, 0, 1, 0)
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     rig.master.inputs &= ~(1 << SIZE)
     rig.do(CAN)
     assert (rig.mode, rig.reason) == ("fault", OPEN)

@@ -6,7 +6,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.executor.core.events import Quit
+from controller.host.process import Quit
 from controller.program import Accepted, Answer, Cancel, Declined, Ended, Halt, Lock, Replacement, Reset, Stage, pack
 from tests.executor.rig import LOST, SIZE, TRAVEL, Rig, ready
 

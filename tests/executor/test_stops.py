@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core.core import PERIOD
-from controller.executor.core.events import Quit
+from controller.executor.core.events import TICK
 from controller.executor.motion.actuation import BUSY_FOR
+from controller.host.process import Quit
 from controller.program import Answer, Cancel, Ended, Halt, Reset
 from tests.executor.rig import CAN, TRAVEL, Rig, ready
 
@@ -50,7 +50,7 @@ def test_the_answer_waits_for_a_sync_that_was_handed_out(rig: Rig, request_: Hal
     rig.run(A)
     rig.send(request_)
     assert (answers(rig), rig.mode) == ([], "stopped" if isinstance(request_, Halt) else "ready")
-    rig.go(3 * PERIOD)
+    rig.go(3 * TICK)
     assert (answers(rig), rig.results) == ([], [])
     rig.master.leave(rig.now)
     rig.do(CAN)
@@ -95,10 +95,10 @@ def test_a_reset_boots_when_nothing_is_under_way_any_more() -> None:
     rig.send(Halt(1))
     booted = rig.master.booted
     rig.send(Reset(2))
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert (rig.master.booted, rig.mode) == (booted, "starting")
     rig.master.slow_sync = False
-    rig.go(4 * PERIOD)
+    rig.go(4 * TICK)
     assert (rig.master.booted, rig.mode) == (booted + 1, "ready")
     rig.go(TRAVEL)
     rig.run(B)
@@ -114,7 +114,7 @@ def test_a_commit_given_up_is_no_sign_of_a_busy_bus(rig: Rig) -> None:
     rig.go(2 * BUSY_FOR)
     rig.master.busy = True
     rig.run(B)
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert rig.mode == "executing"
     rig.master.busy = False
     rig.go(0.3)
@@ -137,7 +137,7 @@ def test_cancels_of_one_program_may_share_a_number_and_bar_nothing_else(rig: Rig
     for program in (2, 1, 1):
         rig.send(Cancel(0, program, "off its path"))
     rig.master.slow_sync = False
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert {answer.request for answer in rig.of(Answer)} == {0}
     assert answers(rig) == [
         "program 2 is not running",
@@ -154,7 +154,7 @@ def test_requests_of_number_zero_that_wait_are_all_answered(rig: Rig) -> None:
         rig.send(request)
     assert answers(rig) == []
     rig.master.slow_sync = False
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert [answer.request for answer in rig.of(Answer)] == [0, 0, 0]
     rig.send(Reset(0))
     assert rig.last(Answer).message == "resetting; the mode will be ready, or fault with the reason"

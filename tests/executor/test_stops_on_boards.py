@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core.events import Quit
+from controller.host.process import Quit
 from controller.program import Accepted, Answer, Cancel, Ended, Halt, Reset, Snapshot, unpack
 from drivers.canopen.wire import cia301
 from drivers.canopen.wiring import Interlock

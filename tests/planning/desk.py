@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from controller.arm.arm import Arm
+from controller.host.process import Log, Quit
 from controller.motion.codes import Refusal
 from controller.motion.stages.pacing import pace_of
 from controller.obstacles.obstacles import NONE
@@ -25,11 +26,9 @@ from controller.planning.core.events import (
     Fail,
     FromExecutor,
     LinkDown,
-    Log,
     Publish,
     Published,
     PublishResult,
-    Quit,
     Record,
     RecordCounts,
     Recorded,

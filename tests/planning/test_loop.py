@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from controller.host.process import Log, Notify, Quit
 from controller.planning.core.events import (
     CLOSING,
     Abandon,
@@ -20,12 +21,9 @@ from controller.planning.core.events import (
     FromExecutor,
     Identity,
     LinkDown,
-    Log,
-    Notify,
     Publish,
     Published,
     PublishResult,
-    Quit,
     Record,
     RecordCounts,
     Recorded,

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 from controller.arm.arm import Arm
+from controller.host.process import Quit
 from controller.planning.core.events import (
     CancelMessage,
     FromExecutor,
     Key,
     LinkDown,
     Message,
-    Quit,
     Reply,
     Request,
     SetpointArrived,

@@ -7,8 +7,8 @@ from collections import Counter, deque
 from collections.abc import Callable
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import LONGEST, PERIOD, Executor
-from controller.executor.core.events import ClientGone, Event, FromClient, Tick
+from controller.executor.core.core import LONGEST, Executor
+from controller.executor.core.events import TICK, ClientGone, Event, ExecutorTick, FromClient
 from controller.executor.motion.program_execution import STARVED
 from controller.program import (
     Accepted,
@@ -272,13 +272,13 @@ class Record(Witness):
         assert core is not None
         planner = core._clients.planner
         match event:
-            case Tick():
+            case ExecutorTick():
                 passed = min(now - self._last_tick, LONGEST)
                 self._last_tick = now
                 self._silence += passed
                 if self.running is not None and self.running.starves:
                     self.running.unfed += passed
-                lost = not self._silent and self._silence > self._arm.planner_timeout + 3 * PERIOD
+                lost = not self._silent and self._silence > self._arm.planner_timeout + 3 * TICK
                 if planner is not None and lost:
                     self._silent = True
                     self._lose_planner(self._heard_epoch)

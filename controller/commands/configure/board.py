@@ -17,9 +17,9 @@ from controller.commands.configure.probe import errors
 from drivers.canopen.faults import BusError
 from drivers.canopen.tools.node_reset import reset_node
 from drivers.canopen.tools.node_states import stopped
-from drivers.canopen.tools.survey import Survey, survey
+from drivers.canopen.tools.probe import Probe, probe_bus
 from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 BOARD = "Bus and node id, such as can0/5."
 ACTION = "errors: read 1001h and the error history 1003h. reset: NMT reset; outputs go off, actuators may move."
@@ -41,10 +41,11 @@ def board(
         known = ", ".join(sorted(places, key=lambda place: (place.partition("/")[0], int(place.partition("/")[2]))))
         raise InputFaults(Path("board"), [f"{name!r} is no board of {file}, which has {known}"])
     bus_name, _, node = name.partition("/")
-    [bus] = [BusSettings(b.name, b.interface, b.channel, b.bitrate) for b in settings.buses if b.name == bus_name]
+    [entry] = [entry for entry in settings.buses if entry.name == bus_name]
+    bus = BusWiring(name=entry.name, interface=entry.interface, channel=entry.channel, bitrate=entry.bitrate)
     try:
         refuse_executor([bus], settings.name, socket, settings.boards.heartbeat)
-        found = survey(bus, [int(node)])
+        found = probe_bus(bus, [int(node)])
         if found.fault is not None:
             raise Failed(found.fault.message)
         if found.master_heard:
@@ -57,8 +58,8 @@ def board(
         raise Failed(str(error)) from None
 
 
-def show_errors(found: Survey, name: str, as_json: bool) -> None:
-    """Prints error register and error history of a surveyed board.
+def show_errors(found: Probe, name: str, as_json: bool) -> None:
+    """Prints error register and error history of a probed board.
 
     Raises:
         Failed: the board does not answer.
@@ -76,7 +77,7 @@ def show_errors(found: Survey, name: str, as_json: bool) -> None:
         typer.echo(line)
 
 
-def reset(settings: ArmSettings, bus: BusSettings, name: str, yes: bool, as_json: bool) -> None:
+def reset(settings: ArmSettings, bus: BusWiring, name: str, yes: bool, as_json: bool) -> None:
     """Resets a board and prints how long it took to boot.
 
     Raises:

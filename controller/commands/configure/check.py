@@ -94,12 +94,12 @@ def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
     from controller.commands.configure.executor_absence import refuse_executor, running_on
     from controller.executor.core.arm import timing_of, wiring_of
     from drivers.canopen.faults import BusError
-    from drivers.canopen.tools.probe import probe
+    from drivers.canopen.tools.bus_check import check_bus
 
     wiring, timing = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings)
     try:
         refuse_executor(wiring.buses, arm.settings.name, socket, timing.heartbeat)
-        asked = probe(wiring, timing)
+        asked = check_bus(wiring, timing)
     except BusError as error:
         raise Failed(str(error)) from None
     if asked.master_on is not None:

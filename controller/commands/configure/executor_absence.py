@@ -10,13 +10,13 @@ from controller.commands.common import Failed
 from controller.host.sockets import found_sockets, socket_path
 from controller.program import VERSION, Hello, encode
 from drivers.canopen.tools.listening import master_on
-from drivers.canopen.wiring import MASTER, BusSettings
+from drivers.canopen.wiring import MASTER, BusWiring
 
 ANSWER_WITHIN = 1.0  # [s]
 
 
 def refuse_executor(
-    buses: Iterable[BusSettings], arm: str | None = None, path: Path | None = None, heartbeat: float = 0.0
+    buses: Iterable[BusWiring], arm: str | None = None, path: Path | None = None, heartbeat: float = 0.0
 ) -> None:
     """Refuses if the executor of an arm answers at its socket, or a master sends its heartbeat on a bus.
 

@@ -13,12 +13,12 @@ import typer
 
 from controller.armfile.strict import InputFaults
 from controller.commands.common import AsJson, Failed, print_json
-from controller.commands.configure.probe import Bitrate, Channel, Interface, surveyed
+from controller.commands.configure.probe import Bitrate, Channel, Interface, probed
 from drivers.canopen.faults import BusError
-from drivers.canopen.tools.lss import BIT_TIMINGS, Identity, Lss, Refused, over
-from drivers.canopen.tools.survey import Survey
+from drivers.canopen.tools.lss import BIT_TIMINGS, Lss, LssIdentity, LssRefused, over
+from drivers.canopen.tools.probe import Probe
 from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wiring import MASTER, BusSettings
+from drivers.canopen.wiring import MASTER, BusWiring
 
 NEW = f"The new node id, 1 to {MASTER - 1}."
 RATE = "The new bit rate [bit/s]."
@@ -52,8 +52,8 @@ def node_id(
         rates = ", ".join(map(str, sorted(BIT_TIMINGS)))
         raise InputFaults(Path("--new-bitrate"), [f"{new_bitrate} is not one of {rates}"])
     identity = None if board is None else parse_identity(board)
-    present = surveyed(channel, interface, bitrate, in_full=False)
-    with opened(BusSettings(channel, interface, channel, bitrate)) as lss:
+    present = probed(channel, interface, bitrate, in_full=False)
+    with opened(BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)) as lss:
         if list_:
             show(lss.unconfigured(), channel, as_json)
             return
@@ -79,7 +79,7 @@ def node_id(
     typer.echo(hint + (f" --interface {interface}" if interface != "socketcan" else ""))
 
 
-def parse_identity(text: str) -> Identity:
+def parse_identity(text: str) -> LssIdentity:
     """Parses an identity, "VENDOR:PRODUCT:REVISION:SERIAL".
 
     Raises:
@@ -92,10 +92,10 @@ def parse_identity(text: str) -> Identity:
     if len(numbers) != 4 or not all(0 <= number < 1 << 32 for number in numbers):
         form = "four numbers are needed, VENDOR:PRODUCT:REVISION:SERIAL, such as 0x21:0x2f1:0x10000:0x1a2b"
         raise InputFaults(Path("--board"), [f"{text!r}: {form}"])
-    return Identity(*numbers)
+    return LssIdentity(*numbers)
 
 
-def refuse_taken(present: Survey, new: int, channel: str) -> None:
+def refuse_taken(present: Probe, new: int, channel: str) -> None:
     """Refuses a node id that another board has.
 
     Raises:
@@ -105,7 +105,7 @@ def refuse_taken(present: Survey, new: int, channel: str) -> None:
         raise Failed(f"node id {new} is taken on {channel}; see its board: hyperbit probe {channel}")
 
 
-def show(found: list[Identity], channel: str, as_json: bool) -> None:
+def show(found: list[LssIdentity], channel: str, as_json: bool) -> None:
     """Prints the boards without a node id."""
     for one in found:
         if as_json:
@@ -117,7 +117,7 @@ def show(found: list[Identity], channel: str, as_json: bool) -> None:
 
 
 @contextlib.contextmanager
-def opened(settings: BusSettings) -> Iterator[Lss]:
+def opened(settings: BusWiring) -> Iterator[Lss]:
     """Opens a bus for LSS.
 
     Raises:
@@ -128,7 +128,7 @@ def opened(settings: BusSettings) -> Iterator[Lss]:
     try:
         bus.open()
         yield Lss(over(bus))
-    except (BusError, Refused) as error:
+    except (BusError, LssRefused) as error:
         raise Failed(f"{settings.name}: {error}") from None
     finally:
         bus.close()

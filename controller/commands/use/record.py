@@ -82,8 +82,8 @@ def record(
             if frames is not None:
                 frames.begin(path.with_suffix(CAN_LOG))
 
-        notifier.send("READY=1")
-        session = stack.enter_context(opened(connect, zenoh_file, ending.wait, lambda: notifier.send("WATCHDOG=1")))
+        notifier.notify("READY=1")
+        session = stack.enter_context(opened(connect, zenoh_file, ending.wait, lambda: notifier.notify("WATCHDOG=1")))
         if session is None:
             return
         recorder = Recorder(name, where, Limits(most, minutes * 60.0), fsync=fsync, began=began)
@@ -94,13 +94,13 @@ def record(
 
         def beat() -> None:
             nonlocal flushed
-            notifier.send("WATCHDOG=1")
+            notifier.notify("WATCHDOG=1")
             if frames is not None and time.monotonic() >= flushed + 1.0:
                 flushed = time.monotonic()
                 frames.flush()
 
         recorder.run(listener, ending.is_set, beat)
-        notifier.send("STOPPING=1")
+        notifier.notify("STOPPING=1")
 
 
 def save_events(arm: str, folder: Path) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from controller.executor.core.arm import WORDS
 from controller.executor.core.bits import first, indices, merged
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 
 
 class LockedActuators:
@@ -77,11 +77,11 @@ class LockedActuators:
         """
         return outputs ^ first(outputs ^ self.aligned(outputs), most)
 
-    def faults(self) -> tuple[Fault, ...]:
+    def faults(self) -> tuple[ArmFault, ...]:
         """Returns the warning "degraded" for each locked actuator; it does not stop the arm."""
         words = ((self._labels[k], WORDS[self.states >> k & 1]) for k in indices(self.mask))
         return tuple(
-            Fault("degraded", label, f"actuator {label} is locked {state}: no program may switch it")
+            ArmFault("degraded", label, f"actuator {label} is locked {state}: no program may switch it")
             for label, state in words
         )
 

@@ -6,10 +6,10 @@ from controller.executor.core.arm import WORDS, ExecutedArm
 from controller.executor.core.bits import indices
 from controller.executor.core.events import Health
 from controller.executor.core.locked import LockedActuators
-from controller.executor.motion.motion import Motion
+from controller.executor.motion.motion import ArmMotion
 from controller.executor.process.switch_journal import SwitchJournal
 from controller.program import Diagnostics, Fault, Mode, Snapshot, pack
-from drivers.canopen.faults import Fault as BoardFault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.master import Master
 
 SNAPSHOT_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
@@ -32,7 +32,7 @@ class Reports:
     """
 
     def __init__(
-        self, arm: ExecutedArm, master: Master, motion: Motion, locked: LockedActuators, journal: SwitchJournal
+        self, arm: ExecutedArm, master: Master, motion: ArmMotion, locked: LockedActuators, journal: SwitchJournal
     ) -> None:
         self.changed = True
         self.real_time = "off"
@@ -50,7 +50,7 @@ class Reports:
         self._shown = shown
         return self.changed or now >= self._next_snapshot
 
-    def snapshot(self, now: float, mode: Mode, reason: str, epoch: int, faults: tuple[BoardFault, ...]) -> Snapshot:
+    def snapshot(self, now: float, mode: Mode, reason: str, epoch: int, faults: tuple[ArmFault, ...]) -> Snapshot:
         """Returns the state of the executor."""
         self.changed, self._next_snapshot = False, now + SNAPSHOT_EVERY
         motion, size = self._motion, self._size
@@ -79,7 +79,7 @@ class Reports:
             ),
         )
 
-    def take_health(self, health: Health) -> None:
+    def receive_health(self, health: Health) -> None:
         """Takes the figures of the process."""
         self.changed |= health.journal != self._health.journal
         self._health = health
@@ -103,12 +103,12 @@ class Reports:
             dropped=self._health.dropped,
         )
 
-    def _own(self) -> tuple[BoardFault, ...]:
+    def _own(self) -> tuple[ArmFault, ...]:
         problem = self._health.journal
-        journal = () if problem is None else (BoardFault("journal", "executor", problem),)
+        journal = () if problem is None else (ArmFault("journal", "executor", problem),)
         return journal + tuple(self._unknown(k) for k in indices(self._motion.homing & self._master.known))
 
-    def _unknown(self, k: int) -> BoardFault:
+    def _unknown(self, k: int) -> ArmFault:
         label, guess = self._arm.actuators[k], WORDS[self._motion.actuation.states >> k & 1]
         text = f"the state of actuator {label} is unknown: the next goal homes it to {guess} first; or use `jog`"
-        return BoardFault("unknown-position", label, text)
+        return ArmFault("unknown-position", label, text)

@@ -5,13 +5,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import Action, Client, Log, ToClient
+from controller.executor.core.events import TICK, Action, ClientId, ToClient
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
-from controller.executor.motion.motion import Motion
-from controller.executor.motion.program_execution import Misfit, ProgramExecution, check_stages, checked_states
+from controller.executor.motion.motion import ArmMotion
+from controller.executor.motion.program_execution import ProgramExecution, StageMisfit, check_stages, checked_states
 from controller.executor.motion.setpoint_stream import SetpointStream
 from controller.executor.process.clients import Clients
+from controller.host.process import Log
 from controller.program import (
     Accepted,
     Answer,
@@ -29,8 +30,6 @@ from controller.program import (
     Setpoint,
 )
 
-TICK = 0.01  # [s]; an answer that waits is looked at with each event, and at each tick
-
 
 class HeldAnswer(NamedTuple):
     """An answer to a stop or cancel that waits until nothing can switch any more.
@@ -44,7 +43,7 @@ class HeldAnswer(NamedTuple):
         until: the answer is sent at this time at the latest [s].
     """
 
-    client: Client
+    client: ClientId
     request: int
     done: str
     follows: str
@@ -52,7 +51,7 @@ class HeldAnswer(NamedTuple):
     until: float
 
 
-class Requests:
+class ClientRequests:
     """Handles the messages of accepted clients.
 
     Attributes:
@@ -70,7 +69,7 @@ class Requests:
     def __init__(
         self,
         arm: ExecutedArm,
-        motion: Motion,
+        motion: ArmMotion,
         locked: LockedActuators,
         modes: Modes,
         clients: Clients,
@@ -82,21 +81,23 @@ class Requests:
         self._size = len(arm.actuators)
         self._program = self._stream = 0  # greatest numbers so far
         self._held: list[HeldAnswer] = []
-        self._longest = arm.timing.heartbeat_timeout / 2 - 2 * TICK  # [s] for which an answer waits
+        self._longest = (
+            arm.timing.heartbeat_timeout / 2 - 2 * TICK
+        )  # [s] for which an answer waits, until a tick at the latest
 
     @property
     def greatest(self) -> int:
         """The greatest number of a program or stream so far."""
         return max(self._program, self._stream)
 
-    def take(self, client: Client, message: Down, now: float) -> None:
-        """Handles a message."""
+    def receive_request(self, client: ClientId, message: Down, now: float) -> None:
+        """Carries out a request, and answers it now or as soon as nothing switches any more."""
         if self._clients.roles[client] == "operator" and not isinstance(message, Halt):
             self._act(ToClient(client, Goodbye("an operator may only halt")))
             return
         match message:
             case Program():
-                self._take_program(message, now)
+                self._receive_program(message, now)
             case Replacement():
                 self._replace(message)
             case Setpoint():
@@ -114,7 +115,7 @@ class Requests:
 
     # --- programs and set-points
 
-    def _take_program(self, message: Program, now: float) -> None:
+    def _receive_program(self, message: Program, now: float) -> None:
         """Starts a program in place of the running one, or declines it."""
         declined = self._declined(message)
         if declined is not None:
@@ -143,7 +144,7 @@ class Requests:
             if message.homed:
                 checked_states(message.homed, self._size)
             check_stages(message.stages, start, -1e12, self._arm.most, self._locked.mask, self._size)
-        except Misfit as misfit:
+        except StageMisfit as misfit:
             return Declined(number, "locked" if misfit.locked else "malformed", str(misfit))
         if self._motion.busy:
             return Declined(number, "moved", "the boards have not confirmed the last switch yet")
@@ -159,7 +160,7 @@ class Requests:
             try:
                 execution.replace(message, self._arm.most, self._size)
                 self._motion.clearances.forget()  # the planner may know other obstacles now
-            except Misfit as misfit:
+            except StageMisfit as misfit:
                 accepted = False
                 self._act(Log(logging.INFO, f"replacement of {execution.program.name} refused: {misfit}"))
         self._clients.to_planner(Replaced(message.program, message.generation, accepted))
@@ -171,7 +172,7 @@ class Requests:
             return
         try:
             stream = SetpointStream(message, self._arm.most, self._locked, self._size)
-        except Misfit as misfit:
+        except StageMisfit as misfit:
             self._act(Log(logging.WARNING, f"set-point refused: {misfit}"))
             return
         self._stream = message.stream
@@ -181,7 +182,7 @@ class Requests:
 
     # --- cancel, halt, reset, lock
 
-    def _cancel(self, client: Client, message: Cancel, now: float) -> None:
+    def _cancel(self, client: ClientId, message: Cancel, now: float) -> None:
         """Ends one program, or whatever is running."""
         execution, followed = self._motion.execution, self._motion.stream is not None
         if message.program is not None and (execution is None or execution.program.program != message.program):
@@ -194,7 +195,7 @@ class Requests:
         self._hold_answer(client, message.request, *done, now)
         self._modes.hold("canceled", message.reason or "canceled; the arm holds", f"holding; {name} was canceled")
 
-    def _halt(self, client: Client, message: Halt, now: float) -> None:
+    def _halt(self, client: ClientId, message: Halt, now: float) -> None:
         """Stops: nothing moves until a reset."""
         self._modes.new_epoch()
         self._hold_answer(client, message.request, "stopped", "the arm holds until reset", now)
@@ -202,7 +203,7 @@ class Requests:
             "aborted", "stopped; the arm holds", "a stop was requested; the arm holds until reset", "stopped"
         )
 
-    def _hold_answer(self, client: Client, request: int, done: str, follows: str, now: float) -> None:
+    def _hold_answer(self, client: ClientId, request: int, done: str, follows: str, now: float) -> None:
         self._motion.conclude(None, now)  # what was switched before the request is not "under way"
         held = HeldAnswer(client, request, done, follows, self._motion.actuation.switches, now + self._longest)
         self._held.append(held)
@@ -238,7 +239,7 @@ class Requests:
         self._modes.boot("the boards are being booted after a reset", now)
         return True, "resetting; the mode will be ready, or fault with the reason"
 
-    def _lock(self, client: Client, message: Lock, now: float) -> None:
+    def _lock(self, client: ClientId, message: Lock, now: float) -> None:
         """Locks or unlocks an actuator; nothing moves."""
         motion = self._motion
         refusal = self._locked.refusal(message.actuator, message.state, motion.read, motion.definite)
@@ -256,7 +257,7 @@ class Requests:
         text = f"{self._locked.sentence()}{', after a reset' if waits else ''}"
         self._answer(client, message.request, True, text)
 
-    def _answer(self, client: Client, request: int, accepted: bool, message: str) -> None:
+    def _answer(self, client: ClientId, request: int, accepted: bool, message: str) -> None:
         self._act(ToClient(client, Answer(request, accepted, message[:1_000])))
 
 

@@ -6,8 +6,8 @@ from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.bits import first, merged
 from controller.executor.core.kinds import Ends, Kinds
 from controller.executor.core.locked import LockedActuators
-from controller.executor.core.results import Results
-from controller.executor.motion.actuation import Actuation, Commit
+from controller.executor.core.results import ProgramResults
+from controller.executor.motion.actuation import Actuation, CommitOutcome
 from controller.executor.motion.clearance import ClearanceQuestions
 from controller.executor.motion.motion_supervision import Finding, MotionSupervision
 from controller.executor.motion.program_execution import End, ProgramExecution
@@ -15,14 +15,14 @@ from controller.executor.motion.setpoint_stream import SetpointStream
 from controller.executor.motion.travel_times import TravelTimes
 from controller.executor.process.switch_journal import SwitchJournal
 from controller.program import MOST_TRAVELS, Begun, Settled, Up, pack
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.master import Master
 
 REALIGNMENT = -1  # in place of the index of a stage
 NOT_CLEAR = "the next stage cannot begin: "
 
 
-class Motion:
+class ArmMotion:
     """Switches the boards to the stages of the running program or stream, and supervises the actuators.
 
     Attributes:
@@ -49,7 +49,7 @@ class Motion:
         master: Master,
         journal: SwitchJournal,
         locked: LockedActuators,
-        results: Results,
+        results: ProgramResults,
         send: Callable[[Up], None],
     ) -> None:
         self.execution: ProgramExecution | None = None
@@ -64,7 +64,7 @@ class Motion:
         self._arm, self._master, self._locked, self._results, self._send = arm, master, locked, results, send
         self._index, self._before = 0, 0  # the stage whose commit runs; states before it
         self._homes = False  # whether actuators of unknown state travel to a known one
-        self._closing: tuple[ProgramExecution, str, str] | None = None  # its result waits for the running commit
+        self._ended: tuple[ProgramExecution, str, str] | None = None  # its result waits for the running commit
 
     # --- what is measured
 
@@ -127,11 +127,11 @@ class Motion:
         self._travel_times.forget(-1)
         self.actuation.adopt(self.read, self.definite, now)
 
-    def interlocks(self) -> list[Fault]:
+    def interlocks(self) -> list[ArmFault]:
         """Returns a fault for each open interlock."""
         opened = self.kinds.open(self._master.ends, self._master.inputs_known)
         places = (f"{lock.name} ({lock.bus}/{lock.node} input {lock.input})" for lock in opened)
-        return [Fault("interlock", place, f"interlock {place} is open: close it, then reset") for place in places]
+        return [ArmFault("interlock", place, f"interlock {place} is open: close it, then reset") for place in places]
 
     # --- begin and end
 
@@ -170,15 +170,15 @@ class Motion:
         self.actuation.rest()
         if execution is None:
             return
-        self._closing = execution, status, message
+        self._ended = execution, status, message
         if not self.busy:
-            self.close()
+            self.send_result()
 
-    def close(self) -> None:
+    def send_result(self) -> None:
         """Sends the result of a program that has ended."""
-        if self._closing is not None:
-            execution, status, message = self._closing
-            self._closing = None
+        if self._ended is not None:
+            execution, status, message = self._ended
+            self._ended = None
             try:
                 measured, known = self.packed()
             except Exception:  # a defect must not keep a program from its result
@@ -194,8 +194,8 @@ class Motion:
             at: time of the event's frame on the bus [s]; None: unknown.
             now: [s].
         """
-        running = self.execution if self._closing is None else self._closing[0]
-        for lines, switched_at in self._master.take_switched():
+        running = self.execution if self._ended is None else self._ended[0]
+        for lines, switched_at in self._master.drain_switched():
             mask = self.actuation.switched(lines, switched_at)
             self.supervision.switched(mask, self.actuation.states, self.ends, self.clock, now)
             self._travel_times.begin(mask, self.actuation.states, self.ends, at)
@@ -207,7 +207,7 @@ class Motion:
                 running.travels += travels
         commit = self.actuation.conclude(now)
         if not self.committing:
-            self.close()
+            self.send_result()
         if commit is not None and commit.reached and self._index != REALIGNMENT:
             self._took(commit, now)
 
@@ -300,7 +300,7 @@ class Motion:
         """
         self._index, self._before = index, self.actuation.states
         if states == self._before and not (strict and self.moving):
-            self._took(Commit(states, reached=True), now)
+            self._took(CommitOutcome(states, reached=True), now)
             return None
         differ = self.actuation.differ(states, 0)
         if now < self.actuation.ready_at(differ, strict) - 1e-9 or (strict and self.moving):
@@ -321,7 +321,7 @@ class Motion:
                 self.execution.begins(index)
         return None
 
-    def _took(self, commit: Commit, now: float) -> None:
+    def _took(self, commit: CommitOutcome, now: float) -> None:
         """Records that the outputs have reached the stage begun last."""
         self.supervision.await_anew(commit.states, self.ends, self.clock, now)
         execution, stream = self.execution, self.stream

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.host.process import Log
 from controller.manipulator.locked import STATES, require_states
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.stages.program import pack_states, unpack_states
-from controller.planning.core.events import LockMessage, Log
+from controller.planning.core.events import LockMessage
 from controller.planning.core.parts import Parts
 from controller.planning.core.tasks import Answer, ArmStart, BuildTables, Failed, Tables
 from controller.program import Diagnostics, Fault, Mode, Settled, Snapshot, Welcome

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from controller import program
+from controller.host.process import Log, Quit
 from controller.motion.codes import INVALID_GOAL, PATH_TOLERANCE_VIOLATED
 from controller.motion.tracking.goal_motion import tracking_of
 from controller.planning.core import events
@@ -148,7 +149,7 @@ class Core:
                 self._requests.unsent(number, reason)
             case events.Warned(warnings):
                 self._status.warned(warnings)
-            case events.Quit():
+            case Quit():
                 self._quit()
             case events.Tick():
                 pass
@@ -173,7 +174,7 @@ class Core:
                 case _:
                     self._requests.take(request)
         except Exception:
-            self._act(events.Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
+            self._act(Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
             self._act(events.Reply(request.number, events.refused(INVALID_GOAL, "internal error, see the journal")))
 
     def _live(self) -> events.Payload:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
+from controller.host.process import Log, Notify, Quit
 from controller.motion import codes
 from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core.tasks import Answer, Task
@@ -119,10 +119,6 @@ class Tick(NamedTuple):
     """The time of the last `Wake` has come."""
 
 
-class Quit(NamedTuple):
-    """The process is asked to end."""
-
-
 Event = Request | Unsent | Arrived | FromExecutor | LinkDown | Answered | Published | Recorded | Warned | Tick | Quit
 
 
@@ -233,20 +229,6 @@ class Wake(NamedTuple):
     """Post `Tick` at this time [s]; replaces the `Wake` before."""
 
     at: float
-
-
-class Notify(NamedTuple):
-    """An assignment for systemd, e.g. "WATCHDOG=1"."""
-
-    text: str
-
-
-class Log(NamedTuple):
-    """A line of the log, with a level of the module logging, and fields for the journal."""
-
-    level: int
-    text: str
-    fields: Mapping[str, str] = MappingProxyType({})
 
 
 class Fail(NamedTuple):

@@ -8,11 +8,12 @@ import traceback
 from collections import deque
 from functools import partial
 
+from controller.host.process import Log
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core import tasks
 from controller.planning.core.arm import ArmState, no_motion, obstruction, packed
-from controller.planning.core.events import CLOSING, Log, Reply, Request, refused
+from controller.planning.core.events import CLOSING, Reply, Request, refused
 from controller.planning.core.offers import Motion, goal_program, jog_program, jog_stages
 from controller.planning.core.parts import BARRED, Parts, Ticket
 from controller.program import Accepted, Declined

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.armfile.settings import TrackerSettings
+from controller.host.process import Log
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.decoding.setpoint import decode
 from controller.motion.tracking.bias import DRIFT, TipBias, Tracker
 from controller.motion.tracking.bias import decode as decode_tip
 from controller.motion.tracking.tracking import GoalTracker
 from controller.planning.core.arm import obstruction
-from controller.planning.core.events import Log, Payload, ToExecutor
+from controller.planning.core.events import Payload, ToExecutor
 from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.tasks import Answer, Basis, Failed, Followed, FollowSetpoint
 from controller.program import Setpoint
