@@ -210,7 +210,7 @@ class Panel:
             if desk is None or text is None:
                 return BAD
             try:
-                desk.take(requests.decode(text))
+                desk.take(requests.decode_request(text))
             except requests.BadRequest as error:
                 desk.refuse(0, str(error))
             except Flood:

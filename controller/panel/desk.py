@@ -15,19 +15,21 @@ from controller.network.client import Unanswered
 from controller.panel.arm_view import ArmView
 from controller.panel.pages import Allowance, Page
 from controller.panel.requests import (
-    Cancel,
-    Go,
-    GoalFile,
-    Jog,
-    Lock,
-    Obstacles,
-    Plan,
-    Release,
-    Request,
-    Reset,
-    Seek,
-    Stop,
-    Take,
+    CancelRequest,
+    FreeRequest,
+    GoalFileRequest,
+    GoalRequest,
+    JogRequest,
+    LockRequest,
+    ObstaclesRequest,
+    PageRequest,
+    PlanRequest,
+    ReleaseControlRequest,
+    ResetRequest,
+    SeekRequest,
+    StopRequest,
+    TakeControlRequest,
+    UrgentRequest,
 )
 
 log = logging.getLogger(__name__)
@@ -74,13 +76,13 @@ class Desk:
         self._allowance, self._stops = Allowance(RATE, AT_ONCE), Allowance(STOPS, STOPS_AT_ONCE)
         self._open: set[asyncio.Task[None]] = set()
 
-    def take(self, request: Request) -> None:
+    def take(self, request: PageRequest) -> None:
         """Accepts a request; its answer is sent to the page.
 
         Raises:
             Flood: the page sent too many requests and must be closed.
         """
-        urgent = isinstance(request, Stop | Cancel)
+        urgent = isinstance(request, UrgentRequest)
         allowance = self._stops if urgent else self._allowance
         if not allowance.take():
             if allowance.refused > MOST_REFUSED:
@@ -99,18 +101,18 @@ class Desk:
         """Sends the page a refusal of its request number `number`."""
         self._page.reply(encoded({"section": "reply", "n": number, "accepted": False, "message": message}))
 
-    def _refuse(self, request: Request, message: str) -> None:
+    def _refuse(self, request: PageRequest, message: str) -> None:
         self.refuse(request.n, message)
 
-    def _refusal(self, request: Request) -> str | None:
+    def _refusal(self, request: PageRequest) -> str | None:
         """Returns why the page may not send this request, or None; the first page that commands gets control."""
         if self._page.person.role != "operator":
             return f"{self._page.person.name} may look, not command"
-        if isinstance(request, Stop | Cancel | Take | Release | Plan | GoalFile | Seek):
+        if isinstance(request, FreeRequest):
             return None
         return self._view.control.refusal(self._page)
 
-    async def _serve(self, request: Request) -> None:
+    async def _serve(self, request: PageRequest) -> None:
         """Carries a request out and answers it."""
         try:
             answer = await self._carry_out(request)
@@ -123,21 +125,21 @@ class Desk:
             answer = {"accepted": False, "message": "internal error, see the panel's journal"}
         self._page.reply(encoded({"section": "reply", "n": request.n, **answer}))
 
-    async def _carry_out(self, request: Request) -> Message:
+    async def _carry_out(self, request: PageRequest) -> Message:
         match request:
-            case Stop():
+            case StopRequest():
                 return await self._command("stop", {}, self._desks.stops)
-            case Cancel():
+            case CancelRequest():
                 return await self._command("cancel", {}, self._desks.stops)
-            case Reset():
+            case ResetRequest():
                 return await self._command("reset", {})
-            case Jog(actuator=actuator, state=state):
+            case JogRequest(actuator=actuator, state=state):
                 return await self._command("jog", {"actuators": {actuator: state}})
-            case Lock(actuator=actuator, state=at):
+            case LockRequest(actuator=actuator, state=at):
                 return await self._command("degrade", {"actuator": actuator, "state": at})
-            case Obstacles(regions=regions):
+            case ObstaclesRequest(regions=regions):
                 return await self._command("obstacles", {"regions": regions})
-            case Go(goal=goal):
+            case GoalRequest(goal=goal):
                 named = {**goal, "id": f"{self._page.person.name}-{secrets.token_hex(3)}"}
                 answer = await self._command("goal", named)
                 if answer.get("accepted"):
@@ -145,19 +147,19 @@ class Desk:
                     self._view.record.goal(str(answer.get("id")), len(points) if isinstance(points, list) else None)
                     self._view.publish_record()
                 return answer
-            case Plan(goal=goal):
+            case PlanRequest(goal=goal):
                 return await self._plan(goal)
-            case GoalFile(text=text):
+            case GoalFileRequest(text=text):
                 read = await asyncio.get_running_loop().run_in_executor(self._desks.plans, read_goal, text)
                 return {**await self._plan(read), "file": read}
-            case Seek():
+            case SeekRequest():
                 asked = {"at": request.at, "speed": request.speed, "paused": request.paused}
                 return await self._ask("timeline", {k: v for k, v in asked.items() if v is not None})
-            case Take():
+            case TakeControlRequest():
                 self._view.control.take(self._page)
                 self._say("took control")
                 return {"accepted": True, "message": "you have control"}
-            case Release():
+            case ReleaseControlRequest():
                 if self._view.control.release(self._page):
                     self._say("released control")
                 return {"accepted": True, "message": "nobody has control"}
