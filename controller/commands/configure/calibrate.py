@@ -12,7 +12,7 @@ import yaml
 
 from controller.arm.arm import load
 from controller.armfile.strict import InputFaults, read_yaml
-from controller.commands.common import ArmFile, AsJson, Failed, console, errors, print_json, results_table
+from controller.commands.common import ArmFile, AsJson, CommandFailed, console, errors, print_json, results_table
 
 if TYPE_CHECKING:
     from controller.calibration.calibration import Calibration, Misfit
@@ -54,7 +54,7 @@ def calibrate(
     else:
         show(found)
     if not found.better:
-        raise Failed(
+        raise CommandFailed(
             "on held-out samples the fitted numbers are no better than the file's numbers with a fitted base;"
             " nothing is written"
         )
@@ -64,7 +64,7 @@ def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
     """Writes the fitted arm's file, after reading a draft of it back.
 
     Raises:
-        Failed: the file cannot be written, or the fitted numbers describe no valid arm.
+        CommandFailed: the file cannot be written, or the fitted numbers describe no valid arm.
     """
     raw = {**read_yaml(file), **found.description}
     before, after = found.before.position.rms, found.after.position.rms
@@ -76,9 +76,11 @@ def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
         load(draft)
         draft.replace(out)
     except InputFaults as error:
-        raise Failed(f"the fitted numbers describe no valid arm, nothing is written: {error.faults[0]}") from None
+        raise CommandFailed(
+            f"the fitted numbers describe no valid arm, nothing is written: {error.faults[0]}"
+        ) from None
     except OSError as error:
-        raise Failed(f"{out} cannot be written: {error.strerror}") from None
+        raise CommandFailed(f"{out} cannot be written: {error.strerror}") from None
     finally:
         draft.unlink(missing_ok=True)
 

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from controller.armfile.strict import InputFaults
-from controller.commands.common import AsJson, Failed, print_json
+from controller.commands.common import AsJson, CommandFailed, print_json
 from controller.commands.configure.probe import Bitrate, Channel, Interface, surveyed
 from drivers.canopen.faults import BusError
 from drivers.canopen.tools.lss import BIT_TIMINGS, Identity, Lss, Refused, over
@@ -59,7 +59,7 @@ def node_id(
             return
         if identity is None and len(present.found) > 1:
             nodes = ", ".join(str(node.node) for node in present.found)
-            raise Failed(f"nodes {nodes} are on {channel}: connect a single board, or name one by --board")
+            raise CommandFailed(f"nodes {nodes} are on {channel}: connect a single board, or name one by --board")
         try:
             selected, old = lss.select(identity)
             if new is not None and new != old:
@@ -99,10 +99,10 @@ def refuse_taken(present: Survey, new: int, channel: str) -> None:
     """Refuses a node id that another board has.
 
     Raises:
-        Failed: another board has it.
+        CommandFailed: another board has it.
     """
     if new in [node.node for node in present.found]:
-        raise Failed(f"node id {new} is taken on {channel}; see its board: hyperbit probe {channel}")
+        raise CommandFailed(f"node id {new} is taken on {channel}; see its board: hyperbit probe {channel}")
 
 
 def show(found: list[Identity], channel: str, as_json: bool) -> None:
@@ -121,7 +121,7 @@ def opened(settings: BusSettings) -> Iterator[Lss]:
     """Opens a bus for LSS.
 
     Raises:
-        Failed: the bus cannot be opened, or a board refuses a request.
+        CommandFailed: the bus cannot be opened, or a board refuses a request.
     """
     bus = CanBus(settings)
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # the board is released first
@@ -129,7 +129,7 @@ def opened(settings: BusSettings) -> Iterator[Lss]:
         bus.open()
         yield Lss(over(bus))
     except (BusError, Refused) as error:
-        raise Failed(f"{settings.name}: {error}") from None
+        raise CommandFailed(f"{settings.name}: {error}") from None
     finally:
         bus.close()
         signal.signal(signal.SIGTERM, before)

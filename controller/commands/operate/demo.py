@@ -25,7 +25,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from controller.arm.arm import Arm
-from controller.commands.common import Failed, console, densities_of, errors, load_wired, shipped
+from controller.commands.common import CommandFailed, console, densities_of, errors, load_wired, shipped
 from controller.commands.connection import connected
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import parse_configuration
@@ -202,7 +202,7 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
     Sockets, ledger and log are in `folder`, so another daemon of this arm may run on the computer.
 
     Raises:
-        Failed: the daemon did not start within PATIENCE.
+        CommandFailed: the daemon did not start within PATIENCE.
     """
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
@@ -218,7 +218,7 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
                 if daemon.poll() is not None or time.monotonic() > until:
                     log.seek(0)
                     errors.print(log.read(), markup=False)
-                    raise Failed("the daemon did not start; its log is above")
+                    raise CommandFailed("the daemon did not start; its log is above")
                 time.sleep(0.05)
             yield daemon, endpoint
         finally:
@@ -242,7 +242,7 @@ def wait_until_ready(client: Client, ended: Callable[[], int | None] = lambda: N
         ended: returns the daemon's exit code, None while the daemon runs.
 
     Raises:
-        Failed: the daemon reports a fault, publishes no state, or has ended.
+        CommandFailed: the daemon reports a fault, publishes no state, or has ended.
     """
     states: queue.SimpleQueue[Message] = queue.SimpleQueue()
     subscriber = client.subscribe("state", states.put)
@@ -252,11 +252,11 @@ def wait_until_ready(client: Client, ended: Callable[[], int | None] = lambda: N
             if state["mode"] == "ready":
                 return
             if (code := ended()) is not None:
-                raise Failed(f"the daemon ended with code {code}")
+                raise CommandFailed(f"the daemon ended with code {code}")
             if state["mode"] == "fault":
-                raise Failed(f"the daemon reports a fault: {state['reason']}")
+                raise CommandFailed(f"the daemon reports a fault: {state['reason']}")
     except queue.Empty:
-        raise Failed(f"the daemon published no state for {PATIENCE:g} s") from None
+        raise CommandFailed(f"the daemon published no state for {PATIENCE:g} s") from None
     finally:
         subscriber.undeclare()  # type: ignore[no-untyped-call]
 
@@ -265,7 +265,7 @@ def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
     """Sends a goal and shows its progress; returns its result, with the worst error of its waypoints as `worst`.
 
     Raises:
-        Failed: the goal was refused, or not reached.
+        CommandFailed: the goal was refused, or not reached.
     """
     errors_seen = [0.0]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
@@ -279,7 +279,7 @@ def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
 
         result = client.run({"waypoints": waypoints}, follow)
     if result["code"] != 0:
-        raise Failed(f"{what}: {result['message']}")
+        raise CommandFailed(f"{what}: {result['message']}")
     return {**result, "worst": max(*errors_seen, result["error"])}
 
 

@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, ArmFile, Failed, ZenohFile, densities_of, load_wired
+from controller.commands.common import ENDPOINT, ArmFile, CommandFailed, ZenohFile, densities_of, load_wired
 
 SOCKET = "Socket of a running executor, or its folder. Default: this command starts an executor."
 KIND = "Kind of the simulated boards; see `simulate --help`."
@@ -106,7 +106,7 @@ def serve(
         ledger: path of the ledger; None: the default path.
 
     Raises:
-        Failed: executor or planner ended, there is no Zenoh session, or another daemon serves the arm.
+        CommandFailed: executor or planner ended, there is no Zenoh session, or another daemon serves the arm.
         InputFaults: the arm's file or the Zenoh configuration is wrong.
     """
     import zenoh
@@ -131,10 +131,10 @@ def serve(
         with running(arm, densities, config, book, path, digest) as daemon:
             while not ending.wait(POLL):
                 if daemon.failure is not None:
-                    raise Failed(f"{daemon.failure}: the log has details")
+                    raise CommandFailed(f"{daemon.failure}: the log has details")
                 if (code := ended()) is not None:
-                    raise Failed(f"the executor ended with code {code}: its messages are above")
+                    raise CommandFailed(f"the executor ended with code {code}: its messages are above")
     except (AlreadyRunning, LedgerInUse) as error:
-        raise Failed(str(error)) from None
+        raise CommandFailed(str(error)) from None
     except zenoh.ZError as error:
-        raise Failed(f"no Zenoh session at {zenoh_file or listen}: {session.reason(error)}") from None
+        raise CommandFailed(f"no Zenoh session at {zenoh_file or listen}: {session.reason(error)}") from None

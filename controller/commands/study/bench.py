@@ -17,7 +17,7 @@ import typer
 from controller.armfile.strict import InputFaults
 from controller.bench.methods import METHODS, find_method
 from controller.commands import common
-from controller.commands.common import Failed
+from controller.commands.common import CommandFailed
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -102,7 +102,7 @@ def bench(
         else:
             json_file.write_text(text, encoding="utf-8")
     if impossible := sum(row.impossible for row in rows):
-        raise Failed(f"{impossible} answers have fewer switches than the proven minimum: a goal set is wrong")
+        raise CommandFailed(f"{impossible} answers have fewer switches than the proven minimum: a goal set is wrong")
 
 
 def chosen_sets(wanted: list[str] | None, known: list[str]) -> list[str]:

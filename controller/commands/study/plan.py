@@ -14,7 +14,7 @@ from controller.armfile.strict import InputFaults
 from controller.commands.common import (
     ArmFile,
     AsJson,
-    Failed,
+    CommandFailed,
     configuration,
     console,
     densities_of,
@@ -111,9 +111,9 @@ def plan(
             console.print(sentence(whole))
     if goal is not None and not found.within_tolerance:
         away = f"{found.error:.4f} away" + ("" if orientation is None else f" and turned {found.angle:.4f} rad")
-        raise Failed(f"goal {goal} {found.reach}: nearest point found {shown(line['position'])}, {away}")
+        raise CommandFailed(f"goal {goal} {found.reach}: nearest point found {shown(line['position'])}, {away}")
     if solver.clearance is not None and end is not None and (where := solver.clearance.where(end)) is not None:
-        raise Failed(f"configuration {to}: {where}")
+        raise CommandFailed(f"configuration {to}: {where}")
 
 
 def answer(arm: Arm, position: list[float], orientation: Orientation, found: Solution) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from controller.arm.arm import Arm
-from controller.commands.common import Failed, errors
+from controller.commands.common import CommandFailed, errors
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import Refusal
@@ -96,7 +96,7 @@ def follow(
         method: search method.
 
     Raises:
-        Failed: the lines between the goals cannot be followed.
+        CommandFailed: the lines between the goals cannot be followed.
     """
     from controller.motion.plans.whole import plan_whole, unhurried
     from controller.motion.stages.pacing import pace_of
@@ -111,7 +111,7 @@ def follow(
             found = plan_whole(solver, trajectory, start, method, pace)
         except Refusal as refusal:
             if path_tolerance is not None:
-                raise Failed(str(refusal)) from None
+                raise CommandFailed(str(refusal)) from None
             errors.print(f"no plan of the whole trajectory: {refusal}; each goal is searched separately")
             for answer in search(solver, [(p, o, None) for p, o, _ in part], start, *tolerances, method):
                 start = answer.solution.configuration

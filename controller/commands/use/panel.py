@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, Failed, ZenohFile
+from controller.commands.common import ENDPOINT, CommandFailed, ZenohFile
 
 LISTEN = "127.0.0.1:7480"
 PEOPLE = "File of people who may view or command. Default: new tokens for one operator and one viewer at each start."
@@ -42,7 +42,7 @@ def panel(
     try:
         from controller.panel.serve import Tls, parse_address, serve, zenoh_configuration
     except ImportError as error:
-        raise Failed(str(error), "install the page's libraries: pip install 'hyperbit[panel]'") from None
+        raise CommandFailed(str(error), "install the page's libraries: pip install 'hyperbit[panel]'") from None
     tls = None if certificate is None or key is None else Tls(certificate, key, client_ca)
     try:
         config = zenoh_configuration(connect or [ENDPOINT], zenoh_file)
@@ -51,7 +51,9 @@ def panel(
     try:
         serve(parse_address(listen), tls, people, config, prefix)
     except OSError as error:
-        raise Failed(f"the page cannot be served at {listen}: {error}", "name another address by --listen") from None
+        raise CommandFailed(
+            f"the page cannot be served at {listen}: {error}", "name another address by --listen"
+        ) from None
 
 
 def print_token(name: str) -> None:

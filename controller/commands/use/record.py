@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, ArmName, Connect, Failed, ZenohFile, arm_name
+from controller.commands.common import ENDPOINT, ArmName, CommandFailed, Connect, ZenohFile, arm_name
 
 if TYPE_CHECKING:
     import zenoh
@@ -70,9 +70,9 @@ def record(
         try:
             where = Folder(folder, name, most_kept)
         except FolderInUse as error:
-            raise Failed(str(error)) from None
+            raise CommandFailed(str(error)) from None
         except OSError as error:
-            raise Failed(f"{folder}: recordings cannot be written: {error.strerror}") from None
+            raise CommandFailed(f"{folder}: recordings cannot be written: {error.strerror}") from None
         stack.callback(where.close)
         frames = can_log(Path(arm)) if can else None
         if frames is not None:
@@ -107,7 +107,7 @@ def save_events(arm: str, folder: Path) -> None:
     """Saves the last events of planner and executor, and prints the paths of the files.
 
     Raises:
-        Failed: nothing was saved.
+        CommandFailed: nothing was saved.
     """
     from controller.commands.use.record_events import record_events
 
@@ -115,7 +115,7 @@ def save_events(arm: str, folder: Path) -> None:
     for path in saved:
         typer.echo(str(path))
     if not saved:
-        raise Failed("; ".join(missing))
+        raise CommandFailed("; ".join(missing))
     for text in missing:
         typer.echo(text, err=True)
 
@@ -199,9 +199,9 @@ def require(package: str) -> None:
     """Checks that a package for recordings is installed.
 
     Raises:
-        Failed: the package is missing.
+        CommandFailed: the package is missing.
     """
     from importlib.util import find_spec
 
     if find_spec(package) is None:
-        raise Failed(f"the package {package} is missing", "install it with: pip install '.[recorder]'")
+        raise CommandFailed(f"the package {package} is missing", "install it with: pip install '.[recorder]'")

@@ -12,7 +12,7 @@ import typer
 
 from controller.armfile.strict import InputFaults
 from controller.commands import common
-from controller.commands.common import AsJson, Failed, arm_name, print_json
+from controller.commands.common import AsJson, CommandFailed, arm_name, print_json
 from controller.commands.use.record import require
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def replay(
             else:
                 play(past, speed, begin, listen, connect, prefix, stay=stay)
         except BadRecording as error:
-            raise Failed(str(error)) from None
+            raise CommandFailed(str(error)) from None
 
 
 def play(
@@ -89,7 +89,7 @@ def play(
         stay: continue after the recording's end.
 
     Raises:
-        Failed: there is no Zenoh session.
+        CommandFailed: there is no Zenoh session.
     """
     import zenoh
 
@@ -109,7 +109,7 @@ def play(
     try:
         opened = zenoh.open(config)
     except zenoh.ZError as error:
-        raise Failed(f"no Zenoh session at {connect or listen}: {session.reason(error)}") from None
+        raise CommandFailed(f"no Zenoh session at {connect or listen}: {session.reason(error)}") from None
     with opened as live, contextlib.closing(Player(past, live, prefix, timeline)) as player:
         seconds = timeline.end - timeline.begin
         where = connect or listen
@@ -121,7 +121,7 @@ def compare_goals(past: RecordingReader, file: Path | None, as_json: bool) -> No
     """Sends the recorded goals to a simulated arm and prints how their configurations compare.
 
     Raises:
-        Failed: a configuration differs, no goal can be compared, or the arm does not start.
+        CommandFailed: a configuration differs, no goal can be compared, or the arm does not start.
         InputFaults: the arm's file is wrong, or describes another arm.
     """
     from controller.recorder.regression import ArmFailed, Compared, compare
@@ -143,10 +143,10 @@ def compare_goals(past: RecordingReader, file: Path | None, as_json: bool) -> No
     try:
         compare(past, file, show)
     except ArmFailed as error:
-        raise Failed(str(error)) from None
+        raise CommandFailed(str(error)) from None
     if not as_json:
         words = f"{counts['equal']} goals led to the same configurations, {counts['differs']} to others;"
         words += f" {counts['unproven']} differ, but were not proven optimal; {counts['skipped']} cannot be compared"
         common.console.print(words, markup=False)
     if counts["differs"] or not counts["equal"]:
-        raise Failed("no recorded goal can be compared" if not counts["differs"] else "configurations differ")
+        raise CommandFailed("no recorded goal can be compared" if not counts["differs"] else "configurations differ")

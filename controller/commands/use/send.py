@@ -90,7 +90,7 @@ def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
     """Cancels the goal of an interrupted command, and no other goal; prints the daemon's answer.
 
     Raises:
-        Unanswered: the daemon did not answer; `connected` makes this a Failed.
+        Unanswered: the daemon did not answer; `connected` makes this a CommandFailed.
     """
     common.errors.print(f"interrupted: canceling goal {goal}", markup=False)
     answer = client.request("cancel", {"id": goal})
