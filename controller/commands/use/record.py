@@ -87,7 +87,7 @@ def record(
         if session is None:
             return
         recorder = Recorder(name, where, Limits(most, minutes * 60.0), fsync=fsync, began=began)
-        stack.callback(recorder.close)
+        stack.callback(recorder.end_recording)
         listener = Listener(session, name)
         stack.callback(listener.close)
         flushed = time.monotonic()
