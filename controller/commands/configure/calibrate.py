@@ -15,7 +15,7 @@ from controller.armfile.strict import InputFaults, read_yaml
 from controller.commands.common import ArmFile, AsJson, CommandFailed, console, errors, print_json, results_table
 
 if TYPE_CHECKING:
-    from controller.calibration.calibration import Calibration, Misfit
+    from controller.calibration.calibration import Calibration, PoseResiduals
 
 
 def calibrate(
@@ -90,7 +90,7 @@ def payload(found: Calibration) -> dict[str, Any]:
     return {
         "samples": found.samples,
         "set_aside": list(found.outliers),
-        **{name: asdict(misfit) for name, misfit in misfits(found).items()},
+        **{name: asdict(pose_residuals) for name, pose_residuals in residuals_by_name(found).items()},
         "noise": found.noise.tolist(),
         "held_directions": found.undetermined,
         "better": found.better,
@@ -107,7 +107,7 @@ def payload(found: Calibration) -> dict[str, Any]:
     }
 
 
-def misfits(found: Calibration) -> dict[str, Misfit]:
+def residuals_by_name(found: Calibration) -> dict[str, PoseResiduals]:
     """Returns the residuals by name."""
     return {
         "before": found.before,
@@ -125,8 +125,8 @@ def show(found: Calibration) -> None:
     console.print(f"{found.samples} samples{aside}")
     table = results_table("residuals", "", "rms", "95 %", "worst")
     for kind in ("position", "orientation"):
-        for name, misfit in misfits(found).items():
-            if (residuals := getattr(misfit, kind)) is not None:
+        for name, pose_residuals in residuals_by_name(found).items():
+            if (residuals := getattr(pose_residuals, kind)) is not None:
                 values = (residuals.rms, residuals.most, residuals.worst)
                 table.add_row(kind, name.replace("_", " "), *(f"{value:.3g}" for value in values))
     console.print(table)
