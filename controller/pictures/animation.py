@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.manipulator import Manipulator
 from controller.obstacles.obstacles import NONE, Obstacles
-from controller.pictures.plots import COLOURS, Panel, bounds, figure
+from controller.pictures.plots import COLOURS, Subplot, bounds, figure
 from controller.workspace.densities import Densities
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ def animate(
     densities: Densities,
     states: Sequence[ArrayLike],
     pauses: Collection[int],
-    panel: Panel,
+    subplot: Subplot,
     obstacles: Obstacles = NONE,
 ) -> None:
     """Writes an endless animation, in the format of the path's suffix: .gif, .png (APNG) or .webp.
@@ -39,7 +39,7 @@ def animate(
         densities: of its intermediate workspaces; ignored for a spatial arm.
         states: of the actuators, 0 or 1, shape (A,) each, one after the other; at least one.
         pauses: indices of the states at which the animation pauses.
-        panel: title, targets and waypoints.
+        subplot: title, targets and waypoints.
         obstacles: obstacles to draw.
 
     Raises:
@@ -51,7 +51,7 @@ def animate(
 
     steps = [np.asarray(each, dtype=float) for each in states]
     bodies = [body_of(manipulator, step) for step in steps]
-    shown = figure(manipulator, densities, [panel], obstacles=obstacles)
+    shown = figure(manipulator, densities, [subplot], obstacles=obstacles)
     shown.set_size_inches(*SIDES)
     shown.set_dpi(DOTS)
     axes, canvas = shown.axes[0], cast(Any, FigureCanvasAgg)(shown)
