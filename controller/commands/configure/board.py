@@ -85,12 +85,12 @@ def reset(settings: ArmSettings, bus: BusSettings, name: str, yes: bool, as_json
     question = f"A reset switches the outputs of board {name} off: its actuators may move. Continue?"
     if not yes and not typer.confirm(question, err=True):
         raise CommandFailed("nothing was reset")
-    patience = settings.boards.boot_timeout
-    it = reset_node(bus, int(name.rpartition("/")[2]), patience)
+    timeout = settings.boards.boot_timeout
+    it = reset_node(bus, int(name.rpartition("/")[2]), timeout)
     if it.fault is not None:
         raise CommandFailed(it.fault.message)
     if it.booted_after is None:
-        raise CommandFailed(f"board {name} sent no boot-up message within {patience:g} s (boards.boot_timeout)")
+        raise CommandFailed(f"board {name} sent no boot-up message within {timeout:g} s (boards.boot_timeout)")
     if as_json:
         print_json({"board": name, "booted_after": it.booted_after})
     else:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 ONLY = "Only these actuators, such as 5.left. Default: all."
 RESERVE = 1.25  # proposed travel time over the longest measured time
 DIFFERENT = 1.5  # an actuator that is faster than the arm's time by this factor gets its own travel time
-PATIENCE = 10.0  # [s] for the daemon's state
+STATE_TIMEOUT = 10.0  # [s] for the daemon's state
 FIELDS = {"extended": "extend", "contracted": "contract"}  # in the arm's file, by state
 END_STOPS = {"extended": "input", "contracted": "input_contracted"}
 
@@ -113,9 +113,9 @@ def commanded(client: Client) -> list[int]:
     states: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     subscriber = client.subscribe("state", states.put)
     try:
-        state = states.get(timeout=PATIENCE)
+        state = states.get(timeout=STATE_TIMEOUT)
     except queue.Empty:
-        raise CommandFailed(f"the daemon published no state for {PATIENCE:g} s") from None
+        raise CommandFailed(f"the daemon published no state for {STATE_TIMEOUT:g} s") from None
     finally:
         subscriber.undeclare()  # type: ignore[no-untyped-call]
     if state["mode"] != "ready":

@@ -49,7 +49,7 @@ def run(
     return_large_blocks()
 
     from controller.armfile.actuators import ending_time, read_wired
-    from controller.commands.operate.executor_process import PATIENCE, ExecutorProcess, end_child, start_child
+    from controller.commands.operate.executor_process import END_TIMEOUT, ExecutorProcess, end_child, start_child
     from controller.host.journal import start_logging
     from controller.host.scheduling import shorten_slice
     from controller.host.sockets import socket_path
@@ -63,7 +63,7 @@ def run(
         if socket is None:  # before the kernels are loaded, so that the boards boot meanwhile
             journal = ledger and ledger.with_name(f"{ledger.stem}.switches")  # a ledger has its own counts
             executor = ExecutorProcess(file, path, simulate=simulate, journal=journal, board=board)
-            stack.callback(executor.close, PATIENCE + ending_time(settings, len(actuators)))
+            stack.callback(executor.close, END_TIMEOUT + ending_time(settings, len(actuators)))
         if panel:
             page = [sys.executable, "-m", "controller.cli", "panel", "--connect", reachable(listen)]
             stack.callback(end_child, start_child(page))

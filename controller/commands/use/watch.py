@@ -56,7 +56,7 @@ def watch(
                     if key == "state":
                         print_json(message)
                     continue
-                view.take(key, message)
+                view.receive_message(key, message)
                 if news.empty():
                     live.update(view, refresh=True)
 
@@ -69,7 +69,7 @@ class View:
         self._arm = arm
         self._latest: dict[str, dict[str, Any]] = {}
 
-    def take(self, key: str, message: dict[str, Any]) -> None:
+    def receive_message(self, key: str, message: dict[str, Any]) -> None:
         """Keeps the latest message of a key, "state" or "diagnostics"."""
         self._latest[key] = message
 
