@@ -21,7 +21,7 @@ from controller.motion.plans.whole import WHOLE_TIME, Goals, plan_whole, unhurri
 from controller.motion.stages.pacing import pace_of
 from controller.motion.trajectory import MOST_POINTS
 from controller.search import solver as search
-from controller.search.method import METHODS, Method
+from controller.search.method import METHODS, MINIMUM_SWITCH, Method
 from controller.search.solution import Certificate, Solution
 
 DEADLINE, PATH_DEADLINE = search.DEADLINE, WHOLE_TIME
@@ -100,7 +100,7 @@ class Solver:
         goal: Goal | ArrayLike,
         start: Start = None,
         *,
-        method: Method = "minimum-switch",
+        method: Method = MINIMUM_SWITCH,
         deadline: float = DEADLINE,
     ) -> Solution:
         """Returns a configuration for a goal. If the goal is out of reach, returns the nearest configuration found.
@@ -131,7 +131,7 @@ class Solver:
         start: Start = None,
         *,
         path_tolerance: float | None = None,
-        method: Method = "minimum-switch",
+        method: Method = MINIMUM_SWITCH,
         deadline: float = DEADLINE,
         path_deadline: float = PATH_DEADLINE,
     ) -> Path:

@@ -20,6 +20,7 @@ from controller.network.client import Client, Unanswered
 from controller.planning.ledger import Ledger
 from controller.recorder.history import RecordedChange, RecordedGoal, history
 from controller.recorder.reader import RecordingReader
+from controller.search.method import MINIMUM_SWITCH
 
 Message = Mapping[str, Any]
 
@@ -132,7 +133,7 @@ def compare(past: RecordingReader, file: Path | None, report: Callable[[Compared
         ArmFailed: the arm does not start, or does not answer.
         BadRecording: the recording is damaged.
     """
-    steps, anytime = history(past), (past.description or {}).get("method") == "minimum-switch"
+    steps, anytime = history(past), (past.description or {}).get("method") == MINIMUM_SWITCH
     with simulated(past, file) as arm:
         for step in steps:
             if isinstance(step, RecordedChange):

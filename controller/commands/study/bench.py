@@ -18,6 +18,7 @@ from controller.armfile.strict import InputFaults
 from controller.bench.methods import METHODS, find_method
 from controller.commands import common
 from controller.commands.common import CommandFailed
+from controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -122,7 +123,7 @@ def chosen_methods(wanted: str | None, own: list[str]) -> dict[str, Prepare]:
     Raises:
         InputFaults: a method is unknown, or cannot be loaded.
     """
-    usual = ["minimum-switch"] if own else list(METHODS)
+    usual = [MINIMUM_SWITCH] if own else list(METHODS)
     listed = usual if wanted is None else [name.strip() for name in wanted.split(",") if name.strip()]
     if unknown := [name for name in listed if name not in METHODS]:
         known = ", ".join(METHODS)
