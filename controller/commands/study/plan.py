@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import typer
 
 from controller.arm.arm import Arm, load
+from controller.armfile.csv_files import read_csv
 from controller.armfile.strict import InputFaults
 from controller.commands.common import (
     ArmFile,
@@ -159,30 +159,24 @@ def read_goals(arm: Arm, path: Path) -> Goals:
     Raises:
         InputFaults: the file is missing or wrong; each fault names its line.
     """
-    columns = ["x", "y", "z"][: arm.manipulator.dimension]
+    dimension = arm.manipulator.dimension
+    columns = ["x", "y", "z"][:dimension]
     turns = ["th"] if arm.manipulator.planar else ["qx", "qy", "qz", "qw"]
+    file = read_csv(path)
+    if set(turns) <= set(file.columns):
+        columns += turns
+    if not set(columns) <= set(file.columns) <= {*columns, "previous"}:
+        needed = f"columns {','.join(columns)} are needed, {','.join(turns)} and previous are optional"
+        raise InputFaults(path, [f"{needed}; got {file.columns}"])
     rows: Goals = []
     faults: list[str] = []
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            names = reader.fieldnames or []
-            if set(turns) <= set(names):
-                columns += turns
-            if not set(columns) <= set(names) <= {*columns, "previous"}:
-                needed = f"columns {','.join(columns)} are needed, {','.join(turns)} and previous are optional"
-                raise InputFaults(path, [f"{needed}; got {names}"])
-            for row in reader:
-                where = f"line {reader.line_num}"
-                try:
-                    text = ",".join(row[name] or "" for name in columns)
-                    wanted = parse_goal(text.rstrip(","), arm.manipulator.dimension, where)
-                    given = unstuck(arm, row["previous"], where) if row.get("previous") else None
-                    rows.append((*wanted, given))
-                except InputFaults as error:
-                    faults += [f"{where}: {fault}" for fault in error.faults]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputFaults(path, [f"cannot be read: {error}"]) from None
+    for line, record in file.records():
+        where = f"line {line}"
+        try:
+            wanted = parse_goal(",".join(record[name] for name in columns).rstrip(","), dimension, where)
+            rows.append((*wanted, unstuck(arm, record["previous"], where) if record.get("previous") else None))
+        except InputFaults as error:
+            faults += [f"{where}: {fault}" for fault in error.faults]
     if faults or not rows:
         raise InputFaults(path, faults or ["no goals"])
     return rows
