@@ -27,5 +27,5 @@ def test_an_unreadable_file_is_named(tmp_path, content):
     path = tmp_path / "goals.csv"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(InputFaults, match="goals.csv: cannot be read: "):
+    with pytest.raises(InputFaults, match=r"goals\.csv: cannot be read: "):
         read_csv(path)
