@@ -86,10 +86,10 @@ def demo(
     plots.save(picture, arm.manipulator, densities, subplots, obstacles=arm.obstacles)
     console.print(f"picture: {picture}")
     if animation is not None:
-        from controller.pictures.animation import animate
+        from controller.pictures.animation import Movement, animate
 
         subplot = plots.Subplot(title, targets=targets, curve=curve)
-        animate(animation, arm.manipulator, densities, states, pauses, subplot, arm.obstacles)
+        animate(animation, arm.manipulator, densities, Movement(states, pauses), subplot, arm.obstacles)
         console.print(f"animation: {animation}")
 
 

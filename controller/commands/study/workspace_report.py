@@ -81,7 +81,7 @@ def positions(arm: Arm, densities: Densities, tolerance: float) -> dict[str, Any
 
 def orientations(found: Orientations, *, planar: bool) -> dict[str, Any]:
     """Returns the figures of the density of orientations at a point."""
-    from controller.pictures.workspace_plots import angles_of, arcs, directions, twists
+    from controller.pictures.orientation_plots import angles_of, arcs, directions, twists
 
     exact = found.draws == 0
     fields: dict[str, Any] = {
