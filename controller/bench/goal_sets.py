@@ -3,7 +3,6 @@
 A set is a CSV file in `sets`; the arms are in `arms`. `tests/benchmarks/goal_sets.py` draws the goals and proves them.
 """
 
-import csv
 import math
 from dataclasses import dataclass
 from functools import cache
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from controller.arm.arm import Arm, load
+from controller.armfile.csv_files import read_csv
 from controller.manipulator import frames
 from controller.manipulator.frames import Frame
 from controller.manipulator.manipulator import Configuration
@@ -89,8 +89,7 @@ def arm_path(name: str) -> Path:
 
 def read(name: str) -> list[Task]:
     """Returns the goals of a set."""
-    with (FOLDER / "sets" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
-        return [task(row) for row in csv.DictReader(file)]
+    return [task(row) for _, row in read_csv(FOLDER / "sets" / f"{name}.csv").records()]
 
 
 def task(row: dict[str, str]) -> Task:

@@ -48,7 +48,7 @@ def __getattr__(name: str) -> Console:
     return created
 
 
-class Failed(Exception):
+class CommandFailed(Exception):
     """A request failed; the command exits with code 1.
 
     Args:
@@ -76,11 +76,11 @@ NEXT = {  # next step, by a part of the daemon's message
 }
 
 
-def refusal(answer: Mapping[str, Any], arm: str) -> Failed:
+def refusal(answer: Mapping[str, Any], arm: str) -> CommandFailed:
     """Returns the error for a refusing answer or a failed result of an arm's daemon."""
     status, message = answer.get("status", "refused"), answer["message"]
     step = next((step for part, step in NEXT.items() if part in message), "")
-    return Failed(f"{status} (code {answer['code']}): {message}", step.format(arm=arm))
+    return CommandFailed(f"{status} (code {answer['code']}): {message}", step.format(arm=arm))
 
 
 def print_json(value: object) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from controller.library.arm import Arm
 from controller.library.errors import GoalError, PathError
-from controller.library.goals import Goal, Request, request
+from controller.library.goals import Goal, ToleratedGoal, with_tolerances
 from controller.library.obstacles import Obstacle, build_obstacles
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import Refusal
@@ -21,7 +21,7 @@ from controller.motion.plans.whole import WHOLE_TIME, Goals, plan_whole, unhurri
 from controller.motion.stages.pacing import pace_of
 from controller.motion.trajectory import MOST_POINTS
 from controller.search import solver as search
-from controller.search.method import METHODS, Method
+from controller.search.method import METHODS, MINIMUM_SWITCH, Method
 from controller.search.solution import Certificate, Solution
 
 DEADLINE, PATH_DEADLINE = search.DEADLINE, WHOLE_TIME
@@ -100,7 +100,7 @@ class Solver:
         goal: Goal | ArrayLike,
         start: Start = None,
         *,
-        method: Method = "minimum-switch",
+        method: Method = MINIMUM_SWITCH,
         deadline: float = DEADLINE,
     ) -> Solution:
         """Returns a configuration for a goal. If the goal is out of reach, returns the nearest configuration found.
@@ -120,7 +120,7 @@ class Solver:
             raise GoalError(f"no method {method!r}; there are {', '.join(METHODS)}")
         if not 0 < deadline < math.inf:
             raise GoalError(f"deadline: a positive number of seconds is needed, got {deadline!r}")
-        asked = self._request(goal)
+        asked = self._with_tolerances(goal)
         before = self._start(start)
         found = self._search.solve(asked.target, before, asked.tolerance, method, deadline, asked.angle_tolerance)
         return self._whole(found)
@@ -131,7 +131,7 @@ class Solver:
         start: Start = None,
         *,
         path_tolerance: float | None = None,
-        method: Method = "minimum-switch",
+        method: Method = MINIMUM_SWITCH,
         deadline: float = DEADLINE,
         path_deadline: float = PATH_DEADLINE,
     ) -> Path:
@@ -160,7 +160,7 @@ class Solver:
         for name, value in (("deadline", deadline), ("path_deadline", path_deadline)):
             if not 0 < value < math.inf:
                 raise GoalError(f"{name}: a positive number of seconds is needed, got {value!r}")
-        asked = [self._request(goal) for goal in goals]
+        asked = [self._with_tolerances(goal) for goal in goals]
         before, pace = self._start(start), pace_of(self.arm._arm.settings)
         try:
             trajectory = unhurried(self._goals(asked, path_tolerance), pace, path_tolerance)
@@ -189,8 +189,8 @@ class Solver:
         solver.prepare()
         return solver
 
-    def _request(self, goal: Goal | ArrayLike) -> Request:
-        return request(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
+    def _with_tolerances(self, goal: Goal | ArrayLike) -> ToleratedGoal:
+        return with_tolerances(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
 
     def _start(self, start: Start) -> Configuration:
         """Returns the start configuration in the numbering of the reduced arm."""
@@ -200,7 +200,7 @@ class Solver:
             self.arm.home if start is None else start.configuration if isinstance(start, Solution) else start
         )
 
-    def _goals(self, asked: Sequence[Request], path_tolerance: float | None) -> Goals:
+    def _goals(self, asked: Sequence[ToleratedGoal], path_tolerance: float | None) -> Goals:
         """Returns goals as arrays."""
         if path_tolerance is not None:
             if any(math.isfinite(one.angle_tolerance) for one in asked):

@@ -14,7 +14,7 @@ from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.scene import scene_of
-from controller.search.method import Method, switch_costs
+from controller.search.method import MINIMUM_SWITCH, Method, switch_costs
 from controller.search.minimum_switch import MinimumSwitch, Problem
 from controller.search.paths import Paths
 from controller.search.solution import EPSILON, Incumbent, Solution
@@ -106,7 +106,7 @@ class Solver:
         goal: ArrayLike,
         previous: ArrayLike,
         tolerance: float,
-        method: Method = "minimum-switch",
+        method: Method = MINIMUM_SWITCH,
         deadline: float = DEADLINE,
         angle_tolerance: float = math.inf,
         patience: float = PATIENCE,
@@ -129,9 +129,9 @@ class Solver:
         seed = np.asarray(previous, dtype=np.int64)
         target = self.target(goal, tolerance, angle_tolerance)
         incumbent = Incumbent(seed, began + deadline)
-        if method in ("minimum-switch", "ipop-previous", "ipop-fewest-switches") and self._feasible(target, seed):
+        if method in (MINIMUM_SWITCH, "ipop-previous", "ipop-fewest-switches") and self._feasible(target, seed):
             incumbent.offer(seed.copy(), 0.0, 0.0)
-        elif method == "minimum-switch":
+        elif method == MINIMUM_SWITCH:
             costs = switch_costs(self.manipulator, seed, self.weights)
             patience = began + (max(deadline, patience) if target.hard else deadline)
             self._minimum.improve(Problem(target, seed, costs, patience, self._unreachable(target)), incumbent)

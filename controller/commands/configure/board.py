@@ -11,7 +11,7 @@ from controller.armfile.actuators import read_wired
 from controller.armfile.settings import ArmSettings
 from controller.armfile.strict import InputFaults
 from controller.armfile.terminals import named_boards
-from controller.commands.common import ArmFile, AsJson, Failed, print_json
+from controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
 from controller.commands.configure.executor_absence import refuse_executor, running_on
 from controller.commands.configure.probe import errors
 from drivers.canopen.faults import BusError
@@ -47,7 +47,7 @@ def board(
         refuse_executor([bus], settings.name, socket, settings.boards.heartbeat)
         found = probe_bus(bus, [int(node)])
         if found.fault is not None:
-            raise Failed(found.fault.message)
+            raise CommandFailed(found.fault.message)
         if found.master_heard:
             raise running_on(bus_name)
         if action == "errors":
@@ -55,19 +55,19 @@ def board(
         else:
             reset(settings, bus, name, yes, as_json)
     except BusError as error:
-        raise Failed(str(error)) from None
+        raise CommandFailed(str(error)) from None
 
 
 def show_errors(found: Probe, name: str, as_json: bool) -> None:
     """Prints error register and error history of a probed board.
 
     Raises:
-        Failed: the board does not answer.
+        CommandFailed: the board does not answer.
     """
     if found.found and not found.found[0].answers and found.found[0].state is State.STOPPED:
-        raise Failed(stopped(name))
+        raise CommandFailed(stopped(name))
     if not found.found or not found.found[0].answers:
-        raise Failed(f"board {name} does not answer: check its power supply and its node id")
+        raise CommandFailed(f"board {name} does not answer: check its power supply and its node id")
     it = found.found[0]
     if as_json:
         history = [it.numbers.get((0x1003, sub)) for sub in range(1, 1 + it.numbers.get((0x1003, 0), 0))]
@@ -81,17 +81,17 @@ def reset(settings: ArmSettings, bus: BusWiring, name: str, yes: bool, as_json: 
     """Resets a board and prints how long it took to boot.
 
     Raises:
-        Failed: the board does not boot, or the user declined.
+        CommandFailed: the board does not boot, or the user declined.
     """
     question = f"A reset switches the outputs of board {name} off: its actuators may move. Continue?"
     if not yes and not typer.confirm(question, err=True):
-        raise Failed("nothing was reset")
-    patience = settings.boards.boot_timeout
-    it = reset_node(bus, int(name.rpartition("/")[2]), patience)
+        raise CommandFailed("nothing was reset")
+    timeout = settings.boards.boot_timeout
+    it = reset_node(bus, int(name.rpartition("/")[2]), timeout)
     if it.fault is not None:
-        raise Failed(it.fault.message)
+        raise CommandFailed(it.fault.message)
     if it.booted_after is None:
-        raise Failed(f"board {name} sent no boot-up message within {patience:g} s (boards.boot_timeout)")
+        raise CommandFailed(f"board {name} sent no boot-up message within {timeout:g} s (boards.boot_timeout)")
     if as_json:
         print_json({"board": name, "booted_after": it.booted_after})
     else:

@@ -12,7 +12,7 @@ import typer
 from controller.armfile.strict import InputFaults
 from controller.armfile.terminals import actuator_terminals
 from controller.commands import common
-from controller.commands.common import ArmFile, AsJson, Failed, print_json
+from controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
 
 if TYPE_CHECKING:
     from controller.arm.arm import Arm
@@ -73,7 +73,7 @@ def check(
     if missing:
         if as_json:
             raise typer.Exit(1)
-        raise Failed(summary([board["code"] for board in boards if not board["ok"]]))
+        raise CommandFailed(summary([board["code"] for board in boards if not board["ok"]]))
 
 
 def summary(codes: Iterable[str]) -> str:
@@ -89,7 +89,7 @@ def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
     """Reads each board of an arm; returns an answer for each.
 
     Raises:
-        Failed: a bus cannot be used, or an executor runs.
+        CommandFailed: a bus cannot be used, or an executor runs.
     """
     from controller.commands.configure.executor_absence import refuse_executor, running_on
     from controller.executor.core.arm import timing_of, wiring_of
@@ -101,7 +101,7 @@ def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
         refuse_executor(wiring.buses, arm.settings.name, socket, timing.heartbeat)
         asked = check_bus(wiring, timing)
     except BusError as error:
-        raise Failed(str(error)) from None
+        raise CommandFailed(str(error)) from None
     if asked.master_on is not None:
         raise running_on(asked.master_on)
     return [{"board": a.board, "ok": a.ok, "answer": a.text, "code": a.code} for a in asked.answers or ()]

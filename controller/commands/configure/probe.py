@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from controller.commands import common
-from controller.commands.common import AsJson, Failed, print_json
+from controller.commands.common import AsJson, CommandFailed, print_json
 from controller.commands.configure.executor_absence import refuse_executor, running_on
 from drivers.canopen.boot.pdo_setup import PdoState, pdo_words
 from drivers.canopen.faults import BusError
@@ -54,7 +54,7 @@ def probe(
         for what, text in rows(node, channel):
             common.console.print(f"  {what:<16} {text}", markup=False)
     if not nodes:
-        raise Failed(f"no node answers on {channel} ({interface}): check power, cable, termination and bit rate")
+        raise CommandFailed(f"no node answers on {channel} ({interface}): check power, cable, termination and bit rate")
 
 
 def probed(channel: str, interface: str, bitrate: int, *, in_full: bool = True) -> Probe:
@@ -67,16 +67,16 @@ def probed(channel: str, interface: str, bitrate: int, *, in_full: bool = True) 
         in_full: read all objects of interest of each node, not only its state.
 
     Raises:
-        Failed: the bus cannot be used, or an executor uses it.
+        CommandFailed: the bus cannot be used, or an executor uses it.
     """
     bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
     try:
         refuse_executor([bus])
         found = probe_bus(bus, in_full=in_full)
     except BusError as error:
-        raise Failed(str(error), f"check that {channel} is up and that its --interface is {interface}") from None
+        raise CommandFailed(str(error), f"check that {channel} is up and that its --interface is {interface}") from None
     if found.fault is not None:
-        raise Failed(found.fault.message)
+        raise CommandFailed(found.fault.message)
     if found.master_heard:
         raise running_on(channel)
     return found

@@ -10,7 +10,7 @@ import typer
 
 from controller.armfile.strict import InputFaults
 from controller.commands import common
-from controller.commands.common import ArmFile, AsJson, Failed, print_json
+from controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
 
 # StateDirectory of the service, and its link target under DynamicUser, which only root can read.
 SERVICE_FOLDERS = (Path("/var/lib/hyperbit"), Path("/var/lib/private/hyperbit"))
@@ -41,7 +41,9 @@ def wear(
     try:
         switches, goals = read(path)
     except sqlite3.Error as error:
-        raise Failed(f"{path}: no ledger there: {error}", "name it by --ledger, or run the daemon first") from None
+        raise CommandFailed(
+            f"{path}: no ledger there: {error}", "name it by --ledger, or run the daemon first"
+        ) from None
     counts = {label: switches.get(label, 0) for label in actuators}
     if as_json:
         print_json({"ledger": str(path), "switches": counts, "goals": goals})

@@ -13,7 +13,7 @@ from controller.motion.plans.plan import Plan, solution_of, transition_to
 from controller.motion.stages.pacing import Blocked, Pace, Staged
 from controller.motion.stages.stage_sequencer import DETOUR_TIME
 from controller.motion.trajectory import Trajectory
-from controller.search.method import Method
+from controller.search.method import MINIMUM_SWITCH, Method
 from controller.search.solution import Solution
 from controller.search.solver import DEADLINE, Solver
 from controller.search.target import distance, within
@@ -65,7 +65,7 @@ def plan(
             solutions.append(same)
             continue
         remaining = max(until - time.perf_counter(), 0.0)
-        with_deviation = remaining > 0 or method != "minimum-switch"
+        with_deviation = remaining > 0 or method != MINIMUM_SWITCH
         if k in trajectory.fixed:
             solution = fixed_point(solver, trajectory, previous, k)
             try:

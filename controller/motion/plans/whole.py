@@ -12,7 +12,7 @@ from controller.motion.plans.plan import Plan
 from controller.motion.plans.point_by_point import plan
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along
-from controller.search.method import Method
+from controller.search.method import MINIMUM_SWITCH, Method
 from controller.search.solver import DEADLINE, Solver
 
 FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s]: most for the first answers of all points; for the search of the whole
@@ -61,7 +61,7 @@ def plan_whole(
     """
     first = first_time(trajectory) if first is None else first
     found = plan(solver, trajectory, previous, method, pace=pace, seconds=first)
-    return found if method != "minimum-switch" else look_ahead(solver, found, previous, pace, seconds)
+    return found if method != MINIMUM_SWITCH else look_ahead(solver, found, previous, pace, seconds)
 
 
 def first_time(trajectory: Trajectory) -> float:

@@ -11,7 +11,7 @@ from controller.motion.plans.plan import sweep_for
 from controller.motion.stages.pacing import Blocked, Pace
 from controller.motion.stages.restaging import restage
 from controller.obstacles.keep_out import KeepOutSet, States
-from controller.search.method import Method
+from controller.search.method import MINIMUM_SWITCH, Method
 from controller.search.solution import Solution
 from controller.search.solver import Solver
 
@@ -43,7 +43,7 @@ class SetpointQuery(NamedTuple):
 def find(query: SetpointQuery, method: Method) -> Solution:
     """Searches by a method; returns IPOP's result if it misses by far, as longer searches miss, too."""
     solver, _, _, start, goal, tolerance = query
-    if method == "minimum-switch":
+    if method == MINIMUM_SWITCH:
         first = solver.solve(goal, start, tolerance, "ipop-fewest-switches", patience=SEARCH_TIME)
         if first.error > FAR * tolerance:
             return first

@@ -25,6 +25,7 @@ from controller.planning.core.results import Results
 from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.planning.core.tasks import ImprovePlan, Planned, Scene, Tables
+from controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
     from controller.arm.arm import Arm
@@ -72,7 +73,7 @@ class Core:
     """
 
     def __init__(self, arm: Arm, pace: Pace, beginning: Beginning) -> None:
-        manipulator, searches = arm.manipulator, arm.settings.method == "minimum-switch"
+        manipulator, searches = arm.manipulator, arm.settings.method == MINIMUM_SWITCH
         self.ended = False
         self._actions: list[events.Action] = []
         self._counts = beginning.counts

@@ -28,6 +28,7 @@ from controller.planning.core.events import done
 from controller.planning.core.tasks import ArmStart
 from controller.planning.workers.arm_model import ArmModel, Proceed
 from controller.program import MOST_PROGRAM_STAGES
+from controller.search.method import MINIMUM_SWITCH
 from controller.search.solver import Solver
 
 # --- goals
@@ -164,7 +165,7 @@ def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Itera
         deviations.append(transition.deviation)
     yield tasks.Deviations(tuple(deviations))
     same_arm = goal.tables == task.tables.generation
-    if not task.search or not same_arm or model.arm.settings.method != "minimum-switch":
+    if not task.search or not same_arm or model.arm.settings.method != MINIMUM_SWITCH:
         return
     current, keep_out = goal.plan, task.scene.keep_out
     points = [point._replace(deviation=d) for point, d in zip(goal.points, deviations, strict=True)]
@@ -186,7 +187,7 @@ def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Itera
 def prepare_search(model: ArmModel, task: tasks.PrepareSearch, proceed: Proceed) -> tasks.Done:
     """Prepares the next search of a goal from the arm's state; `proceed` is called between two parts."""
     solver = model.solver(task.basis.tables, task.basis.scene)
-    if model.arm.settings.method != "minimum-switch":
+    if model.arm.settings.method != MINIMUM_SWITCH:
         return tasks.Done()
     with suppress(Refusal):
         previous = model.configuration(task.basis.start, solver.manipulator)
@@ -215,7 +216,7 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
 
     trajectory = schedule_goal(model, task.goal)
     found, previous, solver = search_plan(model, task.goal, trajectory, in_time, first_time(trajectory))
-    if model.arm.settings.method == "minimum-switch":
+    if model.arm.settings.method == MINIMUM_SWITCH:
         found = look_ahead(solver, found, previous, model.pace, stop=hurry)
     fields = describe_plan(model.arm.manipulator, solver.manipulator, previous, found)
     return tasks.Described({**done(fields.pop("message")), **fields})

@@ -16,8 +16,8 @@ import { PlaneView } from "./plane.js";
 import { showTimeline } from "./timeline.js";
 
 const MODES = {
-  2: { goal: "Goal", curve: "Curve", obstacle: "Obstacle", look: "Move" },
-  3: { goal: "Goal", turn: "Turn", curve: "Curve", obstacle: "Obstacle", look: "Move" },
+  2: { goal: "Goal", curve: "Curve", obstacle: "Obstacle", pan: "Pan" },
+  3: { goal: "Goal", turn: "Turn", curve: "Curve", obstacle: "Obstacle", pan: "Orbit" },
 };
 
 export function showArm(name, onLogin) {

@@ -146,7 +146,7 @@ const hints = {
   curve: "Click the points of a curve, one after the other.",
   turn: "Place a goal first, then drag the rings to turn it.",
   obstacle: "Drag in the picture to draw an obstacle.",
-  look: "Drag to move the picture, turn the wheel to zoom.",
+  pan: "Drag to pan, or to orbit around a spatial arm. Turn the wheel to zoom.",
 };
 
 function pair(name, value) {
