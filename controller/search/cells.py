@@ -11,7 +11,8 @@ import numpy as np
 from numba import float64, int32, njit, uint8
 from numpy.typing import NDArray
 
-from controller.search.frame_rows import F1, F2, I1, SIDE, Side, named
+from controller.manipulator.kernel_types import F1, F2, I1, named
+from controller.search.frame_rows import SIDE, Side
 
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]

@@ -14,10 +14,11 @@ import numpy as np
 from numba import float64, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, I1, I2, named
 from controller.manipulator.manipulator import Configuration
 from controller.obstacles.scene import Scene, collides, for_scenes
 from controller.search.cells import INDEX, Index, write_point
-from controller.search.frame_rows import F1, F2, I1, I2, SIDE, Side, compose, named
+from controller.search.frame_rows import SIDE, Side, compose
 from controller.search.solution import EPSILON
 from controller.search.target import QUERY, Query, reaches
 
