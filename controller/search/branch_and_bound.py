@@ -14,9 +14,10 @@ import numpy as np
 from numba import boolean, int64, njit
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, I1, named
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import Scene, collides, for_scenes
-from controller.search.frame_rows import F1, F2, I1, motions, named
+from controller.search.frame_rows import motions
 from controller.search.solution import EPSILON, Incumbent
 from controller.search.target import QUERY, Query, Target, reaches, search_radius
 from controller.workspace.cost_to_go import MAPS, UNREACHABLE, CostToGo, Maps, in_levels

@@ -6,8 +6,8 @@ import numpy as np
 from numba import float64, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, I1, I2
 from controller.obstacles.scene import Scene, for_scenes, module_collides, set_state
-from controller.search.frame_rows import F1, F2, I1, I2
 from controller.workspace.reachability import LEVELS, TABLES, Levels, Tables, measure
 
 Array = NDArray[np.float64]

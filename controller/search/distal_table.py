@@ -7,9 +7,9 @@ import numpy as np
 from numba import boolean, float64, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, F3, I1, named
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import Scene, for_scenes, segment_collides, set_state
-from controller.search.frame_rows import F1, F2, F3, I1, named
 from controller.workspace.reachability import TABLES, Tables
 
 Array = NDArray[np.float64]

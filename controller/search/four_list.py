@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells, Index
 from controller.search.frame_rows import Side, compose_all, coordinates, invert_all, motions
-from controller.search.matching import Span
+from controller.search.matching import Sides, Span
 from controller.search.segment import Segment, Sets, build_segment, room, step
 from controller.search.solution import Incumbent
 from controller.search.target import Target
@@ -233,7 +233,7 @@ class Proof:
             if incumbent.late:
                 return False
             span = Span(start, min(start + at_once, len(outer.costs)), 0, len(inner.costs), low, high)
-            improve(incumbent, (outer, inner, stream.index), span, target, self._seed, nearer=False)
+            improve(incumbent, Sides(outer, inner, stream.index), span, target, self._seed, nearer=False)
         stream.done = high
         return True
 
@@ -254,6 +254,6 @@ class Proof:
                 incumbent.prove(min(self.rest, *(s.bound for s in self._streams)))
                 return False
             span = Span(0, len(outer.costs), start, min(start + at_once, count), -np.inf, np.inf)
-            improve(incumbent, (outer, band, index), span, target, self._seed, nearer=False)
+            improve(incumbent, Sides(outer, band, index), span, target, self._seed, nearer=False)
         stream.done = unexplored
         return True

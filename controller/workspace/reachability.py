@@ -1,11 +1,12 @@
 """The measure of reachability of a point (section 3.1.2), by the densities."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import float32, float64, int64, njit, types
+from numba import float32, float64, int64, njit
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, F3, F4, I1, I2, named
 from controller.manipulator.manipulator import Manipulator
 from controller.workspace.densities import Densities
 
@@ -37,12 +38,8 @@ class Levels(NamedTuple):
     pixels: Array
 
 
-TABLES: Any = types.NamedTuple(  # type: ignore[no-untyped-call]
-    (float64[:, :, :, ::1], float64[:, :, ::1], int64[::1]), Tables
-)
-LEVELS: Any = types.NamedTuple(  # type: ignore[no-untyped-call]
-    (float32[::1], int64[::1], int64[:, ::1], float64[:, ::1], float64[::1]), Levels
-)
+TABLES = named(Tables, F4, F3, I1)
+LEVELS = named(Levels, float32[::1], I1, I2, F2, F1)
 
 
 def tables_of(manipulator: Manipulator) -> Tables:

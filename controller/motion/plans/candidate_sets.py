@@ -7,9 +7,10 @@ import numpy as np
 from numba import boolean, float64, int32, int64, njit, types, uint16
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, F3, I1, named
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import Scene, collides, for_scenes
-from controller.search.frame_rows import F1, F2, F3, I1, compose, motions, named
+from controller.search.frame_rows import compose, motions
 from controller.search.segment import ROWS, Rows, Sets, grow, room
 from controller.search.target import QUERY, Query, Target, reaches
 from controller.search.two_list import middle
