@@ -19,7 +19,7 @@ from controller.obstacles.scene import Scene, collides, for_scenes
 from controller.search.cells import INDEX, Index, write_point
 from controller.search.frame_rows import F1, F2, I1, I2, SIDE, Side, compose, named
 from controller.search.solution import EPSILON
-from controller.search.target import QUERY, Query, reaches
+from controller.search.target import QUERY, SearchQuery, reaches
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -111,7 +111,7 @@ def kernel(planar: bool, posed: bool) -> Callable[..., None]:
         inner: Side,
         index: Index,
         span: Span,
-        query: Query,
+        query: SearchQuery,
         seed: Configuration,
         scene: Scene | None,
         found: Found,

@@ -11,7 +11,7 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import Scene, collides, for_scenes
 from controller.search.frame_rows import F1, F2, F3, I1, compose, motions, named
 from controller.search.segment import ROWS, Rows, Sets, grow, room
-from controller.search.target import QUERY, Query, Target, reaches
+from controller.search.target import QUERY, SearchQuery, SearchTarget, reaches
 from controller.search.two_list import middle
 
 Array = NDArray[np.float64]
@@ -121,7 +121,7 @@ HALF = named(Half, ROWS, F2, I32, int32[::1], int32[::1], float64)
 )
 def match(
     changes: Changes,
-    query: Query,
+    query: SearchQuery,
     scene: Scene | None,
     seed: Configuration,
     near: Array,
@@ -228,7 +228,7 @@ def match(
 )
 def list_candidates(
     changes: Changes,
-    query: Query,
+    query: SearchQuery,
     scene: Scene | None,
     goal: Array,
     sources: States,
@@ -317,7 +317,7 @@ class CandidateSets:
 
     def find(
         self,
-        target: Target,
+        target: SearchTarget,
         sources: States,
         budgets: Array,
         most: int,

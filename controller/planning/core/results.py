@@ -13,7 +13,7 @@ from controller.host.journal import fields_of_result
 from controller.manipulator.locked import STATES
 from controller.motion import codes
 from controller.motion.stages.feed import Proof
-from controller.motion.targets import Target, measured_pose
+from controller.motion.targets import GoalTarget, measured_pose
 from controller.planning.core.arm import Measured, measured_states
 from controller.planning.core.events import (
     Accepted,
@@ -53,7 +53,7 @@ class Known(NamedTuple):
     """
 
     outcome: Outcome | None
-    target: Target | None
+    target: GoalTarget | None
     proof: Proof | None
     acceptance: int | None
 
@@ -221,7 +221,7 @@ def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, conte
     return last_waypoint_outcome(context.id, context.target, where)
 
 
-def last_waypoint_outcome(goal: str, target: Target, where: Payload) -> Outcome:
+def last_waypoint_outcome(goal: str, target: GoalTarget, where: Payload) -> Outcome:
     """Returns the outcome of a goal whose last waypoint has settled; `where` is its measured_pose."""
     error, angle = where["error"], where["orientation_error"]
     if target.configuration is not None:
@@ -256,7 +256,7 @@ def result_of(
     measured: Measured,
     context: Context,
     outcome: Outcome,
-    target: Target | None,
+    target: GoalTarget | None,
 ) -> Payload:
     """Returns the payload of a result.
 
