@@ -15,7 +15,7 @@ from controller.motion.codes import Refusal
 from controller.search.method import Method
 
 if TYPE_CHECKING:  # the search's kernels take a second to import
-    from controller.motion.plans.whole import Goals as Positions
+    from controller.motion.plans.whole import TipGoals
     from controller.search.solution import Solution
     from controller.search.solver import Solver
 
@@ -127,11 +127,11 @@ def follow(
         start = found.solutions[-1].configuration
 
 
-def as_arrays(wanted: Goals, tolerance: float, turn: float) -> Positions:
+def as_arrays(wanted: Goals, tolerance: float, turn: float) -> TipGoals:
     """Returns goals as arrays with their tolerances; the orientation tolerance is infinite without an orientation."""
-    from controller.motion.plans.whole import Goals as Positions
+    from controller.motion.plans.whole import TipGoals
 
     turns = np.array([np.inf if orientation is None else turn for _, orientation, _ in wanted])
     rotations = [np.eye(3) if o is None else frame(p, o)[:3, :3] for p, o, _ in wanted]
     positions = np.array([position for position, _, _ in wanted], dtype=np.float64)
-    return Positions(positions, np.full(len(wanted), tolerance), np.array(rotations), turns)
+    return TipGoals(positions, np.full(len(wanted), tolerance), np.array(rotations), turns)

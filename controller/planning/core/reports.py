@@ -10,7 +10,7 @@ import numpy as np
 
 from controller.manipulator.notation import format_configuration, pose
 from controller.motion import codes
-from controller.motion.stages.feed import Proof
+from controller.motion.stages.feed import PlanProof
 from controller.motion.targets import GoalTarget, measured_pose
 from controller.motion.trajectory import Trajectory
 from controller.planning.core.arm import Measured
@@ -47,7 +47,7 @@ class Context(msgspec.Struct, frozen=True, omit_defaults=True):
     configuration: str | None = None
     bias: list[float] | None = None
     sent: float = 0.0
-    proof: Proof | None = None
+    proof: PlanProof | None = None
     jogged: dict[int, int] = {}
 
     @property
@@ -100,7 +100,7 @@ class GoalReport:
         self._stages = 0  # since the waypoint before
         self._deviation: float | None = 0.0  # greatest one since the waypoint before; None: not known
 
-    def context(self, sent: float, proof: Proof | None) -> bytes:
+    def context(self, sent: float, proof: PlanProof | None) -> bytes:
         """Returns the context that comes back with the result."""
         last, bias = len(self.trajectory.times) - 1, self.trajectory.bias
         target = self._target(last)
@@ -207,7 +207,7 @@ class JogReport:
     def __init__(self, name: str, jogged: dict[int, int]) -> None:
         self.id, self._jogged = name, jogged
 
-    def context(self, sent: float, proof: Proof | None) -> bytes:
+    def context(self, sent: float, proof: PlanProof | None) -> bytes:
         """Returns the context that comes back with the result."""
         return encode_context(Context(self.id, sent=sent, proof=proof, jogged=self._jogged))
 

@@ -12,7 +12,7 @@ import msgspec
 from controller.host.journal import fields_of_result
 from controller.manipulator.locked import STATES
 from controller.motion import codes
-from controller.motion.stages.feed import Proof
+from controller.motion.stages.feed import PlanProof
 from controller.motion.targets import GoalTarget, measured_pose
 from controller.planning.core.arm import Measured, measured_states
 from controller.planning.core.events import (
@@ -54,7 +54,7 @@ class Known(NamedTuple):
 
     outcome: Outcome | None
     target: GoalTarget | None
-    proof: Proof | None
+    proof: PlanProof | None
     acceptance: int | None
 
 
