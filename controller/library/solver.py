@@ -17,7 +17,7 @@ from controller.library.goals import Goal, ToleratedGoal, with_tolerances
 from controller.library.obstacles import Obstacle, build_obstacles
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import Refusal
-from controller.motion.plans.whole import WHOLE_TIME, Goals, plan_whole, unhurried
+from controller.motion.plans.whole import WHOLE_TIME, TipGoals, plan_whole, unhurried
 from controller.motion.stages.pacing import pace_of
 from controller.motion.trajectory import MOST_POINTS
 from controller.search import solver as search
@@ -200,14 +200,14 @@ class Solver:
             self.arm.home if start is None else start.configuration if isinstance(start, Solution) else start
         )
 
-    def _goals(self, asked: Sequence[ToleratedGoal], path_tolerance: float | None) -> Goals:
+    def _goals(self, asked: Sequence[ToleratedGoal], path_tolerance: float | None) -> TipGoals:
         """Returns goals as arrays."""
         if path_tolerance is not None:
             if any(math.isfinite(one.angle_tolerance) for one in asked):
                 raise GoalError("path_tolerance: lines are followed by position only, leave out orientations")
             if not 1e-9 <= path_tolerance <= 1e6:
                 raise GoalError(f"path_tolerance: a number from 1e-9 to 1e6 is needed, got {path_tolerance!r}")
-        return Goals(
+        return TipGoals(
             np.array([np.asarray(one.goal.position, dtype=float)[: self.arm.dimension] for one in asked]),
             np.array([one.tolerance for one in asked]),
             np.array([one.target[:3, :3] if one.target.shape == (4, 4) else np.eye(3) for one in asked]),

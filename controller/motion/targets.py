@@ -28,7 +28,7 @@ UNKNOWN: Pose = dict.fromkeys(("configuration", "position", "orientation", "erro
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class GoalTarget:
     """The target at one point of a goal.
 
     Attributes:
@@ -62,7 +62,7 @@ def measured_tip(manipulator: Manipulator, measured: Measured) -> Frame | None:
         return None
 
 
-def measured_pose(manipulator: Manipulator, measured: Measured, target: Target | None) -> Pose:
+def measured_pose(manipulator: Manipulator, measured: Measured, target: GoalTarget | None) -> Pose:
     """Returns configuration and pose of measured actuator states (A,), and the errors from a target.
 
     All are None if the states spell no configuration; the errors are None without a target.

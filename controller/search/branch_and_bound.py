@@ -19,7 +19,7 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import Scene, collides, for_scenes
 from controller.search.frame_rows import motions
 from controller.search.solution import EPSILON, Incumbent
-from controller.search.target import QUERY, Query, Target, reaches, search_radius
+from controller.search.target import QUERY, SearchQuery, SearchTarget, reaches, search_radius
 from controller.workspace.cost_to_go import MAPS, UNREACHABLE, CostToGo, Maps, in_levels
 from controller.workspace.heading_to_go import BINS, HEADINGS, PART_BITS, Headings, HeadingToGo, parts
 from controller.workspace.hull import Hull
@@ -100,7 +100,7 @@ class BranchAndBound:
         self.maps.maps(2.0 * costs, search_radius(self._m, 1e-3 * self._m.length))
         self._map_time = time.perf_counter() - began
 
-    def map_time(self, target: Target, costs: Array) -> float:
+    def map_time(self, target: SearchTarget, costs: Array) -> float:
         """Returns the approximate time for the maps of a goal [s]; 0 if they are ready."""
         return 0.0 if self.maps.ready(costs, target.radius) else self._map_time
 
@@ -108,7 +108,7 @@ class BranchAndBound:
         """Starts a new goal."""
         self._walk = None
 
-    def run(self, target: Target, seed: Configuration, costs: Array, incumbent: Incumbent, until: float) -> None:
+    def run(self, target: SearchTarget, seed: Configuration, costs: Array, incumbent: Incumbent, until: float) -> None:
         """Searches until the incumbent is proven, or until a time by `time.perf_counter()`.
 
         A second call for the same goal continues the search.
@@ -133,7 +133,7 @@ class BranchAndBound:
                 walk.level[0] = walk.tried[0] = 0
 
 
-def start(target: Target, seed: Configuration, bound: float) -> Walk:
+def start(target: SearchTarget, seed: Configuration, bound: float) -> Walk:
     """Returns the start of a search: goal, seed (B,) and first threshold."""
     levels = len(seed) + 1
     points, headings = np.zeros((levels, 2)), np.zeros(levels, dtype=np.int64)
@@ -150,7 +150,7 @@ def start(target: Target, seed: Configuration, bound: float) -> Walk:
     error_model="numpy",
 )
 def search(
-    tree: Tree, maps: Maps, to_turn: Headings, query: Query, scene: Scene | None, walk: Walk, nodes: int
+    tree: Tree, maps: Maps, to_turn: Headings, query: SearchQuery, scene: Scene | None, walk: Walk, nodes: int
 ) -> bool:
     """Searches a number of nodes; returns whether it found a configuration better than the incumbent.
 

@@ -123,7 +123,7 @@ class Cells:
         Args:
             side: n configurations.
             radius: greatest distance of a match.
-            chord: greatest squared chord of a match, see Target; infinite without orientation.
+            chord: greatest squared chord of a match, see SearchTarget; infinite without orientation.
             cells: number of cells to aim at; None: in proportion to the points.
         """
         n, size, scale, points = len(side.costs), self._size, 0.0, side.frames

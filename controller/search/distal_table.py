@@ -55,7 +55,7 @@ class Wanted(NamedTuple):
         rotation: shape (3, 3).
         tolerance: greatest distance.
         chord: greatest squared chord of the rotations.
-        weight: weight of rotations, see Target.
+        weight: weight of rotations, see SearchTarget.
     """
 
     rotation: Array
@@ -236,7 +236,7 @@ def finish(
         scene: obstacles, None if there are none; the first `root` modules are clear.
 
     Returns:
-        the squared error, see Target, `most` if nothing is found; and whether it is within the tolerances.
+        the squared error, see SearchTarget, `most` if nothing is found; and whether it is within the tolerances.
     """
     rotations, translations, states = arm
     root, depth, weight, seen = table.root, table.depth, wanted.weight, wanted.rotation

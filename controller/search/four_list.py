@@ -18,7 +18,7 @@ from controller.search.frame_rows import Side, compose_all, coordinates, invert_
 from controller.search.matching import Sides, Span
 from controller.search.segment import Segment, Sets, build_segment, room, step
 from controller.search.solution import Incumbent
-from controller.search.target import Target
+from controller.search.target import SearchTarget
 from controller.search.two_list import BAND_CELLS, TwoList, improve, middle, rows
 
 Array = NDArray[np.float64]
@@ -164,7 +164,7 @@ class Proof:
         seed: the configuration of cost 0, shape (B,).
     """
 
-    def __init__(self, four: FourList, target: Target, seed: Configuration) -> None:
+    def __init__(self, four: FourList, target: SearchTarget, seed: Configuration) -> None:
         self._four, self._target, self._seed = four, target, seed
         self._inner: Side
         self._streams: list[Stream] = []

@@ -20,7 +20,7 @@ from controller.obstacles.scene import Scene, collides, for_scenes
 from controller.search.cells import GRID, INDEX, Grid, Index, corner_offsets, write_point
 from controller.search.frame_rows import SIDE, Side, compose
 from controller.search.solution import EPSILON
-from controller.search.target import QUERY, Query, reaches
+from controller.search.target import QUERY, SearchQuery, reaches
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -184,7 +184,7 @@ def most_cost(matches: Matches) -> float:
 def keep(
     pair: Pair,
     sides: Sides,
-    query: Query,
+    query: SearchQuery,
     seed: Configuration,
     scene: Scene | None,
     states: Configuration,
@@ -227,7 +227,7 @@ def kernel(planar: bool, posed: bool) -> Callable[..., None]:
         fastmath={"contract"},
     )
     def match(
-        sides: Sides, span: Span, query: Query, seed: Configuration, scene: Scene | None, matches: Matches
+        sides: Sides, span: Span, query: SearchQuery, seed: Configuration, scene: Scene | None, matches: Matches
     ) -> None:
         outer, inner, index = sides
         a, b, points, costs, starts = outer.frames, inner.frames, index.points, index.costs, index.starts

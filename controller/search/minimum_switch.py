@@ -23,7 +23,7 @@ from controller.search.method import distances
 from controller.search.paths import Paths
 from controller.search.segment import Sets, build_segment, room
 from controller.search.solution import Incumbent
-from controller.search.target import Target, search_radius
+from controller.search.target import SearchTarget, search_radius
 from controller.search.two_list import TwoList, rows
 from controller.workspace.hull import Hull
 
@@ -51,7 +51,7 @@ class Problem:
         unreachable: whether the goal is known to be unreachable.
     """
 
-    target: Target
+    target: SearchTarget
     seed: Configuration
     costs: Array
     patience: float
@@ -134,7 +134,7 @@ class MinimumSwitch:
                 self._ipop(problem, incumbent)
             self._nearest.improve(problem.target, incumbent)
 
-    def repair(self, target: Target, incumbent: Incumbent) -> None:
+    def repair(self, target: SearchTarget, incumbent: Incumbent) -> None:
         """Offers a configuration within the tolerances near the incumbent, otherwise the nearest found."""
         free = np.zeros(self._m.bits.shape[:2])
         problem = Problem(target, incumbent.configuration, free, incumbent.until)
@@ -279,7 +279,7 @@ class Nearest:
         """Touches all memory, so that no search waits for page faults."""
         self._rows.claim()
 
-    def improve(self, target: Target, incumbent: Incumbent) -> None:
+    def improve(self, target: SearchTarget, incumbent: Incumbent) -> None:
         """Offers nearer configurations to an incumbent of infinite cost until its deadline is near."""
         seconds = 0.0
         while incumbent.remaining() > 1.5 * seconds:
@@ -290,7 +290,7 @@ class Nearest:
             if incumbent.square >= before * (1 - 1e-9):
                 break
 
-    def _change(self, target: Target, incumbent: Incumbent) -> None:
+    def _change(self, target: SearchTarget, incumbent: Incumbent) -> None:
         """Offers the nearest of all configurations that differ in few actuators of any module."""
         seed = incumbent.configuration
         away = distances(self._m, seed)
@@ -306,7 +306,7 @@ class Nearest:
                 incumbent.offer(configuration, np.inf, float(squares[row]))
                 return
 
-    def _pair(self, target: Target, incumbent: Incumbent) -> None:
+    def _pair(self, target: SearchTarget, incumbent: Incumbent) -> None:
         """Offers the nearest of all configurations that differ in few actuators of each half, if it is very near."""
         two, size = self._two, self._m.dimension
         two.list(incumbent.configuration, distances(self._m, incumbent.configuration), self._free, NEAR)

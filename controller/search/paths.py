@@ -14,7 +14,7 @@ from controller.search.descent import beam_search, descend
 from controller.search.distal_table import Wanted, build_distal_table, finish
 from controller.search.method import PaperMethod, StageCosts, Variant, mean_cost, stage_costs
 from controller.search.solution import Incumbent
-from controller.search.target import Target
+from controller.search.target import SearchTarget
 from controller.workspace.densities import Densities
 from controller.workspace.reachability import levels_of, tables_of
 
@@ -38,7 +38,7 @@ class Paths:
         self._arm, self._levels = tables_of(manipulator), levels_of(densities)
         self._edge = densities.edge()
 
-    def follow(self, target: Target, previous: Configuration, method: PaperMethod | Variant) -> Configuration:
+    def follow(self, target: SearchTarget, previous: Configuration, method: PaperMethod | Variant) -> Configuration:
         """Returns the first configuration within the tolerances as the threshold rises, otherwise the nearest found.
 
         With obstacles the descents and a beam search first accept only configurations within the tolerances, then the
@@ -67,7 +67,7 @@ class Paths:
             best = configuration if square < np.inf else self._around(aim, costs, best, np.inf)[0]
         return best
 
-    def widen(self, target: Target, costs: StageCosts, width: int, incumbent: Incumbent) -> None:
+    def widen(self, target: SearchTarget, costs: StageCosts, width: int, incumbent: Incumbent) -> None:
         """Offers the configurations of a beam search to the incumbent.
 
         Args:
@@ -88,7 +88,7 @@ class Paths:
     def finish(
         self,
         wanted: Vector,
-        target: Target,
+        target: SearchTarget,
         costs: StageCosts,
         configuration: Configuration,
         most: float = np.inf,
@@ -101,7 +101,7 @@ class Paths:
         return found
 
     def _around(
-        self, target: Target, costs: StageCosts, best: Configuration, most: float
+        self, target: SearchTarget, costs: StageCosts, best: Configuration, most: float
     ) -> tuple[Configuration, float]:
         """Returns the first configuration of a beam with a squared error below `most`, and this error.
 
@@ -149,7 +149,7 @@ class Paths:
         return np.asarray(self._edge[np.argmin(((self._edge - goal) ** 2).sum(axis=1))])
 
     def _descend(
-        self, target: Target, costs: StageCosts, enough: float, most: float
+        self, target: SearchTarget, costs: StageCosts, enough: float, most: float
     ) -> tuple[Configuration, float, bool]:
         """Returns the configuration of one descent, its squared error, and whether it is within the tolerances.
 
@@ -164,7 +164,7 @@ class Paths:
         square, within = self.finish(np.array(wanted), target, costs, configuration, most)
         return configuration, square, within
 
-    def _thresholds(self, target: Target, enough: float) -> NDArray[np.float64]:
+    def _thresholds(self, target: SearchTarget, enough: float) -> NDArray[np.float64]:
         """Returns for each level the ln of a pixel's count at which `enough` points are expected within the tolerances.
 
         The distribution of orientations is assumed uniform.
@@ -178,6 +178,6 @@ class Paths:
         return np.log(np.maximum(enough * volumes / ball, 1.0))
 
 
-def within_squares(target: Target) -> float:
-    """Returns an upper bound of the squared error, see Target, of all configurations within the tolerances."""
+def within_squares(target: SearchTarget) -> float:
+    """Returns an upper bound of the squared error, see SearchTarget, of all configurations within the tolerances."""
     return target.tolerance**2 * 1.001 + (target.weight**2 * target.chord if target.oriented else 0.0)

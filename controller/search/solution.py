@@ -26,7 +26,7 @@ class Incumbent:
     Attributes:
         configuration: shape (B,).
         cost: cost of its switches; infinite if no configuration within the tolerances is known.
-        square: squared error, see Target.
+        square: squared error, see SearchTarget.
         bound: lower bound of the cost of all configurations within the tolerances; it never falls.
         until: deadline, by `time.perf_counter()`. The stages of the search check it between parts of their work.
     """

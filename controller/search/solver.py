@@ -18,7 +18,7 @@ from controller.search.method import MINIMUM_SWITCH, Method, switch_costs
 from controller.search.minimum_switch import MinimumSwitch, Problem
 from controller.search.paths import Paths
 from controller.search.solution import EPSILON, Incumbent, Solution
-from controller.search.target import Target, distance
+from controller.search.target import SearchTarget, distance
 from controller.search.two_list import Candidates
 from controller.workspace.densities import Densities
 from controller.workspace.hull import build_hull
@@ -178,7 +178,7 @@ class Solver:
     def _described(
         self,
         configuration: Configuration,
-        target: Target,
+        target: SearchTarget,
         previous: Configuration,
         seconds: float = 0.0,
         bound: float = 0.0,
@@ -200,18 +200,18 @@ class Solver:
             clear=clear,
         )
 
-    def _feasible(self, target: Target, configuration: Configuration) -> bool:
+    def _feasible(self, target: SearchTarget, configuration: Configuration) -> bool:
         """Returns whether a configuration (B,) is within the tolerances and clear."""
         return target.met(configuration) and self._clear(configuration)
 
-    def _unreachable(self, target: Target) -> bool:
+    def _unreachable(self, target: SearchTarget) -> bool:
         """Returns whether the goal is so deep inside an obstacle that no clear tip is within the tolerance."""
         return self.clearance is not None and self.clearance.buried(target.goal[:3, 3], target.tolerance)
 
     def _clear(self, configuration: Configuration) -> bool:
         return self.clearance is None or not self.clearance.blocked(configuration[None])[0]
 
-    def target(self, goal: ArrayLike, tolerance: float, angle_tolerance: float) -> Target:
+    def target(self, goal: ArrayLike, tolerance: float, angle_tolerance: float) -> SearchTarget:
         """Returns the target of a goal; for the arguments see solve.
 
         Raises:
@@ -232,7 +232,7 @@ class Solver:
             )
         weight = tolerance / angle_tolerance if angle_tolerance < math.pi else 0.0  # both tolerances count alike
         local = self._to_base @ frame
-        return Target(local, frame, self.manipulator, tolerance, angle_tolerance, weight, self._scene)
+        return SearchTarget(local, frame, self.manipulator, tolerance, angle_tolerance, weight, self._scene)
 
     def cost(self, configurations: ArrayLike, previous: ArrayLike) -> Any:
         """Returns the cost of the switches (...) between configurations, both (..., B)."""

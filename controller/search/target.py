@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 SLACK = 1e-11
 
 
-class Query(NamedTuple):
+class SearchQuery(NamedTuple):
     """A goal for kernels.
 
     Attributes:
@@ -34,7 +34,7 @@ class Query(NamedTuple):
         angle_tolerance: greatest angle [rad]; infinite without orientation.
         radius: search radius, slightly more than the tolerance.
         chord: greatest squared chord of the search, slightly more than that of the angle tolerance.
-        weight: weight of rotations, see Target.
+        weight: weight of rotations, see SearchTarget.
     """
 
     base: Array
@@ -47,11 +47,11 @@ class Query(NamedTuple):
     weight: float
 
 
-QUERY = named(Query, F2, F4, F2, float64, float64, float64, float64, float64)
+QUERY = named(SearchQuery, F2, F4, F2, float64, float64, float64, float64, float64)
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class SearchTarget:
     """The goal frame of a search, with its tolerances.
 
     The error of a tip is sqrt(|b - b'|^2 + (weight * chord)^2). The chord of the angle between two rotations is
@@ -124,12 +124,12 @@ class Target:
         return search_radius(self.manipulator, self.tolerance)
 
     @cached_property
-    def query(self) -> Query:
+    def query(self) -> SearchQuery:
         """The target for kernels."""
         m, goal = self.manipulator, np.ascontiguousarray(self.goal)
         angle = float(self.angle_tolerance) if self.oriented else math.inf
         tolerance, weight = float(self.tolerance), float(self.weight)
-        return Query(m.base, m.frames, goal, tolerance, angle, float(self.radius), float(self.chord), weight)
+        return SearchQuery(m.base, m.frames, goal, tolerance, angle, float(self.radius), float(self.chord), weight)
 
     def squares(self, rows: Array) -> Array:
         """Returns the squared errors (n,) of tips, given as rows (n, 4 or 12) in frame F_0."""
@@ -190,7 +190,7 @@ def within(tip: Frame, goal: Frame, tolerance: float, angle_tolerance: float) ->
 
 
 @njit(types.boolean(QUERY, I1), cache=True, nogil=True)
-def reaches(query: Query, configuration: Configuration) -> bool:
+def reaches(query: SearchQuery, configuration: Configuration) -> bool:
     """Returns whether the tip of a configuration (B,) is within the tolerances of a query."""
     tip = tip_of(query.base, query.frames, configuration)
     return bool(within(tip, query.goal, query.tolerance, query.angle_tolerance))

@@ -11,7 +11,7 @@ from controller.search.frame_rows import coordinates, fixed, invert_all, motions
 from controller.search.matching import Matches, Sides, Span, match, put
 from controller.search.segment import Segment, Sets, build_segment, room
 from controller.search.solution import Incumbent
-from controller.search.target import Target
+from controller.search.target import SearchTarget
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ class TwoList:
             self._sorted = (radius, chord)
         return self._index
 
-    def match(self, target: Target, incumbent: Incumbent) -> tuple[bool, float]:
+    def match(self, target: SearchTarget, incumbent: Incumbent) -> tuple[bool, float]:
         """Offers the cheapest pair to the incumbent; ties are broken by distance.
 
         Returns whether all pairs were compared before the deadline, and the least cost of an unexplored configuration.
@@ -106,7 +106,7 @@ def improve(
     incumbent: Incumbent,
     sides: Sides,
     span: Span,
-    target: Target,
+    target: SearchTarget,
     seed: Configuration,
     *,
     nearer: bool = True,
@@ -147,7 +147,7 @@ class Candidates:
     def __init__(self, manipulator: Manipulator, most: int) -> None:
         self._two, self._most = TwoList(manipulator, CANDIDATE_ROWS), most
 
-    def find(self, target: Target, seed: Configuration, costs: Array) -> tuple[NDArray[np.int64], Array]:
+    def find(self, target: SearchTarget, seed: Configuration, costs: Array) -> tuple[NDArray[np.int64], Array]:
         """Returns clear configurations (n, B) within the tolerances, and their costs (n,).
 
         Args:

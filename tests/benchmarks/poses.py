@@ -22,7 +22,7 @@ from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration
 from controller.search.solution import Solution
 from controller.search.solver import Solver
-from controller.search.target import Target
+from controller.search.target import SearchTarget
 from controller.workspace.mapping import map_densities
 from tests.benchmarks.methods import oriented_ipop
 
@@ -67,7 +67,7 @@ def oriented(arm: Arm, solver: Solver, tolerance: float, turn: float) -> Solve:
     to_base = inverse(arm.manipulator.base)
 
     def solve(goal: NDArray[np.float64], previous: Configuration) -> Solution:
-        target = Target(to_base @ goal, goal, arm.manipulator, tolerance, turn, tolerance / turn)
+        target = SearchTarget(to_base @ goal, goal, arm.manipulator, tolerance, turn, tolerance / turn)
         return solver.described(oriented_ipop.solve(problem, target, previous), goal, previous, tolerance, turn)
 
     return solve

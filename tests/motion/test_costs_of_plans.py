@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.codes import Refusal
 from controller.motion.plans import point_by_point
-from controller.motion.plans.plan import Plan
+from controller.motion.plans.plan import TrajectoryPlan
 from controller.motion.plans.point_by_point import plan
 from controller.motion.plans.whole import look_ahead, plan_whole
 from controller.motion.stages import stage_sequencer
@@ -64,7 +64,7 @@ def goals_at(manipulator: Manipulator, *configurations: Configuration, fixed: bo
     return replace(trajectory, fixed=states) if fixed else trajectory
 
 
-def carried_out(manipulator: Manipulator, start: Configuration, found: Plan) -> list[np.ndarray]:
+def carried_out(manipulator: Manipulator, start: Configuration, found: TrajectoryPlan) -> list[np.ndarray]:
     """How often each actuator switches on the way to each point, shape (A,) each."""
     counts, before = [], manipulator.actuator_states(start)
     for transition in found.transitions:

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.decoding.goal import LONGEST_SENTENCE
-from controller.motion.decoding.setpoint import MOST_BYTES, Setpoint, decode
+from controller.motion.decoding.setpoint import MOST_BYTES, TrackedSetpoint, decode
 from tests.motion.requests import json_values
 
 
-def planar(payload: bytes) -> Setpoint:
+def planar(payload: bytes) -> TrackedSetpoint:
     return decode(payload, dimension=2, tolerance=0.002)
 
 

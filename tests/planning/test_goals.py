@@ -255,7 +255,7 @@ def test_a_plan_query_is_answered_as_plans_are_made_elsewhere(desk: Desk, small_
     waypoints = [{"t": 10 * k, "position": position.tolist()} for k, position in enumerate(positions)]
     desk.ask("plan", {"waypoints": waypoints}, "plan")
     answer = desk.inbox.next("plan")
-    goals = whole.Goals(positions, np.full(3, 0.002), np.tile(np.eye(3), (3, 1, 1)), np.full(3, np.inf))
+    goals = whole.TipGoals(positions, np.full(3, 0.002), np.tile(np.eye(3), (3, 1, 1)), np.full(3, np.inf))
     pace = pace_of(desk.arm.settings)
     solver, home = Solver(manipulator, small_densities), np.zeros(4, dtype=np.int64)
     plan = whole.plan_whole(solver, whole.unhurried(goals, pace), home, "minimum-switch", pace)

@@ -16,7 +16,7 @@ from controller.search.branch_and_bound import BranchAndBound
 from controller.search.method import METHODS, switch_costs
 from controller.search.solution import Incumbent
 from controller.search.solver import Solver
-from controller.search.target import Target
+from controller.search.target import SearchTarget
 from controller.search.two_list import TwoList
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, planar_frames, short_arms, spatial_arm
@@ -136,7 +136,7 @@ def test_a_meeting_cut_short_says_what_it_left_out(seed):
     rng = np.random.default_rng(seed)
     arm = (paper_arm(4), spatial_arm(4))[seed % 2]
     centre, goal = rng.integers(0, arm.states), near(arm, rng, 0.05, 0.3)
-    target = Target(goal, goal, arm, 0.05, 0.3, 0.05 / 0.3)
+    target = SearchTarget(goal, goal, arm, 0.05, 0.3, 0.05 / 0.3)
     costs = switch_costs(arm, centre, arm.per_module(np.ones(len(arm.actuators))))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(two_list, "AT_ONCE", 5)

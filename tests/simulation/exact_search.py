@@ -13,7 +13,7 @@ from controller.arm.arm import Arm
 from controller.motion import codes
 from controller.motion.codes import Refusal
 from controller.motion.decoding.goal import schedule
-from controller.motion.stages.feed import Improved, PlannedPoint, Proof
+from controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
 from controller.motion.stages.pacing import pace_of
 from controller.motion.stages.program import unpack_states
 from controller.motion.stages.restaging import restage
@@ -233,12 +233,12 @@ class ExactSearch:
         switches = sum((before ^ after).bit_count() for before, after in steps)
         return point._replace(stages=tuple(self._packed(start, stage) for stage in stages), switches=switches)
 
-    def _proof(self, graph: Graph, start: int, goals: Sequence[int], bound: float) -> Proof:
+    def _proof(self, graph: Graph, start: int, goals: Sequence[int], bound: float) -> PlanProof:
         cost, here = 0.0, start
         for goal in goals:
             cost += float(self._to(graph, here)[goal])
             here = goal
-        return Proof(round(cost), cost, bound, "optimal" if cost == bound else "bound")
+        return PlanProof(round(cost), cost, bound, "optimal" if cost == bound else "bound")
 
     # --- improvements, set-points
 

@@ -44,7 +44,7 @@ def node_id(
     wanted = BoardSettings(new, new_bitrate)
     check_options(wanted, list_=list_)
     identity = None if board is None else parse_identity(board)
-    bus = BusWiring(channel, interface, channel, bitrate)
+    bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
     nodes = [node.node for node in probed(channel, interface, bitrate, in_full=False).found]
     with opened(bus) as lss:
         if list_:

@@ -15,8 +15,8 @@ from controller.motion.codes import Refusal
 from controller.search.method import Method
 
 if TYPE_CHECKING:  # the search's kernels take a second to import
-    from controller.motion.plans.plan import Plan
-    from controller.motion.plans.whole import Goals
+    from controller.motion.plans.plan import TrajectoryPlan
+    from controller.motion.plans.whole import TipGoals
     from controller.motion.trajectory import Trajectory
     from controller.search.solution import Solution
     from controller.search.solver import Solver
@@ -138,7 +138,7 @@ def trajectories(goals: list[WantedGoal]) -> list[list[WantedGoal]]:
     return [goals[first:end] for first, end in zip(begins, [*begins[1:], len(goals)], strict=True)]
 
 
-def points(goals: list[WantedGoal], trajectory: Trajectory, found: Plan) -> Iterator[PointSolution]:
+def points(goals: list[WantedGoal], trajectory: Trajectory, found: TrajectoryPlan) -> Iterator[PointSolution]:
     """Yields the solution of each point of a planned trajectory."""
     whole = {"switches": found.switches, "cost": found.cost, **found.proof()}
     for k, solution in enumerate(found.solutions):
@@ -147,11 +147,11 @@ def points(goals: list[WantedGoal], trajectory: Trajectory, found: Plan) -> Iter
         yield PointSolution(position, goal.orientation, solution, between, whole)
 
 
-def as_arrays(search: GoalSearch, goals: list[WantedGoal]) -> Goals:
+def as_arrays(search: GoalSearch, goals: list[WantedGoal]) -> TipGoals:
     """Returns goals as arrays with their tolerances; the orientation tolerance is infinite without an orientation."""
-    from controller.motion.plans.whole import Goals
+    from controller.motion.plans.whole import TipGoals
 
     positions = np.array([goal.position for goal in goals], dtype=np.float64)
     rotations = [np.eye(3) if goal.orientation is None else goal.target()[:3, :3] for goal in goals]
     turns = [np.inf if goal.orientation is None else search.angle_tolerance for goal in goals]
-    return Goals(positions, np.full(len(goals), search.tolerance), np.array(rotations), np.array(turns))
+    return TipGoals(positions, np.full(len(goals), search.tolerance), np.array(rotations), np.array(turns))

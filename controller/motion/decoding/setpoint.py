@@ -27,7 +27,7 @@ class SetpointMessage(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 @dataclass(frozen=True, eq=False)
-class Setpoint:
+class TrackedSetpoint:
     """The position of a moving goal at one time.
 
     Attributes:
@@ -41,7 +41,7 @@ class Setpoint:
     tolerance: float
 
 
-def decode(payload: bytes, dimension: int, tolerance: float) -> Setpoint:
+def decode(payload: bytes, dimension: int, tolerance: float) -> TrackedSetpoint:
     """Returns the set-point in a payload.
 
     Args:
@@ -57,7 +57,7 @@ def decode(payload: bytes, dimension: int, tolerance: float) -> Setpoint:
         raise refusal(f"position: {len(message.position)} coordinates, this arm's goals have {dimension}")
     if message.tolerance.orientation is not None:
         raise refusal("tolerance.orientation: this arm follows positions only, leave it out")
-    return Setpoint(
+    return TrackedSetpoint(
         position=np.array(message.position),
         stamp=message.stamp or None,
         tolerance=message.tolerance.position or tolerance,

@@ -12,7 +12,7 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import Scene, collides, for_scenes
 from controller.search.frame_rows import compose, motions
 from controller.search.segment import ROWS, Rows, Sets, grow, room
-from controller.search.target import QUERY, Query, Target, reaches
+from controller.search.target import QUERY, SearchQuery, SearchTarget, reaches
 from controller.search.two_list import middle
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ class Changes(NamedTuple):
     cut: int
 
 
-class Listed(NamedTuple):
+class CandidateList(NamedTuple):
     """Configurations within the tolerances.
 
     Attributes:
@@ -56,7 +56,7 @@ class Listed(NamedTuple):
 
 I32, STATES = int32[:, ::1], uint16[:, ::1]
 CHANGES = named(Changes, F2, I1, F3, int64)
-LISTED = named(Listed, I1, STATES)
+CANDIDATES = named(CandidateList, I1, STATES)
 COUNTS: Any = types.UniTuple(int64, 3)  # type: ignore[no-untyped-call]
 
 
@@ -115,14 +115,16 @@ HALF = named(Half, ROWS, F2, I32, int32[::1], int32[::1], float64)
 
 
 @njit(
-    for_scenes(lambda scene: int64(CHANGES, QUERY, scene, I1, F2, float64, float64, boolean, F1, HALF, int64, LISTED)),
+    for_scenes(
+        lambda scene: int64(CHANGES, QUERY, scene, I1, F2, float64, float64, boolean, F1, HALF, int64, CANDIDATES)
+    ),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
 def match(
     changes: Changes,
-    query: Query,
+    query: SearchQuery,
     scene: Scene | None,
     seed: Configuration,
     near: Array,
@@ -132,7 +134,7 @@ def match(
     goal: Array,
     half: Half,
     count: int,
-    listed: Listed,
+    listed: CandidateList,
 ) -> int:
     """Matches all changes of one half with the other half; returns the number of configurations listed, -1 if full.
 
@@ -222,21 +224,21 @@ def match(
 
 
 @njit(
-    for_scenes(lambda scene: COUNTS(CHANGES, QUERY, scene, F1, STATES, F1, ROWS, ROWS, LISTED)),
+    for_scenes(lambda scene: COUNTS(CHANGES, QUERY, scene, F1, STATES, F1, ROWS, ROWS, CANDIDATES)),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
 def list_candidates(
     changes: Changes,
-    query: Query,
+    query: SearchQuery,
     scene: Scene | None,
     goal: Array,
     sources: States,
     budgets: Array,
     lower: Rows,
     upper: Rows,
-    listed: Listed,
+    listed: CandidateList,
 ) -> tuple[int, int, int]:
     """Lists the clear configurations within the tolerances that cost at most a budget from each source.
 
@@ -318,12 +320,12 @@ class CandidateSets:
 
     def find(
         self,
-        target: Target,
+        target: SearchTarget,
         sources: States,
         budgets: Array,
         most: int,
         late: Callable[[], bool],
-    ) -> Listed | None:
+    ) -> CandidateList | None:
         """Returns all clear configurations within the tolerances that cost at most a budget from a source.
 
         Returns None if they are more than `most`, if `late()` becomes true, or if a half has too many changes.
@@ -335,10 +337,13 @@ class CandidateSets:
             most: greatest number of configurations.
             late: whether the deadline has passed.
         """
-        listed = Listed(np.empty(most, np.int64), np.empty((most, sources.shape[1]), np.uint16))
+        listed = CandidateList(np.empty(most, np.int64), np.empty((most, sources.shape[1]), np.uint16))
         first = count = 0
         while first < len(sources):
-            part, free = slice(first, first + AT_ONCE), Listed(listed.sources[count:], listed.configurations[count:])
+            part, free = (
+                slice(first, first + AT_ONCE),
+                CandidateList(listed.sources[count:], listed.configurations[count:]),
+            )
             given = self._changes, target.query, target.scene, target.position, sources[part], budgets[part]
             more, done, lacks = list_candidates(*given, self._lower, self._upper, free)
             free.sources[:more] += first
@@ -348,4 +353,4 @@ class CandidateSets:
             if lacks == 1:
                 rows, width = self._lower.frames.shape
                 self._lower, self._upper = room(4 * rows, width), room(4 * rows, width)
-        return Listed(listed.sources[:count], listed.configurations[:count])
+        return CandidateList(listed.sources[:count], listed.configurations[:count])

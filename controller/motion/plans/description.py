@@ -11,7 +11,7 @@ from controller.manipulator.notation import format_configuration, pose
 
 if TYPE_CHECKING:  # their kernels take seconds to import
     from controller.manipulator.manipulator import Configuration, Manipulator
-    from controller.motion.plans.plan import Plan
+    from controller.motion.plans.plan import TrajectoryPlan
     from controller.search.solution import Solution
 
 
@@ -36,7 +36,9 @@ def describe_solution(whole: Manipulator, reduced: Manipulator, solution: Soluti
     }
 
 
-def describe_plan(whole: Manipulator, reduced: Manipulator, previous: Configuration, plan: Plan) -> dict[str, Any]:
+def describe_plan(
+    whole: Manipulator, reduced: Manipulator, previous: Configuration, plan: TrajectoryPlan
+) -> dict[str, Any]:
     """Returns the fields of a plan: `message`, `waypoints`, its proof, and the tip bias if there is a tracker.
 
     Args:

@@ -7,7 +7,7 @@ import numpy as np
 
 from controller.manipulator.manipulator import Configuration
 from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.plan import Plan
+from controller.motion.plans.plan import TrajectoryPlan
 from controller.motion.stages.pacing import Pace
 from controller.search.solver import Solver
 
@@ -15,7 +15,7 @@ MARGIN = 0.1  # [s] between the decision of a point and its first switch, at lea
 BATCH = 4  # points staged at a time: staging one may take some hundredths of a second, the next are due first
 
 
-def changed_points(old: Plan, new: Plan) -> slice | None:
+def changed_points(old: TrajectoryPlan, new: TrajectoryPlan) -> slice | None:
     """Returns the points whose transitions differ between two plans; None if all stages are the same."""
     pairs = enumerate(zip(old.transitions, new.transitions, strict=True))
     staged = [k for k, (a, b) in pairs if a is not b]  # others are the same objects
@@ -34,11 +34,11 @@ class Improvement:
         start: t = 0 of the trajectory [s, monotonic clock]; infinite: no point is ever due.
     """
 
-    def __init__(self, solver: Solver, plan: Plan, pace: Pace, start: float = np.inf) -> None:
+    def __init__(self, solver: Solver, plan: TrajectoryPlan, pace: Pace, start: float = np.inf) -> None:
         self._solver, self._plan, self._pace, self._start = solver, plan, pace, start
         self._longest = 0.0  # to extend to a point, to stage and to check [s]; nothing is decided meanwhile
 
-    def plans(self) -> Iterator[Plan]:
+    def plans(self) -> Iterator[TrajectoryPlan]:
         """Yields the plan again and again, improved whenever more points are decided, so that the caller can act.
 
         A point is due when only MARGIN and the longest time of one iteration are left before its first switch. If an

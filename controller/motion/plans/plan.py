@@ -19,7 +19,7 @@ from controller.search.solver import Solver
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class TrajectoryPlan:
     """A planned trajectory.
 
     Attributes:
@@ -58,7 +58,7 @@ class Plan:
         """Returns the certificate of the whole plan's cost, as fields for JSON."""
         return proof(self.certificate, self.bound)
 
-    def proven(self, bound: float) -> "Plan":
+    def proven(self, bound: float) -> "TrajectoryPlan":
         """Returns the plan with a lower bound, if that is greater than the present one."""
         bound, solutions = max(self.bound, bound), self.solutions
         if len(solutions) == 1:
@@ -72,7 +72,7 @@ class Plan:
         first: int,
         configurations: Sequence[Configuration],
         previous: Configuration | None = None,
-    ) -> "Plan":
+    ) -> "TrajectoryPlan":
         """Returns the plan with other configurations from point `first` on.
 
         A part is left as it was if it would miss a point, or if its transitions would not fit into the time. The
@@ -94,7 +94,7 @@ class Plan:
         first: int,
         configurations: Sequence[Configuration],
         previous: Configuration | None,
-    ) -> "Plan":
+    ) -> "TrajectoryPlan":
         solutions, transitions = list(self.solutions), list(self.transitions)
         end = first + len(configurations)
         chosen = [*configurations, *(s.configuration for s in self.solutions[end : end + 1])]
@@ -108,7 +108,7 @@ class Plan:
             if not solution.within_tolerance:
                 raise Infeasible(f"{solution.error:.4f} from point {k}")
             solutions[k], transitions[k] = transition_to(solver, self.trajectory, before, solution, k, pace)
-        return Plan(self.trajectory, tuple(solutions), tuple(transitions), self.bound)
+        return TrajectoryPlan(self.trajectory, tuple(solutions), tuple(transitions), self.bound)
 
 
 def solution_of(

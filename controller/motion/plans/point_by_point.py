@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
 from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
-from controller.motion.plans.plan import Plan, solution_of, transition_to
+from controller.motion.plans.plan import TrajectoryPlan, solution_of, transition_to
 from controller.motion.stages.pacing import Blocked, Pace, Staged
 from controller.motion.stages.stage_sequencer import DETOUR_TIME
 from controller.motion.trajectory import Trajectory
@@ -35,7 +35,7 @@ def plan(
     proceed: Callable[[], None] = lambda: None,
     pace: Pace = AT_ONCE,
     seconds: float = PLANNING_TIME,
-) -> Plan:
+) -> TrajectoryPlan:
     """Returns the plan of a trajectory.
 
     Args:
@@ -95,7 +95,7 @@ def plan(
         solutions.append(solution)
         transitions.append(transition)
         previous = solution.configuration
-    return Plan(trajectory, tuple(solutions), tuple(transitions), solutions[0].bound)
+    return TrajectoryPlan(trajectory, tuple(solutions), tuple(transitions), solutions[0].bound)
 
 
 def alternative(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
 from controller.motion.plans.label_setting import LabelSetting
-from controller.motion.plans.plan import Plan
+from controller.motion.plans.plan import TrajectoryPlan
 from controller.motion.plans.point_by_point import plan
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along
@@ -20,8 +20,8 @@ FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s]: most for the first answers of all poin
 Array = NDArray[np.float64]
 
 
-class Goals(NamedTuple):
-    """Goals for the tip, in order.
+class TipGoals(NamedTuple):
+    """TipGoals for the tip, in order.
 
     Attributes:
         positions: in the world, shape (n, dimension).
@@ -44,7 +44,7 @@ def plan_whole(
     pace: Pace,
     first: float | None = None,
     seconds: float | None = None,
-) -> Plan:
+) -> TrajectoryPlan:
     """Returns the cheapest plan found for a trajectory: point by point first, then over the whole trajectory.
 
     Args:
@@ -71,12 +71,12 @@ def first_time(trajectory: Trajectory) -> float:
 
 def look_ahead(
     solver: Solver,
-    found: Plan,
+    found: TrajectoryPlan,
     previous: Configuration,
     pace: Pace,
     seconds: float | None = None,
     stop: Callable[[], bool] = lambda: False,
-) -> Plan:
+) -> TrajectoryPlan:
     """Returns a plan that costs at most as much as `found`, with the lower bound that is proven.
 
     Args:
@@ -98,7 +98,7 @@ def look_ahead(
     return better.proven(best.bound) if better.cost <= found.cost else found.proven(best.bound)
 
 
-def unhurried(goals: Goals, pace: Pace, path_tolerance: float | None = None) -> Trajectory:
+def unhurried(goals: TipGoals, pace: Pace, path_tolerance: float | None = None) -> Trajectory:
     """Returns the trajectory through goals, with more time than the actuators need.
 
     Args:

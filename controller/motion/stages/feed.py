@@ -43,7 +43,7 @@ class PlannedPoint(NamedTuple):
     switches: int
 
 
-class Proof(NamedTuple):
+class PlanProof(NamedTuple):
     """What is proven of a plan's cost, from its start, with all switches of its stages.
 
     Attributes:
@@ -70,7 +70,7 @@ class Improved(NamedTuple):
 
     first: int
     points: tuple[PlannedPoint, ...]
-    proof: Proof
+    proof: PlanProof
 
 
 class Route(NamedTuple):
@@ -122,7 +122,7 @@ class Pending:
     sent: int
     final: bool
     parks: bool = False
-    before: tuple[list[PlannedPoint], list[Stage], list[int], Proof | None] | None = None
+    before: tuple[list[PlannedPoint], list[Stage], list[int], PlanProof | None] | None = None
     better: Improved | None = None
 
 
@@ -156,7 +156,7 @@ class Feed:
         route: Route,
         strict: bool,
         checked: int,
-        proof: Proof | None,
+        proof: PlanProof | None,
         most: int,
     ) -> None:
         self.begun, self.strict, self.checked, self.proof = -1, strict, checked, proof

@@ -9,7 +9,7 @@ import numpy as np
 
 from controller.manipulator.locked import STATES
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
-from controller.motion.stages.feed import Feed, PlannedPoint, Proof, Route
+from controller.motion.stages.feed import Feed, PlannedPoint, PlanProof, Route
 from controller.motion.stages.program import delay_of, in_groups
 from controller.planning.core.arm import ArmState, States, packed
 from controller.planning.core.events import done
@@ -71,7 +71,7 @@ class Draft(NamedTuple):
     words: str
     strict: bool
     begin: float = 0.0
-    proof: Proof | None = None
+    proof: PlanProof | None = None
     homed: bytes = b""
 
 

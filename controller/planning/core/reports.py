@@ -10,8 +10,8 @@ import numpy as np
 
 from controller.manipulator.notation import format_configuration, pose
 from controller.motion import codes
-from controller.motion.stages.feed import Proof
-from controller.motion.targets import Target, measured_pose
+from controller.motion.stages.feed import PlanProof
+from controller.motion.targets import GoalTarget, measured_pose
 from controller.motion.trajectory import Trajectory
 from controller.planning.core.arm import Measured
 from controller.planning.core.events import Payload
@@ -28,7 +28,7 @@ class Context(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Attributes:
         waypoints: number of waypoints.
-        last_mark: mark of the last waypoint, which the next five attributes describe as in `Target`.
+        last_mark: mark of the last waypoint, which the next five attributes describe as in `GoalTarget`.
         position: empty for a jog, which has no target.
         rotation: nine numbers, row by row; empty: any orientation serves.
         bias: tip bias by which the goal was corrected; None: no tracker.
@@ -47,16 +47,16 @@ class Context(msgspec.Struct, frozen=True, omit_defaults=True):
     configuration: str | None = None
     bias: list[float] | None = None
     sent: float = 0.0
-    proof: Proof | None = None
+    proof: PlanProof | None = None
     jogged: dict[int, int] = {}
 
     @property
-    def target(self) -> Target | None:
+    def target(self) -> GoalTarget | None:
         """The last waypoint; None for a jog."""
         if not self.position:
             return None
         turned = bool(self.rotation)
-        return Target(
+        return GoalTarget(
             np.array(self.position),
             self.tolerance,
             np.array(self.rotation).reshape(3, 3) if turned else None,
@@ -100,7 +100,7 @@ class GoalReport:
         self._stages = 0  # since the waypoint before
         self._deviation: float | None = 0.0  # greatest one since the waypoint before; None: not known
 
-    def context(self, sent: float, proof: Proof | None) -> bytes:
+    def context(self, sent: float, proof: PlanProof | None) -> bytes:
         """Returns the context that comes back with the result."""
         last, bias = len(self.trajectory.times) - 1, self.trajectory.bias
         target = self._target(last)
@@ -126,7 +126,7 @@ class GoalReport:
         return [{"t": self.trajectory.times[k], **self._asked(k)} for k in self.trajectory.waypoints.tolist()]
 
     @property
-    def present(self) -> Target:
+    def present(self) -> GoalTarget:
         """The target at the present point."""
         return self._target(max(self._point, 0))
 
@@ -184,11 +184,11 @@ class GoalReport:
             "orientation": pose(self._manipulator, frame)["orientation"] if turned else None,
         }
 
-    def _target(self, point: int) -> Target:
+    def _target(self, point: int) -> GoalTarget:
         """Returns the target at a point of the trajectory."""
         trajectory, manipulator = self.trajectory, self._manipulator
         turns, fixed = float(trajectory.turns[point]), trajectory.fixed.get(point)
-        return Target(
+        return GoalTarget(
             trajectory.positions[point],
             float(trajectory.tolerances[point]),
             trajectory.rotations[point] if turns < np.inf else None,
@@ -207,7 +207,7 @@ class JogReport:
     def __init__(self, name: str, jogged: dict[int, int]) -> None:
         self.id, self._jogged = name, jogged
 
-    def context(self, sent: float, proof: Proof | None) -> bytes:
+    def context(self, sent: float, proof: PlanProof | None) -> bytes:
         """Returns the context that comes back with the result."""
         return encode_context(Context(self.id, sent=sent, proof=proof, jogged=self._jogged))
 

@@ -13,8 +13,8 @@ from controller.host.journal import fields_of_result
 from controller.host.process import Log
 from controller.manipulator.locked import STATES
 from controller.motion import codes
-from controller.motion.stages.feed import Proof
-from controller.motion.targets import Target, measured_pose
+from controller.motion.stages.feed import PlanProof
+from controller.motion.targets import GoalTarget, measured_pose
 from controller.planning.core.arm import Measured, measured_states
 from controller.planning.core.events import Accepted, Identity, OpenGoal, Payload, PublishResult, Record, ToExecutor
 from controller.planning.core.events import Ended as EndedEntry
@@ -45,8 +45,8 @@ class Known(NamedTuple):
     """
 
     outcome: Outcome | None
-    target: Target | None
-    proof: Proof | None
+    target: GoalTarget | None
+    proof: PlanProof | None
     acceptance: int | None
 
 
@@ -213,7 +213,7 @@ def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, conte
     return last_waypoint_outcome(context.id, context.target, where)
 
 
-def last_waypoint_outcome(goal: str, target: Target, where: Payload) -> Outcome:
+def last_waypoint_outcome(goal: str, target: GoalTarget, where: Payload) -> Outcome:
     """Returns the outcome of a goal whose last waypoint has settled; `where` is its measured_pose."""
     error, angle = where["error"], where["orientation_error"]
     if target.configuration is not None:
@@ -248,7 +248,7 @@ def result_of(
     measured: Measured,
     context: Context,
     outcome: Outcome,
-    target: Target | None,
+    target: GoalTarget | None,
 ) -> Payload:
     """Returns the payload of a result.
 

@@ -29,7 +29,7 @@ from controller.program import Setpoint
 
 if TYPE_CHECKING:
     from controller.arm.arm import Arm
-    from controller.motion.decoding.setpoint import Setpoint as TrackedSetpoint
+    from controller.motion.decoding.setpoint import TrackedSetpoint
     from controller.motion.tracking.goal_motion import Tracking
     from controller.planning.core.arm import ArmState
 

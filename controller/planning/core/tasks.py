@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.decoding.goal import GoalMessage
-from controller.motion.stages.feed import Improved, PlannedPoint, Proof
+from controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
 from controller.motion.trajectory import Trajectory
 
 
@@ -179,7 +179,7 @@ class Planned(NamedTuple):
 
     trajectory: Trajectory
     points: tuple[PlannedPoint, ...]
-    proof: Proof
+    proof: PlanProof
     plan: Any = None
 
 

@@ -14,10 +14,10 @@ from controller.motion.codes import Refusal
 from controller.motion.decoding.goal import check_reach, schedule
 from controller.motion.plans.description import describe_plan
 from controller.motion.plans.improvement import Improvement, changed_points
-from controller.motion.plans.plan import Plan, first_transition
+from controller.motion.plans.plan import TrajectoryPlan, first_transition
 from controller.motion.plans.point_by_point import PLANNING_TIME, plan
 from controller.motion.plans.whole import first_time, look_ahead
-from controller.motion.stages.feed import Improved, PlannedPoint, Proof, most_stages
+from controller.motion.stages.feed import Improved, PlannedPoint, PlanProof, most_stages
 from controller.motion.stages.pacing import Blocked, Staged
 from controller.motion.stages.program import unpack_states
 from controller.motion.tracking.following import SetpointQuery, find, stages_to
@@ -43,7 +43,7 @@ class PlannedGoal(NamedTuple):
         points: of `Planned`.
     """
 
-    plan: Plan
+    plan: TrajectoryPlan
     first: Staged
     points: tuple[PlannedPoint, ...]
     start: ArmStart
@@ -90,7 +90,7 @@ def schedule_goal(model: ArmModel, task: tasks.PlanGoal) -> Trajectory:
 
 def search_plan(
     model: ArmModel, task: tasks.PlanGoal, trajectory: Trajectory, proceed: Proceed, seconds: float
-) -> tuple[Plan, Configuration, Solver]:
+) -> tuple[TrajectoryPlan, Configuration, Solver]:
     """Returns a plan whose stages are clear, the configuration (B,) before it, and the solver that found it.
 
     All searches together take at most `seconds`. `proceed` is called before each point and each check of a stage.
@@ -142,9 +142,9 @@ def points_of(
         yield PlannedPoint(point, own, None if callable(source) else source, switches)
 
 
-def proof_of(found: Plan) -> Proof:
+def proof_of(found: TrajectoryPlan) -> PlanProof:
     """Returns what is proven of a plan, from the configuration of `start.states`, in Python's own numbers."""
-    return Proof(int(found.switches), float(found.cost), float(found.bound), found.certificate)
+    return PlanProof(int(found.switches), float(found.cost), float(found.bound), found.certificate)
 
 
 def stages_of(transitions: Sequence[Staged]) -> Iterator[States]:

@@ -9,7 +9,7 @@ from controller.manipulator.frames import Frame, inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.method import StageCosts, stage_costs
 from controller.search.paths import ENOUGH, Paths
-from controller.search.target import Target
+from controller.search.target import SearchTarget
 from controller.workspace.densities import Densities
 from tests.benchmarks.oriented_densities.oriented import OrientedDensities
 from tests.benchmarks.oriented_densities.oriented_mapping import map_oriented
@@ -30,7 +30,7 @@ def prepare(manipulator: Manipulator, densities: Densities, level_pixels: int, w
     return Problem(manipulator, map_oriented(manipulator, pixel, level_pixels, weight), Paths(manipulator, densities))
 
 
-def solve(problem: Problem, target: Target, previous: Configuration) -> Configuration:
+def solve(problem: Problem, target: SearchTarget, previous: Configuration) -> Configuration:
     """Returns the first configuration within the tolerances of a target in F_0, or the nearest of all thresholds."""
     costs = stage_costs("ipop-fewest-switches", problem.manipulator, previous)
     best, least = previous, np.inf
@@ -46,7 +46,9 @@ def solve(problem: Problem, target: Target, previous: Configuration) -> Configur
     return best
 
 
-def descend(problem: Problem, target: Target, costs: StageCosts, enough: float, configuration: Configuration) -> Frame:
+def descend(
+    problem: Problem, target: SearchTarget, costs: StageCosts, enough: float, configuration: Configuration
+) -> Frame:
     """Fixes the modules up to the tail's root; returns the goal in frame F_root."""
     m, d, frame = problem.manipulator, problem.densities, target.frame
     ball = math.pi * target.tolerance**2 if m.planar else 4 / 3 * math.pi * target.tolerance**3
