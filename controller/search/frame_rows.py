@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]
 
 # numba's types of C-contiguous arrays: F2 is float64 with two dimensions, I1 is int64 with one.
-F1, F2, F3, F4, F5 = float64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1], float64[:, :, :, :, ::1]
+F1, F2, F3, F4 = float64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1]
 I1, I2 = int64[::1], int64[:, ::1]
 
 
