@@ -18,7 +18,6 @@ from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import parse_configuration
 
 FOLDER = Path(__file__).parent
-COLUMNS = ("arm", "start", "goal", "tolerance", "angle_tolerance", "bound", "best")
 
 SETS = {
     "paper": "the paper's arm of 16 modules, positions",
@@ -93,7 +92,7 @@ def read(name: str) -> list[Task]:
 
 
 def task(row: dict[str, str]) -> Task:
-    """Returns the goal of a row; see COLUMNS."""
+    """Returns the goal of a row."""
     arm = load_arm(row["arm"]).manipulator
     numbers = tuple(map(float, row["goal"].split()))
     oriented = row["angle_tolerance"] != ""

@@ -23,7 +23,7 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import format_configuration, parse_configuration
 from controller.workspace.cache import default_directory, load_or_map
 from controller.workspace.densities import Densities
-from controller.workspace.locked_reach import LockedReach, reach_when_locked
+from controller.workspace.locked_reach import LockChoices, LockedReach, reach_when_locked
 from controller.workspace.orientations import Orientations, orientations_at
 
 Array = NDArray[np.float64]
@@ -271,7 +271,8 @@ class Arm:
             LockError: the arm has too few actuators to lock.
         """
         try:
-            return reach_when_locked(self._reduced, self._densities, locks, self.tolerance, samples, seed)
+            choices = LockChoices(locks, samples, seed)
+            return reach_when_locked(self._reduced, self._densities, self.tolerance, choices)
         except ValueError as error:
             raise LockError(str(error)) from None
 

@@ -3,7 +3,6 @@
 import asyncio
 import ipaddress
 import json
-import logging
 import signal
 import ssl
 import sys
@@ -22,8 +21,6 @@ from controller.network import session
 from controller.panel.access import Access, PersonEntry, cookie_key, digest_of, new_token, read_people
 from controller.panel.app import PanelServer
 from controller.panel.requests import MOST_BYTES
-
-log = logging.getLogger(__name__)
 
 MOST_CONNECTIONS = 500
 WATCHDOG_EVERY = 2.0  # [s]

@@ -22,7 +22,6 @@ from controller.search.target import SearchTarget
 from controller.search.two_list import BAND_CELLS, TwoList, improve, middle, rows
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 ROWS = 1 << 14  # most rows of a quarter
 BINS = 512  # bins of costs, for the sizes of layers

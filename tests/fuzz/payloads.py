@@ -10,6 +10,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from controller.arm.arm import load
+from controller.armfile.settings import MOST_OBSTACLES
 from controller.armfile.strict import InputFaults
 from controller.commands.common import parse_goal
 from controller.executor.core.arm import read_arm
@@ -21,7 +22,6 @@ from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.decoding import goal, requests, setpoint
 from controller.motion.stages.pacing import Pace
 from controller.motion.tracking import bias
-from controller.obstacles.notation import MOST
 from tests.fuzz.requests import NOW
 
 LONGEST = 2 * goal.LONGEST_SENTENCE + 100  # characters of a refusal; half pairs of surrogates take six to write
@@ -113,7 +113,7 @@ def read_obstacles(data: bytes) -> int:
         except Refusal as error:
             told(str(error))
             continue
-        assert len(it) == len(it.kinds) == len(it.axes) == len(it.centres) == len(it.sizes) <= MOST
+        assert len(it) == len(it.kinds) == len(it.axes) == len(it.centres) == len(it.sizes) <= MOST_OBSTACLES
         assert np.isfinite(it.depths([[0.0, 0.0, 0.0], [0.5, -3.0, 0.0]])).all()
         assert all(it.names)
     return 2

@@ -45,6 +45,27 @@ def check(
     if node is not None and eds is None:
         raise InputFaults(Path("check"), ["--node needs --eds FILE"])
 
+    arm = checked_arm(file, as_json)
+    boards = compare(arm, eds, node) if eds is not None else []
+    boards += ask_boards(arm, socket) if bus else []
+    missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
+    if as_json:
+        print_json({"ok": not missing, "faults": missing, "boards": boards})
+    else:
+        print_boards(file, arm, boards)
+    if missing and as_json:
+        raise typer.Exit(1)
+    if missing:
+        raise CommandFailed(summary([board["code"] for board in boards if not board["ok"]]))
+
+
+def checked_arm(file: Path, as_json: bool) -> Arm:
+    """Returns the arm of a file.
+
+    Raises:
+        InputFaults: the file is wrong.
+        typer.Exit: likewise; the faults were printed as JSON.
+    """
     from controller.arm.arm import load
     from controller.executor.core.arm import read_arm
 
@@ -57,23 +78,18 @@ def check(
             print_json({"ok": False, "faults": list(error.faults)})
             raise typer.Exit(2) from None
         raise
-    boards = compare(arm, eds, node) if eds is not None else []
-    boards += ask_boards(arm, socket) if bus else []
-    missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
-    if as_json:
-        print_json({"ok": not missing, "faults": missing, "boards": boards})
-    else:
-        count = len({terminal.board for entry in arm.wiring for terminal in actuator_terminals(entry)})
-        common.console.print(
-            f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
-            f" {len(arm.manipulator.actuators)} actuators on {count} boards: no fault"
-        )
-        for board in boards:
-            common.console.print(f"  {board['board']}: {board['answer']}", style=None if board["ok"] else "red")
-    if missing:
-        if as_json:
-            raise typer.Exit(1)
-        raise CommandFailed(summary([board["code"] for board in boards if not board["ok"]]))
+    return arm
+
+
+def print_boards(file: Path, arm: Arm, boards: list[dict[str, Any]]) -> None:
+    """Prints the size of a correct arm, and the answer of each board."""
+    count = len({terminal.board for entry in arm.wiring for terminal in actuator_terminals(entry)})
+    common.console.print(
+        f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
+        f" {len(arm.manipulator.actuators)} actuators on {count} boards: no fault"
+    )
+    for board in boards:
+        common.console.print(f"  {board['board']}: {board['answer']}", style=None if board["ok"] else "red")
 
 
 def summary(codes: Iterable[str]) -> str:

@@ -41,7 +41,7 @@ def node_id(
 
     Example: hyperbit node-id can0 5 --board 0x21:0x2f1:0x10000:0x1a2b
     """
-    wanted = BoardSettings(new, new_bitrate)
+    wanted = NewSettings(new, new_bitrate)
     check_options(wanted, list_=list_)
     identity = None if board is None else parse_identity(board)
     bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
@@ -59,14 +59,14 @@ def node_id(
         print_stored(selected, old, wanted, bus)
 
 
-class BoardSettings(NamedTuple):
+class NewSettings(NamedTuple):
     """The new node id and bit rate [bit/s] of a board; None: unchanged."""
 
     node: int | None
     bitrate: int | None
 
 
-def check_options(wanted: BoardSettings, *, list_: bool) -> None:
+def check_options(wanted: NewSettings, *, list_: bool) -> None:
     """Checks which options are given together, and the range of node id and bit rate.
 
     Raises:
@@ -94,7 +94,7 @@ def check_single(nodes: list[int], channel: str) -> None:
 
 
 def store(
-    lss: Lss, identity: LssIdentity | None, wanted: BoardSettings, nodes: list[int], channel: str
+    lss: Lss, identity: LssIdentity | None, wanted: NewSettings, nodes: list[int], channel: str
 ) -> tuple[LssIdentity, int]:
     """Stores the new settings of a board, and releases it.
 
@@ -121,7 +121,7 @@ def store(
     return selected, old
 
 
-def print_stored(selected: LssIdentity, old: int, wanted: BoardSettings, bus: BusWiring) -> None:
+def print_stored(selected: LssIdentity, old: int, wanted: NewSettings, bus: BusWiring) -> None:
     """Prints what was stored, and the next step."""
     before = "none" if old > MASTER else str(old)
     stored = [f"node id {wanted.node} (before: {before})"] if wanted.node is not None else []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -24,7 +24,7 @@ from controller.commands.study.workspace_report import FIGURES, WorkspaceStudy, 
 
 if TYPE_CHECKING:
     from controller.workspace.densities import Densities
-    from controller.workspace.locked_reach import LockedReach
+    from controller.workspace.locked_reach import LockChoices, LockedReach
 
 
 def workspace(
@@ -42,6 +42,7 @@ def workspace(
     as_json: AsJson = False,
 ) -> None:
     """Draw and report where an arm can reach: positions, orientations at a point, reach with locked actuators."""
+    from controller.workspace.locked_reach import LockChoices
     from controller.workspace.orientations import orientations_at
 
     arm = load(file)
@@ -59,20 +60,6 @@ def workspace(
         print_json(report)
     else:
         show(report)
-
-
-class LockChoices(NamedTuple):
-    """Choices of locked actuators.
-
-    Attributes:
-        actuators: number of locked actuators.
-        samples: most random choices, if more than one actuator is locked.
-        seed: of the random choices.
-    """
-
-    actuators: int
-    samples: int
-    seed: int
 
 
 def check_options(tolerance: float, samples: int) -> None:
@@ -133,10 +120,8 @@ def locked_reach(arm: Arm, densities: Densities, tolerance: float, locks: LockCh
             return reach_when_locked(
                 arm.reduced,
                 densities,
-                locks.actuators,
                 tolerance,
-                locks.samples,
-                locks.seed,
+                locks,
                 lambda done, total: progress.update(task, completed=done, total=total),
             )
         except ValueError as error:

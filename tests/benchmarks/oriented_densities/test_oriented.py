@@ -12,11 +12,11 @@ from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
 from controller.manipulator import frames
-from controller.manipulator.frame_kernels import distance
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from tests.arms import any_frames, every_configuration, every_tip, paper_arm, short_arms, spatial_arm
 from tests.benchmarks.oriented_densities.frame_pixels import rotation_cell
+from tests.benchmarks.oriented_densities.metric import distance
 from tests.benchmarks.oriented_densities.oriented import OrientedDensities
 from tests.benchmarks.oriented_densities.oriented_mapping import map_oriented
 
