@@ -13,7 +13,7 @@ import can
 
 from controller.executor.core.core import Executor
 from controller.executor.core.events import TICK, ClientGone, ClientId, Event, FromClient
-from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Halt, Hello, Lock, Program, Reset, Stage, Up, pack
+from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Hello, Lock, Program, Reset, Stage, Stop, Up, pack
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
@@ -229,7 +229,7 @@ class World(Hardware, Witness):
         for k in range(SIZE):
             self.send(Lock(2, k, -1))
         if self.core.modes.mode != "ready":
-            self.send(Halt(3))
+            self.send(Stop(3))
             self.send(Reset(4))
             self.go(15)
         self.judge.clear()

@@ -63,7 +63,7 @@ class Modes:
     Attributes:
         mode: of the executor.
         reason: a sentence on the mode.
-        epoch: grows with each cancel, halt, reset, fault, change of the locked actuators, end of a boot, and loss of
+        epoch: grows with each cancel, stop, reset, fault, change of the locked actuators, end of a boot, and loss of
             the planner.
         faults: active faults.
 

@@ -330,7 +330,7 @@ class ArmMotion:
         if execution is not None:
             switched = commit.states != self._before
             execution.took(self._index, self._before, switched, self.actuation.free_at)
-            self._send(Begun(execution.program.program, self._index, execution.switches))
+            self._send(Begun(execution.program.program, self._index))
 
     def _settled(self, execution: ProgramExecution) -> Settled:
         counted = execution.switches, execution.stages
