@@ -185,7 +185,7 @@ def test_a_replacement_without_stages_makes_a_program_strict_where_nothing_is_le
 def test_a_parked_program_homes_no_actuator_to_another_state() -> None:
     """A jog homes to its last stage; without stages the executor does not know where to."""
     rig = ready(channel={"output_off": True}, sensed=0)
-    assert rig.core.motion.homing == 0b111111
+    assert rig.core.motion.readings.homing == 0b111111
     rig.run(0b000001, homed=0b000001, begin=rig.now + 0.5)
     park(rig, 1, 0, 0)
     before = list(rig.switched)

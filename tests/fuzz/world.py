@@ -86,7 +86,7 @@ class World(Hardware, Witness):
 
     def told(self, event: Event) -> None:
         self._end_event()
-        self._event, self._before = event, (self.core.motion.read, self.master.known)
+        self._event, self._before = event, (self.core.motion.readings.read, self.master.known)
         self.judge.begin()
         if isinstance(event, FromClient) and event.client == PLANNER:
             self.judge.proposed(event.message)
@@ -96,7 +96,7 @@ class World(Hardware, Witness):
         event, self._event = self._event, None
         if event is None:
             return
-        measured, known = self.core.motion.read, self.master.known
+        measured, known = self.core.motion.readings.read, self.master.known
         if isinstance(event, FrameIgnored) and (measured, known) != self._before:
             raise AssertionError(f"taken for the state of a board: {event}")
         wrong_length = isinstance(event, FrameReceived) and event.frame.id in TPDOS and len(event.frame.data) != 1

@@ -202,7 +202,7 @@ class Record(Witness):
             if asked:
                 execution, states = core.motion.execution, core.motion.actuation.states
                 homed, self.commit.homes = (-1, states) if execution is None else execution.homed
-                self.commit.homing = core.motion.homing & homed
+                self.commit.homing = core.motion.readings.homing & homed
             self.commit.releases = any(core.motion.kinds.on(core._master.outputs))
         return None
 

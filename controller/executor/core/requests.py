@@ -103,7 +103,7 @@ class ClientRequests:
             case Setpoint():
                 self._follow(message, now)
             case Clearance():
-                self._motion.clearances.answer(message)
+                self._motion.clearances.receive_answer(message)
             case Cancel():
                 self._cancel(client, message, now)
             case Stop():
@@ -233,7 +233,7 @@ class ClientRequests:
         """Boots the boards after a fault or a stop; returns whether the request is accepted, and the answer."""
         if self._modes.mode not in ("fault", "stopped"):
             return True, f"nothing to reset: the arm is {self._modes.mode}"
-        if opened := self._motion.interlocks():
+        if opened := self._motion.readings.interlock_faults():
             return False, opened[0].message + (f" (and {len(opened) - 1} more)" if opened[1:] else "")
         self._modes.new_epoch()
         self._modes.boot("the boards are being booted after a reset", now)
@@ -242,7 +242,7 @@ class ClientRequests:
     def _lock(self, client: ClientId, message: Lock, now: float) -> None:
         """Locks or unlocks an actuator; nothing moves."""
         motion = self._motion
-        refusal = self._locked.refusal(message.actuator, message.state, motion.read, motion.definite)
+        refusal = self._locked.refusal(message.actuator, message.state, motion.readings.read, motion.readings.definite)
         mode = self._modes.mode
         if mode == "executing" or self._motion.moving or self._motion.busy:
             refusal = f"the arm is {mode}, and may not move while locks change: cancel, then try again"
