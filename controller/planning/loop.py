@@ -19,7 +19,7 @@ from controller.planning.core.tasks import Failed
 from controller.planning.ledger import Ledger, PublishedResults
 from controller.planning.link import ExecutorLink, Inbox
 from controller.planning.workers.pool import Workers
-from controller.program import Cancel, Fault, Halt
+from controller.program import Cancel, Fault, Stop
 
 log = logging.getLogger(__name__)
 
@@ -142,7 +142,7 @@ class Loop:
         self._inbox.events.append(events.Request(number, key, message, self._wall()))
         unsent = None
         if key == "stop":
-            unsent = self._link.send_now(Halt(number))
+            unsent = self._link.send_now(Stop(number))
         elif key == "cancel" and message == events.CancelMessage():
             unsent = self._link.send_now(Cancel(number, None, CANCELED))
         if unsent is not None:

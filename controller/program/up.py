@@ -80,12 +80,10 @@ class Begun(Message, frozen=True, tag="begun"):
     Attributes:
         program: its number.
         stage: index.
-        switches: actuators switched by the program so far.
     """
 
     program: Number
     stage: Number
-    switches: Number
 
 
 class Settled(Message, frozen=True, tag="settled"):
@@ -169,7 +167,7 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
         at: time of the snapshot [s].
         mode: of the executor.
         reason: a sentence on the mode.
-        epoch: a number that grows with each cancel, halt, reset, fault, boot, change of locks, and loss of the planner.
+        epoch: a number that grows with each cancel, stop, reset, fault, boot, change of locks, and loss of the planner.
             A cancel of one program begins no epoch.
         outputs: packed outputs of the boards, as last switched.
         measured: packed states from end-stops, otherwise from outputs.

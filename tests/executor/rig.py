@@ -15,6 +15,7 @@ from controller.executor.core.events import TICK, ClientGone, ClientId, Executor
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.host.process import Log, Notify
 from controller.program import (
+    VERSION,
     Alive,
     Diagnostics,
     Ended,
@@ -114,7 +115,7 @@ class Rig:
         self.do(FromClient(client, message))
 
     def connect(self, client: ClientId = PLANNER, role: str = "planner") -> None:
-        self.send(Hello(1, role, "small"), client)
+        self.send(Hello(VERSION, role, "small"), client)
         self.alive |= client == PLANNER
 
     def gone(self, client: ClientId = PLANNER) -> None:

@@ -5,6 +5,7 @@ import pytest
 from controller.host.process import Quit
 from controller.program import (
     MOST_BYTES,
+    VERSION,
     Acknowledge,
     Alive,
     Answer,
@@ -13,10 +14,10 @@ from controller.program import (
     Declined,
     Ended,
     Goodbye,
-    Halt,
     Hello,
     Reset,
     Snapshot,
+    Stop,
     Welcome,
     encode,
 )
@@ -37,7 +38,7 @@ def answer(rig: Rig) -> tuple[bool, str]:
 
 
 def test_a_planner_is_greeted_and_a_second_hears_who_is_there(rig: Rig) -> None:
-    assert rig.last(Welcome) == Welcome(1, "small", "d" * 64, 7, (0,) * SIZE, 0)
+    assert rig.last(Welcome) == Welcome(VERSION, "small", "d" * 64, 7, (0,) * SIZE, 0)
     rig.connect(OTHER)
     assert rig.last(Goodbye, OTHER).reason == "a planner is connected already, process 4001; only one may drive the arm"
     rig.gone()
@@ -45,7 +46,9 @@ def test_a_planner_is_greeted_and_a_second_hears_who_is_there(rig: Rig) -> None:
     assert rig.of(Welcome, OTHER)
 
 
-@pytest.mark.parametrize("hello", [Hello(2, "planner", "small"), Hello(1, "planner", "other"), Alive(), Halt(1)])
+@pytest.mark.parametrize(
+    "hello", [Hello(VERSION + 1, "planner", "small"), Hello(VERSION, "planner", "other"), Alive(), Stop(1)]
+)
 def test_who_does_not_belong_here_hears_why(rig: Rig, hello: object) -> None:
     rig.send(hello, OTHER)
     assert rig.last(Goodbye, OTHER).reason
@@ -55,11 +58,11 @@ def test_who_does_not_belong_here_hears_why(rig: Rig, hello: object) -> None:
 def test_an_operator_may_halt_and_nothing_else(rig: Rig) -> None:
     rig.run(A, B)
     rig.connect(OPERATOR, "operator")
-    rig.send(Halt(5), OPERATOR)
+    rig.send(Stop(5), OPERATOR)
     assert rig.last(Answer, OPERATOR) == Answer(5, True, "stopped; the arm holds until reset")
     assert (rig.mode, rig.results) == ("stopped", [(1, "aborted")])
     rig.send(Reset(6), OPERATOR)
-    assert rig.last(Goodbye, OPERATOR).reason == "an operator may only halt"
+    assert rig.last(Goodbye, OPERATOR).reason == "an operator may only stop the arm"
     assert rig.mode == "stopped"
 
 
@@ -152,7 +155,7 @@ def test_snapshots_come_20_times_a_second_and_on_change_and_diagnostics_every_se
     assert 19 <= len(rig.of(Snapshot)) <= 21
     assert len(rig.diagnostics) == 1
     rig.heard.clear()
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     assert [type(message) for _, message in rig.heard] == [Answer, Snapshot]
 
 

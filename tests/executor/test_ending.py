@@ -9,7 +9,7 @@ import pytest
 
 from controller.executor.core.events import TICK
 from controller.host.process import Quit
-from controller.program import Halt, Lock, unpack
+from controller.program import Lock, Stop, unpack
 from drivers.canopen.faults import ArmFault
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 
@@ -71,7 +71,7 @@ def test_a_locked_actuator_is_not_contracted() -> None:
 
 def test_an_arm_that_is_stopped_does_not_contract() -> None:
     rig = extended(contract_on_stop=True)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.do(Quit())
     assert (rig.core.ended, rig.states) == (True, ALL)
     assert "the arm does not contract before the end (on_stop): it is stopped" in warnings(rig)
@@ -81,7 +81,7 @@ def test_a_fault_or_a_halt_ends_the_contraction() -> None:
     rig = extended(contract_on_stop=True, inrush=1)
     rig.do(Quit())
     rig.go(TRAVEL)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.go(0.1)
     assert rig.core.ended
     assert 0 < rig.states.bit_count() < SIZE

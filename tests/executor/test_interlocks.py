@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from controller.executor.core.events import TICK
-from controller.program import Answer, Halt, Lock, Reset
+from controller.program import Answer, Lock, Reset, Stop
 from drivers.canopen.wiring import Interlock
 from tests.executor.rig import CAN, LOST, SIZE, Rig, ready
 
@@ -60,7 +60,7 @@ def test_an_interlock_that_is_open_at_the_start_is_a_fault() -> None:
 
 
 def test_an_interlock_that_opens_while_the_arm_is_stopped_keeps_it_stopped(rig: Rig) -> None:
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.master.inputs &= ~(1 << SIZE)
     rig.go()
     assert (rig.mode, codes(rig)) == ("stopped", [("interlock", "stop (can0/9 input 0)")])

@@ -13,8 +13,8 @@ from controller.program import (
     Cancel,
     Declined,
     Ended,
-    Halt,
     Reset,
+    Stop,
 )
 from drivers.canopen.faults import ArmFault
 from tests.executor.rig import CAN, LOST, PLANNER, TRAVEL, Rig, ready
@@ -61,7 +61,7 @@ def test_one_program_alone_is_canceled(rig: Rig) -> None:
 
 
 def test_a_halt_stays_until_reset(rig: Rig) -> None:
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.run(A)
     assert (rig.last(Declined).cause, rig.mode) == ("mode", "stopped")
     rig.go(3 * RETRY)
@@ -75,9 +75,9 @@ def test_a_halt_stays_until_reset(rig: Rig) -> None:
 
 
 def test_a_halt_while_booting_stays(rig: Rig) -> None:
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.send(Reset(2))
-    rig.send(Halt(3))
+    rig.send(Stop(3))
     rig.go(0.1)
     assert rig.mode == "stopped"
 
@@ -132,7 +132,7 @@ def test_one_that_fails_again_is_tried_once_a_second(rig: Rig) -> None:
 def test_limits_of_boards_are_in_the_journal_after_each_boot(rig: Rig) -> None:
     limit = ArmFault("board-limits", "can0/5", "board can0/5: RPDO1 refuses to wait for SYNC")
     rig.master.warnings = lambda: (limit,)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.send(Reset(2))
     rig.go(3 * TICK)
     assert (rig.mode, (logging.WARNING, f"board-limits: {limit.message}") in rig.logged) == ("ready", True)
@@ -140,7 +140,7 @@ def test_limits_of_boards_are_in_the_journal_after_each_boot(rig: Rig) -> None:
 
 def test_faults_of_a_boot_are_reported_at_its_end(rig: Rig) -> None:
     rig.master.boot_faults = [LOST, ArmFault("board-missing", "can0/2", "another")]
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.send(Reset(2))
     rig.go(3 * TICK)
     assert (rig.mode, rig.reason) == ("fault", f"{LOST.message} (and 1 more)")

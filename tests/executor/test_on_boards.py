@@ -6,7 +6,7 @@ import pytest
 
 from controller.executor.core.events import TICK, FromClient
 from controller.host.process import Quit
-from controller.program import Accepted, Begun, Diagnostics, Ended, Halt, Reset, Settled, Snapshot, unpack
+from controller.program import Accepted, Begun, Diagnostics, Ended, Reset, Settled, Snapshot, Stop, unpack
 from tests.executor.rig import PLANNER, SIZE, TRAVEL
 from tests.executor.world import STEP, A, B, World, ready
 
@@ -97,7 +97,7 @@ def test_frames_that_waited_during_a_stall_are_no_fault_after_a_reset(world: Wor
 
 def test_halt_and_end(world: World) -> None:
     world.run(1, A, B)
-    world.send(Halt(1))
+    world.send(Stop(1))
     assert world.mode == "stopped"
     world.post(Quit())
     assert world.ended

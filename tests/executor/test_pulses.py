@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from controller.executor.core.events import TICK
 from controller.host.process import Quit
-from controller.program import Cancel, Halt, Reset, unpack
+from controller.program import Cancel, Reset, Stop, unpack
 from tests.executor.rig import LOST, SIZE, TRAVEL, Rig, ready
 
 ALL = (1 << SIZE) - 1
@@ -105,7 +105,7 @@ def test_a_pulse_ends_after_its_time() -> None:
     assert pulses(rig) == [PULSE] * 3
 
 
-@pytest.mark.parametrize("event", [Cancel(1, None, ""), Halt(1), Quit()])
+@pytest.mark.parametrize("event", [Cancel(1, None, ""), Stop(1), Quit()])
 def test_a_pulse_ends_after_its_time_whatever_is_asked_meanwhile(event: Any) -> None:
     rig = ready(channel=BISTABLE)
     rig.run(1)
@@ -132,7 +132,7 @@ def test_boards_are_booted_only_when_no_pulse_is_on() -> None:
     rig = ready(channel=BISTABLE)
     rig.run(1)
     rig.go(TICK)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.send(Reset(2))
     boots = rig.master.booted
     rig.go(TICK)
@@ -178,7 +178,7 @@ def test_a_boot_keeps_known_states_but_not_those_of_a_board_that_started_anew() 
     rig = ready(channel=BISTABLE, sensed=0)
     rig.run(0b010010)
     rig.go(0.5)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.master.boots = (0, 1)
     rig.send(Reset(2))
     rig.go(0.2)
@@ -222,7 +222,7 @@ def test_whatever_is_asked_no_pulse_is_longer_than_asked_by_a_period(
             case "cancel":
                 rig.send(Cancel(request, None, ""))
             case "halt":
-                rig.send(Halt(request))
+                rig.send(Stop(request))
             case "reset":
                 rig.send(Reset(request))
             case "lost":

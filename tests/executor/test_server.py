@@ -14,13 +14,14 @@ from controller.executor.process.server import MOST_QUEUED, ExecutorServer, Sock
 from controller.host.sockets import default_socket, found_sockets, socket_path
 from controller.program import (
     MOST_BYTES,
+    VERSION,
     Alive,
     Answer,
     Diagnostics,
     Ended,
     Goodbye,
-    Halt,
     Hello,
+    Stop,
     decode_up,
     encode,
 )
@@ -50,9 +51,9 @@ def connected(path: Path) -> socket.socket:
 def test_messages_come_in_with_their_process_and_answers_go_out(server: ExecutorServer, path: Path) -> None:
     with connected(path) as client:
         client.send(encode(Alive()))
-        client.send(encode(Halt(3)))
+        client.send(encode(Stop(3)))
         events = server.poll()
-        assert [event.message for event in events] == [Alive(), Halt(3)]
+        assert [event.message for event in events] == [Alive(), Stop(3)]
         assert events[0].client.pid == os.getpid()
         server.send_message(events[0].client, Answer(3, True, "stopped"))
         assert decode_up(client.recv(MOST_BYTES)) == Answer(3, True, "stopped")
@@ -162,9 +163,9 @@ def halted(server: ExecutorServer, path: Path, role: str = "operator") -> bool:
     """Whether a new client of a role is heard."""
     with connected(path) as client:
         server.poll()
-        client.send(encode(Hello(1, role, "")))
-        client.send(encode(Halt(1)))
-        return [e.message for e in server.poll() if isinstance(e, FromClient)] == [Hello(1, role, ""), Halt(1)]
+        client.send(encode(Hello(VERSION, role, "")))
+        client.send(encode(Stop(1)))
+        return [e.message for e in server.poll() if isinstance(e, FromClient)] == [Hello(VERSION, role, ""), Stop(1)]
 
 
 def test_silent_connections_keep_nobody_out(timed: ExecutorServer, path: Path) -> None:
@@ -181,7 +182,7 @@ def test_operators_keep_neither_operators_nor_the_planner_out(timed: ExecutorSer
     operators = []
     for _ in range(100):
         operators.append(connected(path))
-        operators[-1].send(encode(Hello(1, "operator", "")))
+        operators[-1].send(encode(Hello(VERSION, "operator", "")))
         timed.poll()
     assert sum(map(is_open, operators)) == PLACES["operator"]
     assert is_open(operators[-1])
@@ -192,7 +193,7 @@ def test_operators_keep_neither_operators_nor_the_planner_out(timed: ExecutorSer
 def test_who_says_nothing_in_time_is_closed(timed: ExecutorServer, path: Path, clock: Clock) -> None:
     with connected(path) as silent, connected(path) as wrong, connected(path) as client:
         wrong.send(encode(Alive()))
-        client.send(encode(Hello(1, "operator", "")))
+        client.send(encode(Hello(VERSION, "operator", "")))
         timed.poll()
         clock.now += 0.9 * HELLO_TIMEOUT
         timed.poll([])
@@ -205,7 +206,7 @@ def test_who_says_nothing_in_time_is_closed(timed: ExecutorServer, path: Path, c
 def test_a_loop_that_was_late_hears_a_hello_before_it_judges(timed: ExecutorServer, path: Path, clock: Clock) -> None:
     with connected(path) as client:
         timed.poll()
-        client.send(encode(Hello(1, "operator", "")))
+        client.send(encode(Hello(VERSION, "operator", "")))
         clock.now += 60.0
         (event,) = timed.poll([])
         assert isinstance(event, FromClient)
@@ -214,7 +215,7 @@ def test_a_loop_that_was_late_hears_a_hello_before_it_judges(timed: ExecutorServ
 
 def test_who_does_not_read_its_goodbye_is_closed_in_time(timed: ExecutorServer, path: Path, clock: Clock) -> None:
     with connected(path) as client:
-        client.send(encode(Hello(1, "planner", "")))
+        client.send(encode(Hello(VERSION, "planner", "")))
         (event,) = timed.poll()
         while not timed.waiting:
             timed.send_message(event.client, TELEMETRY)

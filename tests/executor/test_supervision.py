@@ -274,7 +274,7 @@ def test_a_single_end_stop_at_the_contracted_end_is_used() -> None:
     rig = ready(channel=BOTH, sensed=0)
     rig.run(1)
     rig.go(0.2)
-    assert (rig.results, rig.core.motion.measured) == ([(1, "done")], 1)
+    assert (rig.results, rig.core.motion.readings.measured) == ([(1, "done")], 1)
     rig.master.stuck = 1
     rig.run(0)
     rig.go(0.2)

@@ -13,7 +13,7 @@ import can
 
 from controller.executor.core.core import Executor
 from controller.executor.core.events import TICK, ClientGone, ClientId, Event, FromClient
-from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Halt, Hello, Lock, Program, Reset, Stage, Up, pack
+from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Hello, Lock, Program, Reset, Stage, Stop, Up, pack
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
@@ -86,7 +86,7 @@ class World(Hardware, Witness):
 
     def told(self, event: Event) -> None:
         self._end_event()
-        self._event, self._before = event, (self.core.motion.read, self.master.known)
+        self._event, self._before = event, (self.core.motion.readings.read, self.master.known)
         self.judge.begin()
         if isinstance(event, FromClient) and event.client == PLANNER:
             self.judge.proposed(event.message)
@@ -96,7 +96,7 @@ class World(Hardware, Witness):
         event, self._event = self._event, None
         if event is None:
             return
-        measured, known = self.core.motion.read, self.master.known
+        measured, known = self.core.motion.readings.read, self.master.known
         if isinstance(event, FrameIgnored) and (measured, known) != self._before:
             raise AssertionError(f"taken for the state of a board: {event}")
         wrong_length = isinstance(event, FrameReceived) and event.frame.id in TPDOS and len(event.frame.data) != 1
@@ -229,7 +229,7 @@ class World(Hardware, Witness):
         for k in range(SIZE):
             self.send(Lock(2, k, -1))
         if self.core.modes.mode != "ready":
-            self.send(Halt(3))
+            self.send(Stop(3))
             self.send(Reset(4))
             self.go(15)
         self.judge.clear()

@@ -50,7 +50,7 @@ from controller.planning.core.tasks import (
     Task,
 )
 from controller.planning.planner import RequestDecoder
-from controller.program import Alive, Cancel, Counts, Down, Halt, Up, Welcome, pack, unpack
+from controller.program import VERSION, Alive, Cancel, Counts, Down, Stop, Up, Welcome, pack, unpack
 from controller.workspace.densities import Densities
 from tests.planning.played_executor import PlayedExecutor
 from tests.planning.prompt_workers import PromptWorkers
@@ -71,7 +71,7 @@ class DeskExecutor(PlayedExecutor):
 
     def greet(self, greatest: int = 0) -> None:
         """Accepts the planner, and shows the arm."""
-        self.send(Welcome(1, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest))
+        self.send(Welcome(VERSION, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest))
         self.show()
 
     def now(self) -> float:
@@ -271,7 +271,7 @@ class Desk:
         self._numbers += 1
         self._names[self._numbers] = name
         if key == "stop":
-            self.executor.messages.append(Halt(self._numbers))
+            self.executor.messages.append(Stop(self._numbers))
         elif key == "cancel" and message == CancelMessage():
             self.executor.messages.append(Cancel(self._numbers, None, "canceled; the arm holds"))
         self.post(Request(self._numbers, key, message, self.wall))

@@ -11,7 +11,7 @@ from controller.motion.stages.pacing import pace_of
 from controller.planning.core.events import Answered
 from controller.planning.core.parts import BARRED
 from controller.planning.core.tasks import ImprovePlan, PlanGoal
-from controller.program import Acknowledge, Cancel, Halt, Program, Replacement, Reset, unpack
+from controller.program import Acknowledge, Cancel, Program, Replacement, Reset, Stop, unpack
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from tests.planning.desk import Desk
@@ -159,7 +159,7 @@ def test_an_end_before_the_last_waypoint_is_told_with_its_reason(desk: Desk, sta
 
 def test_stop_and_reset_go_straight_to_the_executor(desk: Desk) -> None:
     desk.ask("stop", name="stop")
-    halt = desk.executor.expect(Halt)
+    halt = desk.executor.expect(Stop)
     desk.executor.answer(halt, "stopped; the arm holds until reset", mode="stopped", reason="a stop was requested")
     assert desk.inbox.next("stop")["message"] == "stopped; the arm holds until reset"
     desk.settle()

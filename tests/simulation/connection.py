@@ -7,7 +7,7 @@ from collections.abc import Callable
 from random import Random
 
 from controller.executor.core.events import ClientGone, ClientId, FromClient
-from controller.program import VERSION, Down, Halt, Hello, Up, decode_down, decode_up, encode
+from controller.program import VERSION, Down, Hello, Stop, Up, decode_down, decode_up, encode
 from tests.simulation.agenda import Agenda
 from tests.simulation.process import ExecutorProcess
 
@@ -60,9 +60,9 @@ class Connection:
     def halt(self) -> None:
         """Makes an operator halt the arm over a separate connection."""
         client = self._greet("operator")
-        self._executor.hear(client, FromClient(client, Halt(1)))
+        self._executor.hear(client, FromClient(client, Stop(1)))
         self._executor.hear(client, ClientGone(client))
-        self.sent["Halt"] += 1
+        self.sent["Stop"] += 1
 
     def send(self, message: Down) -> None:
         """Sends a message of the planner."""

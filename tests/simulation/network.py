@@ -9,7 +9,7 @@ from random import Random
 
 from controller.executor.core.events import ClientGone, ClientId, FromClient
 from controller.planning.link import RETRY, Connection, ExecutorLink
-from controller.program import VERSION, Down, Goodbye, Halt, Hello, Up, decode_down, encode
+from controller.program import VERSION, Down, Goodbye, Hello, Stop, Up, decode_down, encode
 from tests.simulation.agenda import Agenda
 from tests.simulation.process import ExecutorProcess
 
@@ -119,9 +119,9 @@ class Network:
         """Makes an operator halt the arm over a connection of its own."""
         client = self._new_client()
         self._executor.hear(client, FromClient(client, Hello(VERSION, "operator", self._arm)))
-        self._executor.hear(client, FromClient(client, Halt(1)))
+        self._executor.hear(client, FromClient(client, Stop(1)))
         self._executor.hear(client, ClientGone(client))
-        self.sent["Halt"] += 1
+        self.sent["Stop"] += 1
 
     def deliver(self, client: ClientId, message: Up) -> None:
         """Sends a message of the executor; a `Goodbye` ends the connection."""

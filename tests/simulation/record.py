@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import LONGEST, Executor
+from controller.executor.core.core import LONGEST_TICK, Executor
 from controller.executor.core.events import TICK, ClientGone, Event, ExecutorTick, FromClient
 from controller.executor.motion.program_execution import STARVED
 from controller.program import (
@@ -18,7 +18,6 @@ from controller.program import (
     Cancel,
     Declined,
     Ended,
-    Halt,
     Hello,
     Program,
     Replaced,
@@ -27,6 +26,7 @@ from controller.program import (
     Setpoint,
     Settled,
     Snapshot,
+    Stop,
     Up,
     unpack,
 )
@@ -130,7 +130,7 @@ class Record(Witness):
         match message:
             case Acknowledge():
                 self.acknowledged.add((self.instance, message.result))
-            case Cancel(program=None) | Halt():
+            case Cancel(program=None) | Stop():
                 self._stops = True
                 self._hold()
             case Cancel() if self.running is not None and self.running.number == message.program:
@@ -152,7 +152,7 @@ class Record(Witness):
                 self._accept(message)
             case Declined(cause="moved") if (core := self.core()) is not None:
                 self.declined_in_switch = core.motion.busy
-            case Answer() if isinstance(self._message, Halt | Cancel):
+            case Answer() if isinstance(self._message, Stop | Cancel):
                 self.floor += getattr(self._message, "program", None) is None
                 if self._stops:
                     of_one = isinstance(self._message, Cancel) and self._message.program is not None
@@ -202,7 +202,7 @@ class Record(Witness):
             if asked:
                 execution, states = core.motion.execution, core.motion.actuation.states
                 homed, self.commit.homes = (-1, states) if execution is None else execution.homed
-                self.commit.homing = core.motion.homing & homed
+                self.commit.homing = core.motion.readings.homing & homed
             self.commit.releases = any(core.motion.kinds.on(core._master.outputs))
         return None
 
@@ -273,7 +273,7 @@ class Record(Witness):
         planner = core._clients.planner
         match event:
             case ExecutorTick():
-                passed = min(now - self._last_tick, LONGEST)
+                passed = min(now - self._last_tick, LONGEST_TICK)
                 self._last_tick = now
                 self._silence += passed
                 if self.running is not None and self.running.starves:

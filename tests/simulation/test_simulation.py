@@ -16,6 +16,7 @@ from controller.executor.core.results import ProgramResults
 from controller.executor.motion.actuation import Actuation
 from controller.executor.motion.motion import ArmMotion
 from controller.executor.motion.program_execution import STARVED, End, ProgramExecution
+from controller.executor.motion.readings import Readings
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import Replacement
 from drivers.canopen.run.commit import Commit
@@ -131,7 +132,7 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "a start energises": (Modes, "hold_measured", lambda self, now: _energise(self, now)),
     "START applies other outputs": (SimulatedBoard, "_enter", _start_switches),
     "waiting RPDOs are switched after a stop": (Commit, "give_up", _give_up_late),
-    "interlocks are ignored": (ArmMotion, "interlocks", lambda self: []),
+    "interlocks are ignored": (Readings, "interlock_faults", lambda self: []),
     "the loss of the planner begins no epoch": (Executor, "_lose_planner", _begin_no_epoch),
     "marks settle again after a replacement": (ProgramExecution, "replace", _settle_again),
     "stages are taken again after a replacement": (ProgramExecution, "replace", _take_again),

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from controller.host.sockets import found_sockets, socket_path
-from controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Halt, Hello, Malformed, decode_up, encode
+from controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Hello, Malformed, Stop, decode_up, encode
 
 ENDPOINT = "tcp/127.0.0.1:7447"  # as in controller.commands.common, which takes longer to import
 ARM = "The arm's file, or its name. With --local it may be absent: all arms of this computer."
@@ -108,7 +108,7 @@ def halt_at(path: Path, name: str) -> str:
         connection.settimeout(ANSWER_WITHIN)
         connection.connect(str(path))
         connection.send(encode(Hello(VERSION, "operator", name)))
-        connection.send(encode(Halt(1)))
+        connection.send(encode(Stop(1)))
         while True:
             data = connection.recv(MOST_BYTES + 1)
             if not data:

@@ -114,7 +114,7 @@ class Ending:
         reason = "contracting before the end of the executor"
         message = Setpoint(0, 0, pack(states, size), tuple(stages), 1e15, strict=False, reason=reason)
         stream = SetpointStream(message, self._arm.most, self._locked, size)
-        if not stages and not self._motion.homing:
+        if not stages and not self._motion.readings.homing:
             self._contracting = False
             return
         if not stages:  # only actuators of unknown state: homing them is enough

@@ -63,7 +63,7 @@ class Modes:
     Attributes:
         mode: of the executor.
         reason: a sentence on the mode.
-        epoch: grows with each cancel, halt, reset, fault, change of the locked actuators, end of a boot, and loss of
+        epoch: grows with each cancel, stop, reset, fault, change of the locked actuators, end of a boot, and loss of
             the planner.
         faults: active faults.
 
@@ -124,7 +124,7 @@ class Modes:
         """Boots the boards; `update` finds the end of the boot."""
         self.faults.clear()
         self._booting = self._waits = True
-        self._motion.supervision.reset(0, 0, self._motion.ends, self._motion.clock)
+        self._motion.supervision.reset(0, 0, self._motion.readings.ends, self._motion.clock)
         self.enter("starting", reason)
         self._begin_boot(now)
 
@@ -138,7 +138,7 @@ class Modes:
             if self.mode == "starting":  # after a stop, only Reset boots
                 self._booted(now)
         if not self._booting:
-            for fault in self._motion.interlocks():
+            for fault in self._motion.readings.interlock_faults():
                 self.fail(fault, now)
 
     def fail(self, fault: ArmFault, now: float) -> None:
@@ -161,9 +161,9 @@ class Modes:
 
     def hold_measured(self, now: float) -> None:
         """Adopts the measured states and enters mode ready."""
-        self._locked.lock_as_measured(self._motion.read, self._motion.definite)
+        self._locked.lock_as_measured(self._motion.readings.read, self._motion.readings.definite)
         self._motion.adopt(now)
-        self._motion.supervision.accept(self._motion.measured, self._master.known)
+        self._motion.supervision.accept(self._motion.readings.measured, self._master.known)
         self.new_epoch()
         locked = f", {self._locked.sentence()}" if self._locked.mask else ""
         self.enter("ready", f"holding what the boards measured{locked}")
@@ -176,7 +176,7 @@ class Modes:
             self._master.boot(now)
 
     def _booted(self, now: float) -> None:
-        for fault in (*self._master.boot_faults, *self._motion.interlocks()):
+        for fault in (*self._master.boot_faults, *self._motion.readings.interlock_faults()):
             if self.faults.add(fault):
                 self._log(logging.ERROR, fault)
         for warning in self._master.warnings():
@@ -186,7 +186,7 @@ class Modes:
         else:
             self._motion.adopt(now)
             motion = self._motion
-            motion.supervision.reset(motion.measured, self._master.known, motion.ends, motion.clock)
+            motion.supervision.reset(motion.readings.measured, self._master.known, motion.readings.ends, motion.clock)
             self.hold_measured(now)
 
     def _log(self, level: int, fault: ArmFault) -> None:

@@ -45,7 +45,7 @@ class Reports:
     def snapshot_due(self, now: float) -> bool:
         """Returns whether a snapshot is due at this tick: by time, or because the state has changed."""
         motion = self._motion
-        shown = (motion.actuation.states, motion.measured, motion.known, int(motion.moving))
+        shown = (motion.actuation.states, motion.readings.measured, motion.readings.known, int(motion.moving))
         self.changed |= shown != self._shown
         self._shown = shown
         return self.changed or now >= self._next_snapshot
@@ -55,7 +55,7 @@ class Reports:
         self.changed, self._next_snapshot = False, now + SNAPSHOT_EVERY
         motion, size = self._motion, self._size
         execution, stream = motion.execution, motion.stream
-        measured, known = motion.packed()
+        measured, known = motion.readings.packed()
         every = faults + self._locked.faults() + self._master.warnings() + self._own()
         return Snapshot(
             at=now,
@@ -66,7 +66,7 @@ class Reports:
             measured=measured,
             known=known,
             sensed=pack(motion.kinds.sensed, size),
-            homing=pack(motion.homing & self._master.known, size),
+            homing=pack(motion.readings.homing & self._master.known, size),
             locked=pack(self._locked.mask, size),
             locks=self._locked.number,
             moving=motion.moving,
@@ -106,7 +106,7 @@ class Reports:
     def _own(self) -> tuple[ArmFault, ...]:
         problem = self._health.journal
         journal = () if problem is None else (ArmFault("journal", "executor", problem),)
-        return journal + tuple(self._unknown(k) for k in indices(self._motion.homing & self._master.known))
+        return journal + tuple(self._unknown(k) for k in indices(self._motion.readings.homing & self._master.known))
 
     def _unknown(self, k: int) -> ArmFault:
         label, guess = self._arm.actuators[k], WORDS[self._motion.actuation.states >> k & 1]

@@ -1,4 +1,4 @@
-"""Requests of clients: programs, set-points, cancel, halt, reset, lock."""
+"""Requests of clients: programs, set-points, cancel, stop, reset, lock."""
 
 import logging
 from collections.abc import Callable
@@ -21,13 +21,13 @@ from controller.program import (
     Declined,
     Down,
     Goodbye,
-    Halt,
     Lock,
     Program,
     Replaced,
     Replacement,
     Reset,
     Setpoint,
+    Stop,
 )
 
 
@@ -92,8 +92,8 @@ class ClientRequests:
 
     def receive_request(self, client: ClientId, message: Down, now: float) -> None:
         """Carries out a request, and answers it now or as soon as nothing switches any more."""
-        if self._clients.roles[client] == "operator" and not isinstance(message, Halt):
-            self._act(ToClient(client, Goodbye("an operator may only halt")))
+        if self._clients.roles[client] == "operator" and not isinstance(message, Stop):
+            self._act(ToClient(client, Goodbye("an operator may only stop the arm")))
             return
         match message:
             case Program():
@@ -103,11 +103,11 @@ class ClientRequests:
             case Setpoint():
                 self._follow(message, now)
             case Clearance():
-                self._motion.clearances.answer(message)
+                self._motion.clearances.receive_answer(message)
             case Cancel():
                 self._cancel(client, message, now)
-            case Halt():
-                self._halt(client, message, now)
+            case Stop():
+                self._stop(client, message, now)
             case Reset():
                 self._answer(client, message.request, *self._reset(now))
             case Lock():
@@ -180,7 +180,7 @@ class ClientRequests:
         if (self._modes.mode, self._modes.reason) != ("executing", message.reason):
             self._modes.enter("executing", message.reason)
 
-    # --- cancel, halt, reset, lock
+    # --- cancel, stop, reset, lock
 
     def _cancel(self, client: ClientId, message: Cancel, now: float) -> None:
         """Ends one program, or whatever is running."""
@@ -195,7 +195,7 @@ class ClientRequests:
         self._hold_answer(client, message.request, *done, now)
         self._modes.hold("canceled", message.reason or "canceled; the arm holds", f"holding; {name} was canceled")
 
-    def _halt(self, client: ClientId, message: Halt, now: float) -> None:
+    def _stop(self, client: ClientId, message: Stop, now: float) -> None:
         """Stops: nothing moves until a reset."""
         self._modes.new_epoch()
         self._hold_answer(client, message.request, "stopped", "the arm holds until reset", now)
@@ -230,10 +230,10 @@ class ClientRequests:
                 self._answer(held.client, held.request, True, text)
 
     def _reset(self, now: float) -> tuple[bool, str]:
-        """Boots the boards after a fault or a halt; returns whether the request is accepted, and the answer."""
+        """Boots the boards after a fault or a stop; returns whether the request is accepted, and the answer."""
         if self._modes.mode not in ("fault", "stopped"):
             return True, f"nothing to reset: the arm is {self._modes.mode}"
-        if opened := self._motion.interlocks():
+        if opened := self._motion.readings.interlock_faults():
             return False, opened[0].message + (f" (and {len(opened) - 1} more)" if opened[1:] else "")
         self._modes.new_epoch()
         self._modes.boot("the boards are being booted after a reset", now)
@@ -242,7 +242,7 @@ class ClientRequests:
     def _lock(self, client: ClientId, message: Lock, now: float) -> None:
         """Locks or unlocks an actuator; nothing moves."""
         motion = self._motion
-        refusal = self._locked.refusal(message.actuator, message.state, motion.read, motion.definite)
+        refusal = self._locked.refusal(message.actuator, message.state, motion.readings.read, motion.readings.definite)
         mode = self._modes.mode
         if mode == "executing" or self._motion.moving or self._motion.busy:
             refusal = f"the arm is {mode}, and may not move while locks change: cancel, then try again"
