@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from controller.executor.core.arm import read_arm
-from controller.program import Goodbye, Welcome, encode
+from controller.program import VERSION, Goodbye, Welcome, encode
 from drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM
 
@@ -89,7 +89,7 @@ def test_a_missing_file_is_unusable_input(board, words, sentence):
 
 
 @pytest.mark.parametrize("action", ["errors", "reset"])
-@pytest.mark.parametrize("answer", [Welcome(1, "planar16", "", 1, (), 0), Goodbye("of another version")])
+@pytest.mark.parametrize("answer", [Welcome(VERSION, "planar16", "", 1, (), 0), Goodbye("of another version")])
 def test_the_command_refuses_while_the_executor_runs(board, arm, tmp_path, action, answer):
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as server:
         server.bind(str(tmp_path / "planar16.sock"))

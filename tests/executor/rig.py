@@ -14,6 +14,7 @@ from controller.executor.core.core import PERIOD, Executor
 from controller.executor.core.events import Client, ClientGone, FromClient, Log, Notify, Tick, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import (
+    VERSION,
     Alive,
     Diagnostics,
     Ended,
@@ -113,7 +114,7 @@ class Rig:
         self.do(FromClient(client, message))
 
     def connect(self, client: Client = PLANNER, role: str = "planner") -> None:
-        self.send(Hello(1, role, "small"), client)
+        self.send(Hello(VERSION, role, "small"), client)
         self.alive |= client == PLANNER
 
     def gone(self, client: Client = PLANNER) -> None:

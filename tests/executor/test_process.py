@@ -18,6 +18,7 @@ import pytest
 from controller.commands.operate.demo import patient
 from controller.program import (
     MOST_BYTES,
+    VERSION,
     Acknowledge,
     Ended,
     Goodbye,
@@ -83,7 +84,7 @@ class Planner:
                 self.socket.connect(str(path))
                 break
             time.sleep(0.05)
-        self.send(Hello(1, "planner", "planar16"))
+        self.send(Hello(VERSION, "planner", "planar16"))
 
     def send(self, message: Any) -> None:
         self.socket.send(encode(message))

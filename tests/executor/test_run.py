@@ -17,6 +17,7 @@ from controller.executor.process.switch_journal import MemoryJournal
 from controller.host.notify import Notifier
 from controller.program import (
     MOST_BYTES,
+    VERSION,
     Accepted,
     Diagnostics,
     Ended,
@@ -67,7 +68,7 @@ class Bench:
         self.client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.client.settimeout(10)
         self.client.connect(str(path))
-        self.send(Hello(1, "planner", "small"))
+        self.send(Hello(VERSION, "planner", "small"))
 
     def send(self, message: Any) -> None:
         self.client.send(encode(message))

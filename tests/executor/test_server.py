@@ -14,6 +14,7 @@ from controller.executor.process.server import MOST_QUEUED, Server, SocketInUse
 from controller.host.sockets import default_socket, found_sockets, socket_path
 from controller.program import (
     MOST_BYTES,
+    VERSION,
     Alive,
     Answer,
     Diagnostics,
@@ -54,10 +55,10 @@ def test_messages_come_in_with_their_process_and_answers_go_out(server: Server, 
         events = server.poll()
         assert [event.message for event in events] == [Alive(), Halt(3)]
         assert events[0].client.pid == os.getpid()
-        server.send(events[0].client, Answer(3, True, "stopped"))
-        assert decode_up(client.recv(MOST_BYTES)) == Answer(3, True, "stopped")
+        server.send(events[0].client, Answer(3, "stopped"))
+        assert decode_up(client.recv(MOST_BYTES)) == Answer(3, "stopped")
     assert server.poll() == [ClientGone(events[0].client)]
-    server.send(events[0].client, Answer(3, True, "nobody"))
+    server.send(events[0].client, Answer(3, "nobody"))
 
 
 @pytest.mark.parametrize("packet", [b"nonsense", b"\x91\xa3abc", encode(Alive()) + b"\0", b"\0" * (MOST_BYTES + 1)])
@@ -106,7 +107,7 @@ def test_who_never_reads_is_disconnected_at_last(server: Server, path: Path) -> 
         while not server.waiting:
             server.send(event.client, TELEMETRY)
         for _ in range(MOST_QUEUED + 1):
-            server.send(event.client, Answer(1, True, ""))
+            server.send(event.client, Answer(1, ""))
         assert server.poll() == [ClientGone(event.client)]
 
 
@@ -160,9 +161,9 @@ def halted(server: Server, path: Path, role: str = "operator") -> bool:
     """Whether a new client of a role is heard."""
     with connected(path) as client:
         server.poll()
-        client.send(encode(Hello(1, role, "")))
+        client.send(encode(Hello(VERSION, role, "")))
         client.send(encode(Halt(1)))
-        return [e.message for e in server.poll() if isinstance(e, FromClient)] == [Hello(1, role, ""), Halt(1)]
+        return [e.message for e in server.poll() if isinstance(e, FromClient)] == [Hello(VERSION, role, ""), Halt(1)]
 
 
 def test_silent_connections_keep_nobody_out(timed: Server, path: Path) -> None:
@@ -179,7 +180,7 @@ def test_operators_keep_neither_operators_nor_the_planner_out(timed: Server, pat
     operators = []
     for _ in range(100):
         operators.append(connected(path))
-        operators[-1].send(encode(Hello(1, "operator", "")))
+        operators[-1].send(encode(Hello(VERSION, "operator", "")))
         timed.poll()
     assert sum(map(is_open, operators)) == PLACES["operator"]
     assert is_open(operators[-1])
@@ -190,7 +191,7 @@ def test_operators_keep_neither_operators_nor_the_planner_out(timed: Server, pat
 def test_who_says_nothing_in_time_is_closed(timed: Server, path: Path, clock: Clock) -> None:
     with connected(path) as silent, connected(path) as wrong, connected(path) as client:
         wrong.send(encode(Alive()))
-        client.send(encode(Hello(1, "operator", "")))
+        client.send(encode(Hello(VERSION, "operator", "")))
         timed.poll()
         clock.now += 0.9 * HELLO_TIMEOUT
         timed.poll([])
@@ -203,7 +204,7 @@ def test_who_says_nothing_in_time_is_closed(timed: Server, path: Path, clock: Cl
 def test_a_loop_that_was_late_hears_a_hello_before_it_judges(timed: Server, path: Path, clock: Clock) -> None:
     with connected(path) as client:
         timed.poll()
-        client.send(encode(Hello(1, "operator", "")))
+        client.send(encode(Hello(VERSION, "operator", "")))
         clock.now += 60.0
         (event,) = timed.poll([])
         assert isinstance(event, FromClient)
@@ -212,7 +213,7 @@ def test_a_loop_that_was_late_hears_a_hello_before_it_judges(timed: Server, path
 
 def test_who_does_not_read_its_goodbye_is_closed_in_time(timed: Server, path: Path, clock: Clock) -> None:
     with connected(path) as client:
-        client.send(encode(Hello(1, "planner", "")))
+        client.send(encode(Hello(VERSION, "planner", "")))
         (event,) = timed.poll()
         while not timed.waiting:
             timed.send(event.client, TELEMETRY)

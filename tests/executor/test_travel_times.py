@@ -12,7 +12,7 @@ from controller.executor.core.kinds import Ends
 from controller.executor.motion.travel_times import TravelTimes
 from controller.executor.process.embedded_boards import EmbeddedBoards
 from controller.executor.process.switch_journal import MemoryJournal
-from controller.program import Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
+from controller.program import VERSION, Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
 from drivers.simulation.buses import _LEAST_PULSE
 from tests.executor.rig import PLANNER, SIZE, small_arm
 from tests.executor.world import STEP, World, ready
@@ -75,7 +75,7 @@ def test_boards_inside_an_executor_that_stalls_give_their_own_times(lateness: fl
             elif isinstance(action, ToClient):
                 heard.append(action.message)
 
-    do(FromClient(PLANNER, Hello(1, "planner", "small")))
+    do(FromClient(PLANNER, Hello(VERSION, "planner", "small")))
     for k in range(1000):
         now += 0.003 if k % 10 else 0.003 + lateness
         for event in boards.poll(now):

@@ -8,7 +8,7 @@ from typing import Any
 
 from controller.executor.core.core import PERIOD, Executor
 from controller.executor.core.events import Client, ClientGone, Event, FromClient
-from controller.program import Alive, Hello, Program, Snapshot, Stage, Up, pack
+from controller.program import VERSION, Alive, Hello, Program, Snapshot, Stage, Up, pack
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.simulation.variants import Variant
@@ -50,7 +50,7 @@ class World(Hardware, Witness):
 
     def connect(self) -> None:
         """Connects the planner, which then keeps itself alive."""
-        self.send(Hello(1, "planner", "small"))
+        self.send(Hello(VERSION, "planner", "small"))
 
     def leave(self) -> None:
         """Closes the planner's connection."""

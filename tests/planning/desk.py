@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from controller.arm.arm import Arm
-from controller.motion.codes import Refusal
 from controller.motion.stages.pacing import pace_of
 from controller.obstacles.obstacles import NONE
 from controller.planning.core.core import Beginning, Core
@@ -47,11 +46,11 @@ from controller.planning.core.tasks import (
     BuildTables,
     Done,
     Failed,
-    Refused,
     Task,
 )
 from controller.planning.planner import RequestDecoder
-from controller.program import Alive, Cancel, Counts, Down, Halt, Up, Welcome, pack, unpack
+from controller.program import VERSION, Alive, Cancel, Counts, Down, Halt, Up, Welcome, pack, unpack
+from controller.refusals.refusal import Refusal
 from controller.workspace.densities import Densities
 from tests.planning.played_executor import PlayedExecutor
 from tests.planning.prompt_workers import PromptWorkers
@@ -72,7 +71,7 @@ class DeskExecutor(PlayedExecutor):
 
     def greet(self, greatest: int = 0) -> None:
         """Accepts the planner, and shows the arm."""
-        self.send(Welcome(1, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest))
+        self.send(Welcome(VERSION, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest))
         self.show()
 
     def now(self) -> float:
@@ -255,7 +254,7 @@ class Desk:
                 raise MemoryError("no memory")
             yield from self.workers.perform(task)
         except Refusal as refusal:
-            yield Refused(refusal.code, str(refusal))
+            yield refusal.data
         except Exception as error:
             yield Failed(repr(error))
 
@@ -267,7 +266,7 @@ class Desk:
         try:
             message = self._decode(key, data)
         except Refusal as refusal:
-            self.inbox.put(name, refused(refusal.code, str(refusal), refusal.goal))
+            self.inbox.put(name, refused(refusal))
             return 0
         self._numbers += 1
         self._names[self._numbers] = name

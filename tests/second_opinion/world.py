@@ -13,7 +13,7 @@ from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import PERIOD, Executor
 from controller.executor.core.events import Client, FromClient, Log, Send, Tick, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
-from controller.program import Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
+from controller.program import VERSION, Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
 from tests.second_opinion.board import MODULE, Board, Change, Kind
@@ -110,7 +110,7 @@ class World:
         self.cable = Cable(self)
         self.wire = Wire(self.cable, self)
         self.core = Executor(self.arm, self.journal, instance=self.instances)
-        self.send(Hello(1, "planner", self.arm.name))
+        self.send(Hello(VERSION, "planner", self.arm.name))
 
     def kill(self) -> None:
         """Ends the executor without a word."""

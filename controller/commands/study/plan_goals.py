@@ -11,7 +11,7 @@ from controller.arm.arm import Arm
 from controller.commands.common import Failed, errors
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Configuration
-from controller.motion.codes import Refusal
+from controller.refusals.refusal import Refusal
 from controller.search.method import Method
 
 if TYPE_CHECKING:  # the search's kernels take a second to import
