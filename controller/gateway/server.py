@@ -15,7 +15,7 @@ import zenoh
 
 from controller.gateway.arrivals import FloodBrake, Rate, RepeatedGoals, Reply
 from controller.gateway.outbox import Outbox
-from controller.motion.decoding.goal import GoalMessage
+from controller.motion.decoding.goal import GoalMessage, Undecodable
 from controller.planning.core.events import CancelMessage, Key, Message, Payload, SetpointArrived, TipArrived, refused
 from controller.planning.loop import Receive
 from controller.planning.planner import Planner
@@ -187,11 +187,11 @@ class Way:
             self._planner.loop.request(self._key, message, reply)
 
     def _decode(self, payload: bytes) -> Message:
-        """Returns the content of a request, or raises Refusal; without the reason while many are invalid."""
+        """Returns the content of a request, or raises Refusal; in a flood without a reason that takes long."""
         try:
             return self._planner.decoder.decode(self._key, payload)
         except Refusal as refusal:
-            if self._brake.explained.admits():
+            if not isinstance(refusal, Undecodable) or self._brake.explained.admits():
                 raise
             raise Refusal(Reason.NOT_EXPLAINED, refusal.goal) from None
 

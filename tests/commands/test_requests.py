@@ -61,7 +61,9 @@ def test_a_refused_change_ends_with_1_and_earlier_changes_remain(hyperbit, endpo
     assert err == "refused (code -1): actuator: '5.middle' is no actuator of this arm; they are 1.left to 16.right\n"
     code, out, err = hyperbit(*words, "7.right=extended", "--json")
     assert (code, json.loads(out)["accepted"]) == (1, False)
-    assert err == "refused (code -1): state: the end-stop of 7.right reads contracted\n"
+    told, step, end = err.split("\n")
+    assert told == "refused (code -1): state: the end-stop of 7.right reads contracted"
+    assert (step, end) == ("Next: lock it in this state, or repair the end-stop", "")
     assert hyperbit(*words, "5.left=free")[1] == "no actuator is locked\n"
 
 

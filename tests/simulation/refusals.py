@@ -152,4 +152,7 @@ CAUSES = {
     Reason.LOCKED_CONFIGURATION: _answered,
     Reason.TIMES_TOO_CLOSE: _answered,
     Reason.TIMES_NOT_INCREASING: _answered,
+    Reason.TIME_TOO_SHORT: _answered,
+    Reason.WRONG_DIMENSION: _answered,
+    Reason.NO_WAYPOINTS: _answered,
 }
