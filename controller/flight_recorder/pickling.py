@@ -18,7 +18,8 @@ from controller.flight_recorder.keeper import RefusedFile
 
 # What a pickle of events may contain: classes of these modules, which only hold data and compute.
 PURE = re.compile(
-    r"controller\.(armfile\.settings|host\.process|program(\.\w+)?|(manipulator|motion(\.\w+)?|obstacles|planning\.core)\.\w+)"
+    r"controller\.(armfile\.settings|host\.process|program(\.\w+)?"
+    r"|(manipulator|motion(\.\w+)?|obstacles|planning\.core|refusals)\.\w+)"
     r"|controller\.executor\.((core|motion)\.\w+|process\.clients)"
     r"|drivers\.canopen\.((boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link|load|tx_echo))"
 )

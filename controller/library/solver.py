@@ -16,10 +16,10 @@ from controller.library.errors import GoalError, PathError
 from controller.library.goals import Goal, ToleratedGoal, with_tolerances
 from controller.library.obstacles import Obstacle, build_obstacles
 from controller.manipulator.manipulator import Configuration
-from controller.motion.codes import Refusal
 from controller.motion.plans.whole import WHOLE_TIME, TipGoals, plan_whole, unhurried
 from controller.motion.stages.pacing import pace_of
 from controller.motion.trajectory import MOST_POINTS
+from controller.refusals.refusal import Refusal
 from controller.search import solver as search
 from controller.search.method import METHODS, MINIMUM_SWITCH, Method
 from controller.search.solution import Certificate, Solution

@@ -31,6 +31,7 @@ from controller.panel.requests import (
     TakeControlRequest,
     UrgentRequest,
 )
+from controller.refusals.reasons import advice
 
 log = logging.getLogger(__name__)
 
@@ -123,7 +124,8 @@ class ArmPage:
         except Exception:
             log.exception("arm %s: a request failed", self._view.name)
             answer = {"accepted": False, "message": "internal error, see the panel's journal"}
-        self._page.reply(encoded({"section": "reply", "n": request.n, **answer}))
+        advised = {"advice": advice(answer["reason"], self._view.name)} if "reason" in answer else {}
+        self._page.reply(encoded({"section": "reply", "n": request.n, **answer, **advised}))
 
     async def _carry_out(self, request: PageRequest) -> Message:
         match request:

@@ -11,7 +11,6 @@ from typing import Literal, NamedTuple, Protocol
 from controller.flight_recorder import FlightRecorder
 from controller.host.notify import Notifier
 from controller.host.process import Log, Notify, Quit
-from controller.motion.codes import INVALID_GOAL
 from controller.planning.core import events
 from controller.planning.core.core import Core
 from controller.planning.core.requests import CANCELED
@@ -20,6 +19,8 @@ from controller.planning.ledger import Ledger, PublishedResults
 from controller.planning.link import ExecutorLink, Inbox
 from controller.planning.workers.pool import Workers
 from controller.program import Cancel, Fault, Stop
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 
@@ -127,7 +128,7 @@ class Loop:
         if self._thread.ident is not None:
             self._thread.join(timeout)
         for number in list(self._replies):
-            self._carry_out(events.Reply(number, events.refused(INVALID_GOAL, events.CLOSING)))
+            self._carry_out(events.Reply(number, events.refused(Refusal(Reason.SHUTTING_DOWN))))
         self._link.close()
 
     def request(self, key: events.Key, message: events.Message, reply: OnReply) -> int:

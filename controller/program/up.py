@@ -6,6 +6,7 @@ import msgspec
 from msgspec import Meta
 
 from controller.program.parts import MOST_TRAVELS, Index, Message, Mode, Number, Seconds, States, Text, Travel
+from controller.refusals.refusal import Refused
 
 
 class Welcome(Message, frozen=True, tag="welcome"):
@@ -33,11 +34,22 @@ class Goodbye(Message, frozen=True, tag="goodbye"):
 
 
 class Answer(Message, frozen=True, tag="answer"):
-    """The answer to a request."""
+    """The answer to a request.
+
+    Attributes:
+        request: its number.
+        message: what is done, or why it is refused, as a sentence.
+        refused: the refusal as data; None if the request is carried out.
+    """
 
     request: Number
-    accepted: bool
     message: Text
+    refused: Refused | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the request is carried out."""
+        return self.refused is None
 
 
 class Accepted(Message, frozen=True, tag="accepted"):
@@ -57,13 +69,11 @@ class Declined(Message, frozen=True, tag="declined"):
 
     Attributes:
         program: its number.
-        cause: with "moved" the planner must plan again from the latest snapshot; the others are final.
-        reason: a sentence.
+        refused: why. If the arm has moved, the planner must plan again from the latest snapshot; the others are final.
     """
 
     program: Number
-    cause: Literal["moved", "epoch", "mode", "locked", "malformed"]
-    reason: Text
+    refused: Refused
 
 
 class Replaced(Message, frozen=True, tag="replaced"):

@@ -59,7 +59,7 @@ def test_an_operator_may_halt_and_nothing_else(rig: Rig) -> None:
     rig.run(A, B)
     rig.connect(OPERATOR, "operator")
     rig.send(Stop(5), OPERATOR)
-    assert rig.last(Answer, OPERATOR) == Answer(5, True, "stopped; the arm holds until reset")
+    assert rig.last(Answer, OPERATOR) == Answer(5, "stopped; the arm holds until reset")
     assert (rig.mode, rig.results) == ("stopped", [(1, "aborted")])
     rig.send(Reset(6), OPERATOR)
     assert rig.last(Goodbye, OPERATOR).reason == "an operator may only stop the arm"
@@ -107,7 +107,7 @@ def test_what_a_planner_sent_before_it_fell_silent_moves_nothing(rig: Rig, dies:
         rig.go(1.5)
     rig.run(A, epoch=before)
     rig.follow(2, A, epoch=before)
-    assert rig.last(Declined).cause == "epoch"
+    assert rig.last(Declined).refused.reason.value == "overtaken"
     rig.go()
     assert (rig.switched, rig.mode, rig.snapshot.epoch) == ([], "ready", before + 1)
     rig.run(A)

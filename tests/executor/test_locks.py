@@ -28,7 +28,7 @@ def test_a_locked_actuator_is_switched_by_no_program(rig: Rig) -> None:
     assert (unpack(rig.snapshot.locked), rig.snapshot.locks) == (1, 1)
     assert [fault.code for fault in rig.snapshot.faults] == ["degraded"]
     rig.run(A)
-    assert rig.last(Declined).cause == "locked"
+    assert rig.last(Declined).refused.reason.value == "program-locked"
     rig.follow(9, A)
     rig.run(A & ~1)
     rig.go(0.3)

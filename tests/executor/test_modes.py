@@ -44,7 +44,7 @@ def test_cancel_holds_and_begins_a_new_epoch(rig: Rig) -> None:
     assert rig.last(Ended).message == "canceled; the arm holds"
     assert (rig.mode, rig.reason) == ("ready", "holding; goal 2 was canceled")
     rig.send(old)
-    assert rig.last(Declined).cause == "epoch"
+    assert rig.last(Declined).refused.reason.value == "overtaken"
     rig.send(Cancel(2, None, ""))
     assert answer(rig) == (True, "there was no goal to cancel; the arm holds")
     rig.go(0.5)
@@ -63,7 +63,7 @@ def test_one_program_alone_is_canceled(rig: Rig) -> None:
 def test_a_halt_stays_until_reset(rig: Rig) -> None:
     rig.send(Stop(1))
     rig.run(A)
-    assert (rig.last(Declined).cause, rig.mode) == ("mode", "stopped")
+    assert (rig.last(Declined).refused.reason.value, rig.mode) == ("arm-stopped", "stopped")
     rig.go(3 * RETRY)
     rig.send(Reset(2))
     assert rig.mode == "starting"
@@ -153,7 +153,11 @@ def test_a_halted_process_acts_on_nothing_old(rig: Rig) -> None:
     rig.agenda.run(3)
     rig.master.halt = ArmFault("halted", "executor", "halted for 3 s")
     rig.send(late)
-    assert (rig.mode, rig.last(Declined).cause, rig.last(Ended).message) == ("fault", "mode", "halted for 3 s")
+    assert (rig.mode, rig.last(Declined).refused.reason.value, rig.last(Ended).message) == (
+        "fault",
+        "arm-in-fault",
+        "halted for 3 s",
+    )
     rig.go(0.5)
     assert rig.switched == [A]
 
@@ -200,7 +204,7 @@ def test_at_the_end_the_program_has_its_result_and_nothing_more_is_taken(rig: Ri
     assert rig.last(Ended).message == "the executor is shutting down; the arm holds"
     assert "STOPPING=1" in rig.notified
     rig.run(B)
-    assert rig.last(Declined).reason == "the executor is shutting down"
+    assert rig.last(Declined).refused.reason.value == "executor-shutting-down"
     rig.go(0.5)
     assert rig.switched == [A]
 

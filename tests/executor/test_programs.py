@@ -18,6 +18,8 @@ from controller.program import (
     Stop,
     pack,
 )
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refused
 from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
 
 A, B, C = 0b000111, 0b011100, 0b110000
@@ -95,19 +97,19 @@ def test_a_new_program_replaces_the_running_one(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fields", "cause"),
+    ("fields", "reason"),
     [
-        ({"epoch": 0}, "epoch"),
-        ({"start": 1}, "moved"),
-        ({"number": 0}, "malformed"),
-        ({"stages": (Stage(b"", 0.0),)}, "malformed"),
-        ({"stages": (Stage(b"\xff", 0.0),)}, "malformed"),
-        ({"stages": (Stage(pack(A, SIZE), 1.0), Stage(pack(B, SIZE), 0.5))}, "malformed"),
+        ({"epoch": 0}, "overtaken"),
+        ({"start": 1}, "moved-since-planned"),
+        ({"number": 0}, "program-malformed"),
+        ({"stages": (Stage(b"", 0.0),)}, "program-malformed"),
+        ({"stages": (Stage(b"\xff", 0.0),)}, "program-malformed"),
+        ({"stages": (Stage(pack(A, SIZE), 1.0), Stage(pack(B, SIZE), 0.5))}, "program-malformed"),
     ],
 )
-def test_a_program_that_does_not_fit_is_declined(rig: Rig, fields: dict, cause: str) -> None:
+def test_a_program_that_does_not_fit_is_declined(rig: Rig, fields: dict, reason: str) -> None:
     rig.run(A, **fields)
-    assert rig.last(Declined).cause == cause
+    assert rig.last(Declined).refused.reason.value == reason
     rig.go(0.2)
     assert (rig.mode, rig.switched, rig.results) == ("ready", [], [])
 
@@ -118,13 +120,13 @@ def test_a_program_during_a_switch_is_declined_with_this_reason(rig: Rig) -> Non
     rig.go(TICK)
     rig.run(B, start=0)
     declined = rig.last(Declined)
-    assert (declined.cause, declined.reason) == ("moved", "the boards have not confirmed the last switch yet")
+    assert declined.refused == Refused(Reason.SWITCH_NOT_CONFIRMED)
 
 
 def test_stages_over_the_inrush_limit_are_declined_and_others_wait_for_the_previous_stage() -> None:
     rig = ready(inrush=2)
     rig.run(A)
-    assert rig.last(Declined).cause == "malformed"
+    assert rig.last(Declined).refused.reason.value == "program-malformed"
     rig.run(0b000011, 0b001111, 0b111111, step=0.0)
     rig.go(1)
     times = [at for at, _ in rig.master.commits]
@@ -232,4 +234,4 @@ def test_while_a_stage_is_switched_a_program_is_asked_to_plan_anew(rig: Rig) -> 
     rig.master.slow_sync = True
     rig.run(A, B)
     rig.run(C)
-    assert rig.last(Declined).cause == "moved"
+    assert rig.last(Declined).refused.reason.value == "switch-not-confirmed"

@@ -55,10 +55,10 @@ def test_messages_come_in_with_their_process_and_answers_go_out(server: Executor
         events = server.poll()
         assert [event.message for event in events] == [Alive(), Stop(3)]
         assert events[0].client.pid == os.getpid()
-        server.send_message(events[0].client, Answer(3, True, "stopped"))
-        assert decode_up(client.recv(MOST_BYTES)) == Answer(3, True, "stopped")
+        server.send_message(events[0].client, Answer(3, "stopped"))
+        assert decode_up(client.recv(MOST_BYTES)) == Answer(3, "stopped")
     assert server.poll() == [ClientGone(events[0].client)]
-    server.send_message(events[0].client, Answer(3, True, "nobody"))
+    server.send_message(events[0].client, Answer(3, "nobody"))
 
 
 @pytest.mark.parametrize("packet", [b"nonsense", b"\x91\xa3abc", encode(Alive()) + b"\0", b"\0" * (MOST_BYTES + 1)])
@@ -109,7 +109,7 @@ def test_who_never_reads_is_disconnected_at_last(server: ExecutorServer, path: P
         while not server.waiting:
             server.send_message(event.client, TELEMETRY)
         for _ in range(MOST_QUEUED + 1):
-            server.send_message(event.client, Answer(1, True, ""))
+            server.send_message(event.client, Answer(1, ""))
         assert server.poll() == [ClientGone(event.client)]
 
 

@@ -18,13 +18,14 @@ from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.decoding import goal, requests, setpoint
 from controller.motion.stages.pacing import Pace
 from controller.motion.tracking import bias
+from controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
+from controller.refusals.refusal import LONGEST_SENTENCE, Refusal
 from tests.fuzz.requests import NOW
 
-LONGEST = 2 * goal.LONGEST_SENTENCE + 100  # characters of a refusal; half pairs of surrogates take six to write
+LONGEST = 2 * LONGEST_SENTENCE + 100  # characters of a refusal; half pairs of surrogates take six to write
 
 
 def told(sentence: str) -> None:

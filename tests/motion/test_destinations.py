@@ -10,12 +10,12 @@ from controller.arm.arm import Arm
 from controller.manipulator.locked import lock_actuators
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.motion.codes import Refusal
 from controller.motion.decoding.goal import parse, schedule
 from controller.motion.plans.lookahead import LookAhead
 from controller.motion.plans.point_by_point import plan
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import Trajectory
+from controller.refusals.refusal import Refusal
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from controller.arm.arm import Arm
 from controller.host.process import Log, Quit
-from controller.motion.codes import Refusal
 from controller.motion.stages.pacing import pace_of
 from controller.obstacles.obstacles import NONE
 from controller.planning.core.core import Beginning, Core
@@ -46,11 +45,11 @@ from controller.planning.core.tasks import (
     BuildTables,
     Done,
     Failed,
-    Refused,
     Task,
 )
 from controller.planning.planner import RequestDecoder
 from controller.program import VERSION, Alive, Cancel, Counts, Down, Stop, Up, Welcome, pack, unpack
+from controller.refusals.refusal import Refusal
 from controller.workspace.densities import Densities
 from tests.planning.played_executor import PlayedExecutor
 from tests.planning.prompt_workers import PromptWorkers
@@ -254,7 +253,7 @@ class Desk:
                 raise MemoryError("no memory")
             yield from self.workers.perform(task)
         except Refusal as refusal:
-            yield Refused(refusal.code, str(refusal))
+            yield refusal.data
         except Exception as error:
             yield Failed(repr(error))
 
@@ -266,7 +265,7 @@ class Desk:
         try:
             message = self._decode(key, data)
         except Refusal as refusal:
-            self.inbox.put(name, refused(refusal.code, str(refusal), refusal.goal))
+            self.inbox.put(name, refused(refusal))
             return 0
         self._numbers += 1
         self._names[self._numbers] = name

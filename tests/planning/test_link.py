@@ -147,12 +147,12 @@ def test_it_connects_anew_when_the_executor_is_lost(line: Line, executor: Script
 
 def test_what_an_executor_sent_before_its_end_is_received(line: Line, deaf: Deaf) -> None:
     line.link.send(Alive())  # which the executor does not read before it ends
-    deaf.client.send(encode(Answer(1, True, "stopped")))
+    deaf.client.send(encode(Answer(1, "stopped")))
     deaf.close()
     line.link.send(Alive())
     assert line.link.send_now(Stop(2)) is not None
     line.poll()
-    assert line.messages[1:] == [Answer(1, True, "stopped")]
+    assert line.messages[1:] == [Answer(1, "stopped")]
     assert line.reasons == ["the executor closed the connection"]
 
 
@@ -178,7 +178,7 @@ def test_what_the_executor_says_when_it_does_not_serve_is_told(line: Line, execu
     executor.greets = False
     line.poll()
     executor.expect(Hello)
-    executor.send(Answer(1, True, "before the Welcome"))
+    executor.send(Answer(1, "before the Welcome"))
     executor.send(Goodbye("a planner is connected already"))
     executor.greets = True
     line.welcome()
@@ -201,8 +201,8 @@ def test_messages_arrive_in_both_directions(line: Line, executor: ScriptedExecut
     line.link.send(Stop(2))
     assert line.link.send_now(Stop(3)) is None
     assert [executor.expect(Stop).request for _ in range(2)] == [2, 3]
-    executor.send(Answer(3, True, "third"))
-    executor.send(Answer(2, True, "second"))
+    executor.send(Answer(3, "third"))
+    executor.send(Answer(2, "second"))
     line.until(lambda: len(line.messages) == 3)
     assert [message.request for message in line.messages[1:]] == [3, 2]
 
@@ -260,7 +260,7 @@ def test_an_executor_that_does_not_read_is_dropped(line: Line, deaf: Deaf) -> No
 def test_a_flood_is_received_in_parts(line: Line, deaf: Deaf, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("controller.planning.link.MOST_RECEIVED", 2)
     for k in range(5):
-        deaf.client.send(encode(Answer(k, True, "")))
+        deaf.client.send(encode(Answer(k, "")))
     assert [len(line.link.receive()) for _ in range(4)] == [2, 2, 1, 0]
 
 

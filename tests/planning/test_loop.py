@@ -106,9 +106,9 @@ def test_posted_events_come_before_messages(executor: ScriptedExecutor, bench: B
         bench.receive()
     assert bench.link.send_now(Stop(1)) is None
     executor.expect(Stop)
-    executor.send(Answer(1, True, "stopped"))
+    executor.send(Answer(1, "stopped"))
     assert bench.receive(REQUEST)[0] == REQUEST
-    while not any(event == FromExecutor(Answer(1, True, "stopped")) for event in bench.core.steps):
+    while not any(event == FromExecutor(Answer(1, "stopped")) for event in bench.core.steps):
         bench.receive()
 
 

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from controller.motion import codes
 from controller.planning.core.tasks import BuildScene, CheckStages, PlanGoal
 from controller.program import (
     Begun,
@@ -16,6 +15,7 @@ from controller.program import (
     Replacement,
     unpack,
 )
+from controller.refusals import codes
 from tests.planning.desk import Desk
 from tests.planning.test_goals import A, B, taken
 

@@ -51,6 +51,8 @@ def of(info: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
             return st.booleans()
         case msgspec.inspect.NoneType():
             return st.none()
+        case msgspec.inspect.EnumType(cls=cls):
+            return st.sampled_from(list(cls))
         case msgspec.inspect.LiteralType(values=choices):
             return st.sampled_from(choices)
         case msgspec.inspect.VarTupleType(item_type=item):

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from controller.motion.codes import Refusal
 from controller.planning.core.events import Key, refused
 from controller.planning.planner import RequestDecoder
 from controller.program import unpack
+from controller.refusals.refusal import Refusal
 from tests.simulation.configurations import first_touched
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class Clients:
         try:
             asked.message = self._decoder.decode(key, data)
         except Refusal as refusal:
-            asked.payload = dict(refused(refusal.code, str(refusal)))
+            asked.payload = dict(refused(refusal))
             return
         history.posted(asked)
         number = process.request(key, asked.message, asked.reply)

@@ -10,6 +10,7 @@ from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import LONGEST_TICK, Executor
 from controller.executor.core.events import TICK, ClientGone, Event, ExecutorTick, FromClient
 from controller.executor.motion.program_execution import STARVED
+from controller.planning.core.goals import MOVED
 from controller.program import (
     Accepted,
     Acknowledge,
@@ -150,7 +151,7 @@ class Record(Witness):
         match message:
             case Accepted():
                 self._accept(message)
-            case Declined(cause="moved") if (core := self.core()) is not None:
+            case Declined(refused=refused) if refused.reason in MOVED and (core := self.core()) is not None:
                 self.declined_in_switch = core.motion.busy
             case Answer() if isinstance(self._message, Stop | Cancel):
                 self.floor += getattr(self._message, "program", None) is None

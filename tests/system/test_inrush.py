@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from controller.arm.arm import Arm
-from controller.motion import codes
+from controller.refusals import codes
 from drivers.simulation.simulation import Simulation
 from tests.system.motions import Motions
 from tests.system.observer import Observer

@@ -11,7 +11,7 @@ from controller.arm.arm import Arm
 from controller.commands.common import CommandFailed, densities_of, errors
 from controller.commands.study.plan_goals import Orientation, PlanOptions, PlanTask, WantedGoal
 from controller.manipulator.manipulator import Configuration
-from controller.motion.codes import Refusal
+from controller.refusals.refusal import Refusal
 from controller.search.method import Method
 
 if TYPE_CHECKING:  # the search's kernels take a second to import

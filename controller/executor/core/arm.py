@@ -8,13 +8,12 @@ import msgspec
 
 from controller.armfile.actuators import ending_time, longest_travel, read_wired, travel_times
 from controller.armfile.error_states import error_state
+from controller.armfile.locks import WORDS
 from controller.armfile.settings import ActuatorSettings, ArmSettings, BusSettings, RealTimeSettings
 from controller.armfile.strict import InputFaults
 from controller.armfile.terminals import actuator_terminals, owned_terminals
 from drivers.canopen.layout import Unfit, lay_out
 from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
-
-WORDS = ("contracted", "extended")  # of the states 0 and 1
 
 
 @dataclass(frozen=True)

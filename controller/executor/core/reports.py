@@ -2,7 +2,8 @@
 
 from dataclasses import asdict
 
-from controller.executor.core.arm import WORDS, ExecutedArm
+from controller.armfile.locks import WORDS
+from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.bits import indices
 from controller.executor.core.events import Health
 from controller.executor.core.locked import LockedActuators

@@ -29,6 +29,8 @@ from controller.program import (
     Setpoint,
     Stop,
 )
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal, no_motion
 
 
 class HeldAnswer(NamedTuple):
@@ -109,7 +111,7 @@ class ClientRequests:
             case Stop():
                 self._stop(client, message, now)
             case Reset():
-                self._answer(client, message.request, *self._reset(now))
+                self._reset(client, message, now)
             case Lock():
                 self._lock(client, message, now)
 
@@ -117,9 +119,9 @@ class ClientRequests:
 
     def _receive_program(self, message: Program, now: float) -> None:
         """Starts a program in place of the running one, or declines it."""
-        declined = self._declined(message)
-        if declined is not None:
-            self._clients.to_planner(declined)
+        refusal = self._refusal(message)
+        if refusal is not None:
+            self._clients.to_planner(Declined(message.program, refusal.data))
             return
         self._program = message.program
         begin = message.begin or now
@@ -127,29 +129,29 @@ class ClientRequests:
         self._modes.enter("executing", message.name)
         self._clients.to_planner(Accepted(message.program, begin))
 
-    def _declined(self, message: Program) -> Declined | None:
+    def _refusal(self, message: Program) -> Refusal | None:
         """Returns why a program is declined, or None."""
-        number, mode = message.program, self._modes.mode
-        if self.quitting or mode not in ("ready", "executing"):
-            reason = "the executor is shutting down" if self.quitting else f"the arm is {mode}: {self._modes.reason}"
-            return Declined(number, "mode", reason[:1_000])
+        if self.quitting:
+            return Refusal(Reason.EXECUTOR_SHUTTING_DOWN)
+        if self._modes.mode not in ("ready", "executing"):
+            return no_motion(self._modes.mode, self._modes.reason)
         if message.epoch != self._modes.epoch:
-            return Declined(
-                number, "epoch", "a cancel, stop, reset or fault, or the loss of the planner, came before it began"
-            )
-        if number <= self._program:
-            return Declined(number, "malformed", f"a program of number {self._program} came before")
+            return Refusal(Reason.OVERTAKEN)
+        if message.program <= self._program:
+            return Refusal(Reason.PROGRAM_MALFORMED, misfit=f"a program of number {self._program} came before")
         try:
             start = checked_states(message.start, self._size)
             if message.homed:
                 checked_states(message.homed, self._size)
             check_stages(message.stages, start, -1e12, self._arm.most, self._locked.mask, self._size)
         except StageMisfit as misfit:
-            return Declined(number, "locked" if misfit.locked else "malformed", str(misfit))
+            if misfit.locked:
+                return Refusal(Reason.PROGRAM_LOCKED, misfit=str(misfit))
+            return Refusal(Reason.PROGRAM_MALFORMED, misfit=str(misfit))
         if self._motion.busy:
-            return Declined(number, "moved", "the boards have not confirmed the last switch yet")
+            return Refusal(Reason.SWITCH_NOT_CONFIRMED)
         if start != self._motion.actuation.states:
-            return Declined(number, "moved", "the arm has moved since the program was planned")
+            return Refusal(Reason.MOVED_SINCE_PLANNED)
         return None
 
     def _replace(self, message: Replacement) -> None:
@@ -186,7 +188,7 @@ class ClientRequests:
         """Ends one program, or whatever is running."""
         execution, followed = self._motion.execution, self._motion.stream is not None
         if message.program is not None and (execution is None or execution.program.program != message.program):
-            self._answer(client, message.request, True, f"program {message.program} is not running")
+            self._answer(client, message.request, f"program {message.program} is not running")
             return
         name = "following" if execution is None else execution.program.name
         if message.program is None:
@@ -227,17 +229,20 @@ class ClientRequests:
                 told = f"{_switches(done + leaving)} under way, and the bus has not sent {leaving} of them yet"
             text = "; ".join(part for part in (held.done, told, held.follows) if part)
             if held.client in self._clients.roles:
-                self._answer(held.client, held.request, True, text)
+                self._answer(held.client, held.request, text)
 
-    def _reset(self, now: float) -> tuple[bool, str]:
-        """Boots the boards after a fault or a stop; returns whether the request is accepted, and the answer."""
+    def _reset(self, client: ClientId, message: Reset, now: float) -> None:
+        """Boots the boards after a fault or a stop."""
         if self._modes.mode not in ("fault", "stopped"):
-            return True, f"nothing to reset: the arm is {self._modes.mode}"
+            self._answer(client, message.request, f"nothing to reset: the arm is {self._modes.mode}")
+            return
         if opened := self._motion.readings.interlock_faults():
-            return False, opened[0].message + (f" (and {len(opened) - 1} more)" if opened[1:] else "")
+            interlock = opened[0].message + (f" (and {len(opened) - 1} more)" if opened[1:] else "")
+            self._refuse(client, message.request, Refusal(Reason.INTERLOCK_OPEN, interlock=interlock))
+            return
         self._modes.new_epoch()
         self._modes.boot("the boards are being booted after a reset", now)
-        return True, "resetting; the mode will be ready, or fault with the reason"
+        self._answer(client, message.request, "resetting; the mode will be ready, or fault with the reason")
 
     def _lock(self, client: ClientId, message: Lock, now: float) -> None:
         """Locks or unlocks an actuator; nothing moves."""
@@ -245,9 +250,9 @@ class ClientRequests:
         refusal = self._locked.refusal(message.actuator, message.state, motion.readings.read, motion.readings.definite)
         mode = self._modes.mode
         if mode == "executing" or self._motion.moving or self._motion.busy:
-            refusal = f"the arm is {mode}, and may not move while locks change: cancel, then try again"
+            refusal = Refusal(Reason.LOCK_WHILE_MOVING, mode=mode)
         if refusal is not None:
-            self._answer(client, message.request, False, refusal)
+            self._refuse(client, message.request, refusal)
             return
         self._locked.change(message.actuator, message.state)
         waits = mode in ("fault", "stopped")
@@ -255,10 +260,13 @@ class ClientRequests:
             self._modes.hold_measured(now)
         self._modes.new_epoch()
         text = f"{self._locked.sentence()}{', after a reset' if waits else ''}"
-        self._answer(client, message.request, True, text)
+        self._answer(client, message.request, text)
 
-    def _answer(self, client: ClientId, request: int, accepted: bool, message: str) -> None:
-        self._act(ToClient(client, Answer(request, accepted, message[:1_000])))
+    def _answer(self, client: ClientId, request: int, message: str) -> None:
+        self._act(ToClient(client, Answer(request, message[:1_000])))
+
+    def _refuse(self, client: ClientId, request: int, refusal: Refusal) -> None:
+        self._act(ToClient(client, Answer(request, str(refusal), refusal.data)))
 
 
 def _switches(number: int) -> str:

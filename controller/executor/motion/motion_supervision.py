@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from controller.executor.core.arm import WORDS
+from controller.armfile.locks import WORDS
 from controller.executor.core.bits import indices, merged
 from controller.executor.core.kinds import Ends, Kinds
 from drivers.canopen.faults import ArmFault

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.stages.pacing import Blocked, Infeasible, Pace, Staged
 from controller.motion.stages.restaging import restage
 from controller.motion.trajectory import Trajectory, upwards
 from controller.obstacles.keep_out import KeepOutSet
 from controller.obstacles.sweep import Sweep, sweep_of
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 from controller.search.solution import Certificate, Solution, certificate, proof
 from controller.search.solver import Solver
 
@@ -179,13 +180,17 @@ def transition_to(
     except Infeasible as error:
         number = trajectory.next(k)
         if number == 0:
-            raise Refusal(INVALID_GOAL, f"waypoints[0]: {available:.3g} s, {error}") from None
+            raise Refusal(
+                Reason.TIME_TOO_SHORT, where="waypoints[0]", available=f"{available:.3g}", needed=str(error)
+            ) from None
         where, whole = f"waypoints[{number - 1}] to waypoints[{number}]", ""
         parts = int(trajectory.waypoints[number] - trajectory.waypoints[number - 1])
         if parts > 1:
             where += f", one of {parts} parts"
             whole = f", and the line {upwards(parts * pace.needed(solution.switches)):g} s"
-        raise Refusal(INVALID_GOAL, f"{where}: {available:.3g} s, {error}{whole}") from None
+        raise Refusal(
+            Reason.TIME_TOO_SHORT, where=where, available=f"{available:.3g}", needed=f"{error}{whole}"
+        ) from None
     if len(staged.stages) == 1:  # no actuator switches twice
         return solution, staged
     counts = staged.switches_from(solver.manipulator.actuator_states(previous))
@@ -223,7 +228,7 @@ def first_transition(
             return planned
     stages = restage(manipulator, commanded, planned.stages, most)
     if (collision := keep_out.first_collision(commanded, stages, proceed)) is not None:
-        raise Refusal(INVALID_GOAL, f"the motion from the arm's present state would collide: {collision}")
+        raise Refusal(Reason.START_COLLIDES, collision=collision)
     return planned if np.array_equal(stages, planned.stages) else Staged(stages, None, planned.strict)
 
 

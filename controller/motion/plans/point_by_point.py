@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
-from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.plans.plan import TrajectoryPlan, solution_of, transition_to
 from controller.motion.stages.pacing import Blocked, Pace, Staged
 from controller.motion.stages.stage_sequencer import DETOUR_TIME
 from controller.motion.trajectory import Trajectory
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 from controller.search.method import MINIMUM_SWITCH, Method
 from controller.search.solution import Solution
 from controller.search.solver import DEADLINE, Solver
@@ -52,7 +53,7 @@ def plan(
             found, the time is too short, or the arm collides where it stands.
     """
     if solver.clearance is not None and (where := solver.clearance.where(previous)) is not None:
-        raise Refusal(INVALID_GOAL, f"the arm may not move from where it stands: {where}")
+        raise Refusal(Reason.ARM_IN_OBSTACLE, collision=where)
     solutions, transitions = list[Solution](), list[Staged]()
     reserved = min(FIRST_ANSWER * len(trajectory.times), 0.8 * seconds)
     until = time.perf_counter() + seconds - reserved
@@ -73,15 +74,14 @@ def plan(
                     solver, trajectory, previous, solution, k, pace, with_deviation, DETOUR_TIME
                 )
             except Blocked as blocked:
-                what = f"no collision-free transition to it was found: {blocked}"
-                raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, k)}: {what}") from None
+                raise Refusal(Reason.NO_CLEAR_PATH, where=place(trajectory, k), blocked=str(blocked)) from None
             solutions.append(solution)
             transitions.append(transition)
             previous = solution.configuration
             continue
         solution = solver.solve(goal, previous, tolerance, method, min(longest, remaining), turn)
         if not solution.within_tolerance:
-            raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(trajectory, k, solution))
+            raise out_of_reach(trajectory, k, solution)
         try:
             solution, transition = transition_to(solver, trajectory, previous, solution, k, pace, with_deviation)
         except Blocked as blocked:
@@ -131,8 +131,7 @@ def alternative(
                 return transition_to(solver, trajectory, previous, solution, k, pace, patience=patience)
             except (Blocked, Refusal):
                 continue
-    what = f"no collision-free transition to it was found: {blocked}"
-    raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, k)}: {what}") from None
+    raise Refusal(Reason.NO_CLEAR_PATH, where=place(trajectory, k), blocked=str(blocked)) from None
 
 
 def fixed_point(solver: Solver, trajectory: Trajectory, previous: Configuration, point: int) -> Solution:
@@ -144,9 +143,9 @@ def fixed_point(solver: Solver, trajectory: Trajectory, previous: Configuration,
     try:
         configuration = solver.manipulator.configuration(trajectory.fixed[point])
     except ValueError as error:
-        raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, point)}: a locked actuator: {error}") from None
+        raise Refusal(Reason.LOCKED_CONFIGURATION, where=place(trajectory, point), error=str(error)) from None
     if solver.clearance is not None and (where := solver.clearance.where(configuration)) is not None:
-        raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{place(trajectory, point)}: {where}")
+        raise Refusal(Reason.GOAL_IN_OBSTACLE, where=place(trajectory, point), collision=where)
     return solution_of(solver, trajectory, previous, configuration, point)
 
 
@@ -159,21 +158,24 @@ def same_configuration(solution: Solution, goal: NDArray[np.float64], tolerance:
     return replace(solution, error=distance(solution.tip, frame), switches=0, seconds=0.0, cost=0.0, bound=0.0)
 
 
-def out_of_reach(trajectory: Trajectory, point: int, nearest: Solution) -> str:
-    """Returns the message for a point without a configuration within tolerance."""
+def out_of_reach(trajectory: Trajectory, point: int, nearest: Solution) -> Refusal:
+    """Returns the refusal of a point for which no configuration within tolerance was found."""
     goal, tolerance = trajectory.positions[point], trajectory.tolerances[point]
     bias = trajectory.bias
     wanted = ", ".join(f"{x:g}" for x in (goal if bias is None else goal + bias))
     tip = ", ".join(f"{x:.4f}" for x in nearest.tip[: len(goal), 3])
     if (turn := trajectory.turns[point]) < np.inf:
         away = f"{nearest.error:.4f} away and turned {nearest.angle:.4f} rad, tolerances {tolerance:g} and {turn:g}"
-        found = f"{nearest.reach} in this orientation; the nearest pose found is at ({tip}), {away}"
+        turned, found = " in this orientation", f"the nearest pose found is at ({tip}), {away}"
     else:
         away = f"{nearest.error:.4f} away, tolerance {tolerance:g}"
-        found = f"{nearest.reach}; the nearest point found is ({tip}), {away}"
+        turned, found = "", f"the nearest point found is ({tip}), {away}"
     if bias is not None and bias.any():
         found += f"; the tip bias is ({', '.join(f'{x:.4f}' for x in bias)})"
-    return f"{place(trajectory, point)}: ({wanted}) {found}"
+    where = place(trajectory, point)
+    if nearest.certificate == "unreachable":
+        return Refusal(Reason.OUT_OF_REACH, where=where, position=wanted, turned=turned, nearest=found)
+    return Refusal(Reason.NOT_FOUND, where=where, position=wanted, turned=turned, nearest=found)
 
 
 def place(trajectory: Trajectory, point: int) -> str:

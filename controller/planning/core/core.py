@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from controller import program
 from controller.host.process import Log, Quit
-from controller.motion.codes import INVALID_GOAL, PATH_TOLERANCE_VIOLATED
 from controller.motion.tracking.goal_motion import tracking_of
 from controller.planning.core import events
 from controller.planning.core.arm import ExecutorView, Locks
@@ -25,6 +24,9 @@ from controller.planning.core.results import Results
 from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.planning.core.tasks import ImprovePlan, Planned, Scene, Tables
+from controller.refusals.codes import PATH_TOLERANCE_VIOLATED
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 from controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
@@ -176,7 +178,7 @@ class Core:
                     self._requests.take(request)
         except Exception:
             self._act(Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
-            self._act(events.Reply(request.number, events.refused(INVALID_GOAL, "internal error, see the journal")))
+            self._act(events.Reply(request.number, events.refused(Refusal(Reason.INTERNAL_ERROR))))
 
     def _live(self) -> events.Payload:
         """Returns the fields of the arm's description that change."""
@@ -226,7 +228,7 @@ class Core:
         self._view.lost(reason)
         if was:
             self._admission.lost()
-            self._goals.lost()
+            self._goals.lost(reason)
             self._programs.lost(reason)
             self._requests.lost(reason)
 

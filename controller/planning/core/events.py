@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 from controller.host.process import Log, Notify, Quit
-from controller.motion import codes
 from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core.tasks import Answer, Task
 from controller.program import Down, Fault, Up
+from controller.refusals import codes
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 Payload = Mapping[str, Any]
 
@@ -242,7 +244,7 @@ ForLedger = Record | RecordCounts
 ForWorkers = Start | Abandon
 Action = ForClients | ForLedger | ForWorkers | ToExecutor | Disconnect | Wake | Notify | Log | Fail
 
-CLOSING = "the daemon is shutting down; the arm holds"
+CLOSING = Reason.SHUTTING_DOWN.sentence
 
 
 def done(message: str) -> Payload:
@@ -250,6 +252,13 @@ def done(message: str) -> Payload:
     return {"accepted": True, "code": codes.SUCCESSFUL, "message": message}
 
 
-def refused(code: int, message: str, goal: str | None = None) -> Payload:
-    """Returns the answer to a request that was refused; `goal` is its id, if it is known."""
-    return {"accepted": False, "id": goal, "code": code, "message": message}
+def refused(refusal: Refusal, goal: str | None = None) -> Payload:
+    """Returns the answer to a request that was refused; `goal` is its id, if the refusal does not know it."""
+    name = refusal.goal if goal is None else goal
+    return {
+        "accepted": False,
+        "id": name,
+        "code": refusal.code,
+        "reason": refusal.reason.value,
+        "message": str(refusal),
+    }

@@ -9,8 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.manipulator.manipulator import Configuration
-from controller.motion import codes
-from controller.motion.codes import Refusal
 from controller.motion.decoding.goal import check_reach, schedule
 from controller.motion.plans.description import describe_plan
 from controller.motion.plans.improvement import Improvement, changed_points
@@ -28,6 +26,8 @@ from controller.planning.core.events import done
 from controller.planning.core.tasks import ArmStart
 from controller.planning.workers.arm_model import ArmModel, Proceed
 from controller.program import MOST_PROGRAM_STAGES
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 from controller.search.method import MINIMUM_SWITCH
 from controller.search.solver import Solver
 
@@ -80,8 +80,9 @@ def schedule_goal(model: ArmModel, task: tasks.PlanGoal) -> Trajectory:
         Refusal: the goal is invalid, or a position is farther than the arm's length; the message names the field.
     """
     arm, manipulator, message = model.arm, model.arm.manipulator, task.message
+    base = manipulator.base[: manipulator.dimension, 3].tolist()
     clamp = arm.settings.tracker.clamp if arm.settings.tracker else 0.0
-    check_reach(message, manipulator, manipulator.length + clamp, arm.tolerance)
+    check_reach(message, base, manipulator.length + clamp, arm.tolerance)
     scheduled = schedule(
         message, manipulator.dimension, arm.tolerance, arm.angle_tolerance, model.pace, task.received, manipulator
     )
@@ -106,7 +107,7 @@ def search_plan(
     # All stages are checked, so that the executor need not ask. Most results are known from the planning.
     before, stages = model.unpack(start.states), stages_of(found.transitions)
     if (collision := scene.keep_out.first_collision(before, stages, proceed)) is not None:
-        raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, f"the plan would collide: {collision}")
+        raise Refusal(Reason.PLAN_COLLIDES, collision=collision)
     return found, previous, solver
 
 
@@ -119,8 +120,7 @@ def check_size(model: ArmModel, transitions: Sequence[Staged]) -> None:
     counts = [len(transition.stages) for transition in transitions]
     total, longest, most = sum(counts), max(counts), most_stages(len(model.arm.manipulator.actuators))
     if longest > most or total > MOST_PROGRAM_STAGES:
-        limits = f"at most {MOST_PROGRAM_STAGES} and {most} are accepted: send fewer waypoints"
-        raise Refusal(codes.INVALID_GOAL, f"the plan has {total} stages, {longest} to one point; {limits}")
+        raise Refusal(Reason.TOO_MANY_STAGES, total=total, longest=longest, most=MOST_PROGRAM_STAGES, most_to_one=most)
 
 
 def points_of(
@@ -212,7 +212,7 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
     def in_time() -> None:
         proceed()
         if time.monotonic() > until:
-            raise Refusal(codes.INVALID_GOAL, f"planning took longer than {task.seconds:g} s: ask for fewer waypoints")
+            raise Refusal(Reason.PLANNING_TOO_LONG, seconds=task.seconds)
 
     trajectory = schedule_goal(model, task.goal)
     found, previous, solver = search_plan(model, task.goal, trajectory, in_time, first_time(trajectory))

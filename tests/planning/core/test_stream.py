@@ -294,7 +294,7 @@ def test_an_arm_in_no_configuration_says_so(bench: StreamBench) -> None:
     bench.run(0.1)
     assert not bench.take(Start)
     assert bench.take(Setpoint)[-1].reason == (
-        "following a setpoint, which is not possible now: the arm is ready: holding"
+        "following a setpoint, which is not possible now: the arm is ready, and a state is not known: holding"
     )
 
 

@@ -3,7 +3,7 @@
 import { showActuators } from "./actuators.js";
 import { showBoards } from "./boards.js";
 import { showCurves, showWear } from "./charts.js";
-import { Connection } from "./connection.js";
+import { Connection, inWords } from "./connection.js";
 import { showControl } from "./control.js";
 import { el, fill, show } from "./dom.js";
 import { Editor } from "./editor.js";
@@ -118,7 +118,7 @@ function notifier() {
   document.body.append(box);
   let timer;
   return (answer, what) => {
-    box.textContent = `${what}: ${answer.message}`;
+    box.textContent = `${what}: ${inWords(answer)}`;
     box.classList.toggle("bad", !answer.accepted);
     box.hidden = false;
     clearTimeout(timer);

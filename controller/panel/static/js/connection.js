@@ -80,6 +80,11 @@ export class Connection {
   }
 }
 
+// The message of an answer, and the advice if the request was refused.
+export function inWords({ message, advice }) {
+  return advice ? `${message} → ${advice}` : message;
+}
+
 // Requests a stop over HTTP, while the WebSocket is closed.
 export async function stopOverHttp(arm) {
   try {
