@@ -126,7 +126,7 @@ def seen(frame: Array, side: Side) -> Side:
 
 
 @dataclass(eq=False)
-class Stream:
+class HalfStream:
     """The configurations of one half in layers of rising cost, against cheap rows of the other half (the band).
 
     Attributes:
@@ -151,7 +151,7 @@ class Stream:
         return self.done + self.floor
 
 
-class Proof:
+class FourListProof:
     """The streams for one goal. The stream with the lowest bound continues first.
 
     Attributes:
@@ -166,7 +166,7 @@ class Proof:
     def __init__(self, four: FourList, target: SearchTarget, seed: Configuration) -> None:
         self._four, self._target, self._seed = four, target, seed
         self._inner: Side
-        self._streams: list[Stream] = []
+        self._streams: list[HalfStream] = []
         self.rest = 0.0
 
     @property
@@ -187,7 +187,7 @@ class Proof:
         self._inner = seen(self._target.row, self._four.a)
         for of_upper, half, floor, start in ((False, upper, floors[1], starts[0]), (True, lower, floors[0], starts[1])):
             cells = two.bands[of_upper]
-            self._streams.append(Stream(of_upper, self._band(half, floor, most - start), floor, start, cells))
+            self._streams.append(HalfStream(of_upper, self._band(half, floor, most - start), floor, start, cells))
         self.rest = lower.unexplored + upper.unexplored
 
     def run(self, incumbent: Incumbent) -> None:
@@ -208,7 +208,7 @@ class Proof:
         side = half.side(rows=chosen)
         return seen(self._target.row, side) if half.first == 0 else side
 
-    def _advance(self, stream: Stream, incumbent: Incumbent, unexplored: float) -> bool:
+    def _advance(self, stream: HalfStream, incumbent: Incumbent, unexplored: float) -> bool:
         """Streams one layer, or looks up the band. Returns whether it finished in time."""
         four, band, target = self._four, stream.band, self._target
         count = int(np.searchsorted(band.costs, incumbent.cost - stream.done))
@@ -236,7 +236,7 @@ class Proof:
         stream.done = high
         return True
 
-    def _look_up(self, stream: Stream, count: int, incumbent: Incumbent, unexplored: float) -> bool:
+    def _look_up(self, stream: HalfStream, count: int, incumbent: Incumbent, unexplored: float) -> bool:
         """Looks up all rows of the band that a better pair may have. Returns whether it finished in time."""
         four, target, band, done = self._four, self._target, stream.band, stream.done
         if stream.upper:

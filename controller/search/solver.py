@@ -133,8 +133,8 @@ class Solver:
             incumbent.offer(seed.copy(), 0.0, 0.0)
         elif method == MINIMUM_SWITCH:
             costs = switch_costs(self.manipulator, seed, self.weights)
-            patience = began + (max(deadline, patience) if target.hard else deadline)
-            self._minimum.improve(Problem(target, seed, costs, patience, self._unreachable(target)), incumbent)
+            last_deadline = began + (max(deadline, patience) if target.hard else deadline)
+            self._minimum.improve(Problem(target, seed, costs, last_deadline, self._unreachable(target)), incumbent)
         else:
             best = self._paths.follow(target, seed, method)
             if target.hard and not self._feasible(target, best) and not self._unreachable(target):

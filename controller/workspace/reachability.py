@@ -1,12 +1,12 @@
 """The measure of reachability of a point (section 3.1.2), by the densities."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float32, float64, int64, njit
+from numba import float32, float64, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, F3, F4, I1, I2, named
+from controller.manipulator.kernel_types import F1, F2, F3, F4, I1, I2, UNCOUNTED, named
 from controller.manipulator.manipulator import Manipulator
 from controller.workspace.densities import Densities
 
@@ -39,6 +39,7 @@ class Levels(NamedTuple):
 
 
 TABLES = named(Tables, F4, F3, I1)
+POINT: Any = types.UniTuple(float64, 3)  # type: ignore[no-untyped-call]
 LEVELS = named(Levels, float32[::1], I1, I2, F2, F1)
 
 
@@ -52,7 +53,7 @@ def levels_of(densities: Densities) -> Levels:
     return Levels(densities.values, densities.offsets, densities.shapes, densities.references, densities.pixels)
 
 
-@njit(float64(LEVELS, int64, float64, float64, float64), cache=True, nogil=True, error_model="numpy")
+@njit(float64(LEVELS, int64, float64, float64, float64), **UNCOUNTED, error_model="numpy")
 def measure(levels: Levels, i: int, x: float, y: float, z: float) -> float:
     """Returns the measure of reachability of a point (x, y, z) in intermediate workspace i.
 
@@ -71,3 +72,14 @@ def measure(levels: Levels, i: int, x: float, y: float, z: float) -> float:
         dx, dy, dz = fx - ix, fy - iy, fz - iz
         value = min(value, 0.0) - pixel * np.sqrt(dx * dx + dy * dy + dz * dz)
     return value
+
+
+@njit([POINT(F2, F1, float64, float64, float64)], **UNCOUNTED, inline="always")
+def seen_from(r: Array, b: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Returns a point (x, y, z) in a frame with rotation r (3, 3) and position b (3,)."""
+    dx, dy, dz = x - b[0], y - b[1], z - b[2]
+    return (
+        r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz,
+        r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz,
+        r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz,
+    )
