@@ -2,8 +2,8 @@
 
 python -m tests.uml.boot [arguments of pytest]
 
-Without paths of tests among the arguments, the whole of `tests/system` runs. Each machine has one processor; the
-machines share the tests.
+Without paths of tests among the arguments, the whole of `tests/system` runs. Each machine has one processor,
+and runs one test at a time. The machines share the files of tests.
 """
 
 import os
@@ -21,8 +21,8 @@ from tests.vm.guest import outcomes
 from tests.vm.prepare import PROJECT, Missing
 
 COMMON = FOLDER / "common"  # which the machines write to
-MACHINES = len(os.sched_getaffinity(0))
-MEMORY = 3  # [GiB], of each machine
+MACHINES = 2 * len(os.sched_getaffinity(0))  # because many tests wait
+MEMORY = 2  # [GiB], of each machine
 LONGEST = 7200.0  # [s]
 
 

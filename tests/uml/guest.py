@@ -11,13 +11,12 @@ from tests.vm.guest import ON_CAN, OPTIONS, compiled_since, run
 from tests.vm.prepare import say
 
 COMMON = Path("/mnt/common")  # mounted by `init`
-PROCESSES = 2  # that share the machine's processor, because many tests wait
 
 
 def main() -> None:
     arguments = COMMON / "arguments"
     importlib.import_module("tests.vm.compile")
-    code = run(PROCESSES, [*OPTIONS, *ON_CAN, *arguments.read_text().splitlines()], COMMON)
+    code = run(1, [*OPTIONS, *ON_CAN, *arguments.read_text().splitlines()], COMMON)
     for path in compiled_since(arguments):
         say(f"compiled here, which is slow: {path}")
     (COMMON / f"verdict-{sys.argv[1]}").write_text(str(code))
