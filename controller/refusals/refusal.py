@@ -1,5 +1,6 @@
 """The refusal of a request: its reason, and the facts that fill the reason's sentence."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import msgspec
@@ -96,6 +97,12 @@ def no_motion(mode: str, why: str) -> Refusal:
             return Refusal(Reason.ARM_STOPPED, why=why)
         case _:
             return Refusal(Reason.ARM_NOT_KNOWN, mode=mode, why=why)
+
+
+def no_actuator(field: str, label: str, actuators: Sequence[str]) -> Refusal:
+    """Returns the refusal of a label in a field that is none of the labels of the arm."""
+    quoted = repr(label if len(label) <= 60 else label[:57] + "...")
+    return Refusal(Reason.UNKNOWN_ACTUATOR, field=field, actuator=quoted, first=actuators[0], last=actuators[-1])
 
 
 def all_faults(faults: list[str]) -> str:

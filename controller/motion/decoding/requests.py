@@ -10,7 +10,7 @@ from controller.motion.decoding.setpoint import parse
 from controller.obstacles.notation import ObstacleList, parse_obstacles
 from controller.obstacles.obstacles import Obstacles
 from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal, all_faults
+from controller.refusals.refusal import Refusal, all_faults, no_actuator
 
 MOST_OBSTACLE_BYTES = 200_000  # 256 obstacles with long names and all digits
 
@@ -49,12 +49,6 @@ def decode_jog(payload: bytes, actuators: Sequence[str]) -> dict[int, int]:
     if unknown := [label for label in message.actuators if label not in indices]:
         raise no_actuator("actuators", unknown[0], actuators)
     return {indices[label]: STATES.index(state) for label, state in message.actuators.items()}
-
-
-def no_actuator(field: str, label: str, actuators: Sequence[str]) -> Refusal:
-    """Returns the refusal of a label in a field that is none of the labels of the arm."""
-    shown = repr(label if len(label) <= 60 else label[:57] + "...")
-    return Refusal(Reason.UNKNOWN_ACTUATOR, field=field, actuator=shown, first=actuators[0], last=actuators[-1])
 
 
 def decode_degrade(payload: bytes) -> DegradeMessage:

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from controller.armfile.locks import lock_warning, locks_in_words
 from controller.host.process import Log
 from controller.manipulator.locked import require_states
-from controller.motion.decoding.requests import no_actuator
 from controller.motion.stages.program import pack_states, unpack_states
 from controller.planning.core.events import LockMessage
 from controller.planning.core.parts import Parts
 from controller.planning.core.tasks import Answer, ArmStart, BuildTables, Failed, Tables
 from controller.program import Diagnostics, Fault, Mode, Settled, Snapshot, Welcome
 from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal, no_motion
+from controller.refusals.refusal import Refusal, no_actuator, no_motion
 
 if TYPE_CHECKING:
     from controller.manipulator.manipulator import Configuration, Manipulator
