@@ -13,9 +13,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import float64, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, F3, F4, named
 from controller.manipulator.manipulator import Manipulator
 from controller.workspace.densities import Densities
 
@@ -43,6 +44,9 @@ class Level(NamedTuple):
     exponent: int
     reference: Vector
     pixel: float
+
+
+LEVEL = named(Level, F3, F4, int64, F1, float64)
 
 
 def map_densities(
@@ -93,9 +97,9 @@ def below(level: Level, manipulator: Manipulator, i: int, level_pixels: int) -> 
     low, high = extent(level.counts, level.reference, level.pixel, rotations, translations)
     pixel = coarsened(level.pixel, low, high, level_pixels, manipulator.dimension)
     shape, reference = grid(low, high, pixel)
-    counts, centroids = np.zeros(shape), np.zeros((*shape, 3))
-    superpose(level.counts, level.centroids, rotations, translations, counts, centroids, reference, pixel)
-    return Level(counts, centroids, level.exponent + rescale(counts), reference, pixel)
+    lower = Level(np.zeros(shape), np.zeros((*shape, 3)), level.exponent, reference, pixel)
+    superpose(level, rotations, translations, lower)
+    return lower._replace(exponent=level.exponent + rescale(lower.counts))
 
 
 def packed(level: Level) -> tuple[NDArray[np.float32], Vector, float]:
@@ -172,22 +176,15 @@ def extent(
 
 
 @njit(
-    "void(f8[:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[::1], f8)",
+    types.void(LEVEL, F3, F2, LEVEL),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def superpose(
-    source: Counts,
-    source_centroids: Counts,
-    rotations: Counts,
-    translations: Counts,
-    target: Counts,
-    target_centroids: Counts,
-    reference: Vector,
-    pixel: float,
-) -> None:
-    """Adds the source, moved by each (R, b), to `target`. The points of a pixel move with their centroid."""
+def superpose(upper: Level, rotations: Counts, translations: Counts, lower: Level) -> None:
+    """Adds a level, moved by each (R, b), to the level below. The points of a pixel move with their centroid."""
+    source, source_centroids, _, _, _ = upper
+    target, target_centroids, _, reference, pixel = lower
     depth, height, width = source.shape
     for j in range(len(rotations)):
         r, b = rotations[j], translations[j]

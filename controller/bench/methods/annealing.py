@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import boolean, float64, int64, njit, uint64
 
-from controller.bench.methods.planar import Array, Index, Planar, moved, planar, tips_above
+from controller.bench.methods.planar import PLANAR, Array, Index, Planar, moved, planar, tips_above
 from controller.bench.methods.two_list import NONE
+from controller.manipulator.kernel_types import F1, I1, named
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
 
@@ -28,6 +29,42 @@ class Schedule(NamedTuple):
     error_of_a_switch: float
 
 
+class Switches(NamedTuple):
+    """The arm, and the state after the switch of each actuator, shape (B, K, A); -1 if there is none."""
+
+    arm: Planar
+    switched: Index
+
+
+class Aim(NamedTuple):
+    """What is searched.
+
+    Attributes:
+        goal: position, shape (2,).
+        previous: configuration from which switches are counted, shape (B,).
+        tolerance: greatest error.
+        first: whether a run ends with the first configuration within the tolerance.
+    """
+
+    goal: Array
+    previous: Index
+    tolerance: float
+    first: bool
+
+
+class Progress(NamedTuple):
+    """Runs so far: state of the random generator; switches of the best, NONE outside the tolerance; its error."""
+
+    random: np.uint64
+    fewest: int
+    nearest: float
+
+
+SCHEDULE = named(Schedule, int64, float64, float64, float64)
+SWITCHES = named(Switches, PLANAR, int64[:, :, ::1])
+AIM = named(Aim, F1, I1, float64, boolean)
+PROGRESS = named(Progress, uint64, int64, float64)
+
 # The best schedules tried on the paper's arm. FEW, restarted, gave the fewest switches in 30 ms and in 300 ms. SOON was
 # the first within the tolerance for 99 % of the goals.
 FEW, SOON = Schedule(10_000, 2.0, 0.2, 0.03), Schedule(100_000, 4.0, 0.8, 0.01)
@@ -35,7 +72,7 @@ SEED = 0x9E3779B97F4A7C15  # the answer to a goal is reproducible
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class AnnealingProblem:
     """Tables of an arm.
 
     Attributes:
@@ -51,7 +88,9 @@ class Problem:
     first: bool
 
 
-def prepare(manipulator: Manipulator, densities: Densities | None, seconds: float, first: bool = False) -> Problem:
+def prepare(
+    manipulator: Manipulator, densities: Densities | None, seconds: float, first: bool = False
+) -> AnnealingProblem:
     """Returns the tables of an arm."""
     arm = planar(manipulator)
     bits = manipulator.bits.astype(int)
@@ -60,20 +99,17 @@ def prepare(manipulator: Manipulator, densities: Densities | None, seconds: floa
         for to in range(arm.states[i]):
             if j < arm.states[i] and arm.differing[i, j, to] == 1:
                 switched[i, j, np.argmax(bits[i, j] != bits[i, to])] = to
-    return Problem(arm, switched, seconds, first)
+    return AnnealingProblem(arm, switched, seconds, first)
 
 
-def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+def solve(problem: AnnealingProblem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
     """Returns a configuration (B,) for a goal (2,)."""
-    until, arm, best = time.perf_counter() + problem.seconds, problem.arm, np.array(previous)
-    chain = arm.up, arm.down, arm.differing, problem.switched
-    schedule = SOON if problem.first else FEW
-    random, fewest, nearest = np.uint64(SEED), NONE, np.inf
+    until, best = time.perf_counter() + problem.seconds, np.array(previous)
+    switches, aim = Switches(problem.arm, problem.switched), Aim(goal, previous, tolerance, problem.first)
+    schedule, progress = SOON if problem.first else FEW, Progress(np.uint64(SEED), NONE, np.inf)
     while True:
-        random, fewest, nearest = anneal(
-            goal, previous, *chain, tolerance, problem.first, *schedule, random, fewest, nearest, best
-        )
-        if (problem.first and nearest <= tolerance) or fewest == 0 or time.perf_counter() >= until:
+        progress = anneal(switches, aim, schedule, progress, best)
+        if (problem.first and progress.nearest <= tolerance) or progress.fewest == 0 or time.perf_counter() >= until:
             return best
 
 
@@ -86,35 +122,17 @@ def drawn(state: np.uint64) -> np.uint64:
 
 
 @njit(
-    "Tuple((u8, i8, f8))(f8[::1], i8[::1], f8[:,:,::1], f8[:,:,::1], i8[:,:,::1], i8[:,:,::1], f8, b1, i8, f8, f8, f8,"
-    " u8, i8, f8, i8[::1])",
+    [PROGRESS(SWITCHES, AIM, SCHEDULE, PROGRESS, I1)],
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def anneal(
-    goal: Array,
-    previous: Index,
-    up: Array,
-    down: Array,
-    differing: Index,
-    switched: Index,
-    tolerance: float,
-    first: bool,
-    moves: int,
-    hot: float,
-    cold: float,
-    error_of_a_switch: float,
-    random: np.uint64,
-    fewest: int,
-    nearest: float,
-    best: Index,
-) -> tuple[np.uint64, int, float]:
-    """Improves `best` by a run: fewest switches within the tolerance, otherwise least error.
-
-    Returns:
-        State of the random generator; switches of `best`, NONE if it is outside the tolerance; error of `best`.
-    """
+def anneal(table: Switches, aim: Aim, schedule: Schedule, progress: Progress, best: Index) -> Progress:
+    """Improves `best` (B,) by a run: fewest switches within the tolerance, otherwise least error."""
+    (_, up, down, differing), switched = table
+    goal, previous, tolerance, first = aim
+    moves, hot, cold, error_of_a_switch = schedule
+    random, fewest, nearest = progress
     count, actuators = len(best), switched.shape[2]
     own, temperature, fall = previous.copy(), hot, (cold / hot) ** (1 / moves)
     goals, tips = np.empty((count + 1, 2)), np.empty((count + 1, 2))
@@ -124,7 +142,7 @@ def anneal(
     tips_above(up, own, tips)
     error = np.sqrt((goals[0, 0] - tips[0, 0]) ** 2 + (goals[0, 1] - tips[0, 1]) ** 2)
     if error <= tolerance:
-        return random, 0, error
+        return Progress(random, 0, error)
     nearest, value, switches = min(error, nearest), (error - tolerance) / error_of_a_switch, 0
     for _ in range(moves):
         temperature *= fall
@@ -156,4 +174,4 @@ def anneal(
             goals[k + 1, 0], goals[k + 1, 1] = moved(down[k, own[k]], goals[k, 0], goals[k, 1])
         for k in range(i, -1, -1):
             tips[k, 0], tips[k, 1] = moved(up[k, own[k]], tips[k + 1, 0], tips[k + 1, 1])
-    return random, fewest, nearest
+    return Progress(random, fewest, nearest)

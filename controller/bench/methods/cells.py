@@ -1,17 +1,18 @@
 """A grid of cells over the points of a list, for queries of near points."""
 
 import numpy as np
-from numba import njit
+from numba import int64, njit, types
 from numpy.typing import NDArray
 
 from controller.bench.methods.half_list import HalfList
-from controller.bench.methods.matching import Table
+from controller.bench.methods.matching import CELL_TABLE, CellTable
 from controller.bench.methods.planar import Array
+from controller.manipulator.kernel_types import S1
 
 CELLS = 1 << 20
 
 
-class Cells:
+class SquareCells:
     """Rows of a list sorted into square cells by their points, cheapest first in each cell."""
 
     def __init__(self, half: HalfList) -> None:
@@ -20,10 +21,11 @@ class Cells:
         self.low, self.cell, self.width, self.height = np.empty(2), 0.0, 0, 0
 
     @property
-    def table(self) -> Table:
-        """The arrays that the kernels take."""
+    def table(self) -> CellTable:
+        """The cells for kernels."""
         half = self._half
-        return half.points, half.prices, self.starts, self.rows, self.low, self.cell, self.width, self.height
+        cells = self.low, self.cell, self.width, self.height
+        return CellTable(half.points, half.prices, self.starts, self.rows, *cells)
 
     def fill(self, tolerance: float) -> None:
         """Sorts the present rows of the list into cells."""
@@ -32,7 +34,7 @@ class Cells:
         size = high - self.low
         self.cell = max(2 * tolerance, float(np.sqrt(2 * np.prod(size) / CELLS)), float(4 * size.max() / CELLS))
         self.width, self.height = (int(extent / self.cell) + 1 for extent in size)
-        sort(half.points, half.order, half.count, self.low, self.cell, self.width, self.height, self.starts, self.rows)
+        sort(half.order, half.count, self.table)
 
 
 @njit("void(f8[:,::1], i8, f8[::1], f8[::1])", cache=True, nogil=True)
@@ -44,21 +46,10 @@ def box(points: Array, count: int, low: Array, high: Array) -> None:
             low[a], high[a] = min(low[a], points[n, a]), max(high[a], points[n, a])
 
 
-@njit(
-    "void(f8[:,::1], i4[::1], i8, f8[::1], f8, i8, i8, i4[::1], i4[::1])", cache=True, nogil=True, error_model="numpy"
-)
-def sort(
-    points: Array,
-    order: NDArray[np.int32],
-    count: int,
-    low: Array,
-    cell: float,
-    width: int,
-    height: int,
-    starts: NDArray[np.int32],
-    rows: NDArray[np.int32],
-) -> None:
-    """Sorts rows into cells, cheapest first in each: cell c has `rows[starts[c] : starts[c + 1]]`."""
+@njit(types.void(S1, int64, CELL_TABLE), cache=True, nogil=True, error_model="numpy")
+def sort(order: NDArray[np.int32], count: int, table: CellTable) -> None:
+    """Writes `starts` and `rows` of a table: `count` rows of the list, in `order`, the cheapest first in each cell."""
+    points, _, starts, rows, low, cell, width, height = table
     starts[: width * height + 1] = 0
     for n in range(count):
         c = int((points[n, 1] - low[1]) / cell) * width + int((points[n, 0] - low[0]) / cell)

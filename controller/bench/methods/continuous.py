@@ -20,7 +20,7 @@ STAY = 1e-4  # weight of the change of lengths, relative to the tip's error
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class ContinuousProblem:
     """Tables of a truss.
 
     Attributes:
@@ -30,20 +30,20 @@ class Problem:
         low, high: contracted and extended lengths of the legs, shape (B, 3).
     """
 
-    descent: k_switch.Problem
+    descent: k_switch.KSwitchProblem
     mirrored: np.ndarray
     width: float
     low: Array
     high: Array
 
 
-def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
+def prepare(manipulator: Manipulator, densities: Densities | None) -> ContinuousProblem:
     """Returns the tables of an arm."""
     if any(module.actuators != ("left", "diagonal", "right") for module in manipulator.modules):
         raise ValueError("this method supports truss modules only")
     bodies = np.array([module.body[[0, -1], :, :, :2] for module in manipulator.modules])
     lengths = np.linalg.norm(bodies[..., 1, :] - bodies[..., 0, :], axis=-1)
-    return Problem(
+    return ContinuousProblem(
         k_switch.prepare(manipulator, None, switches=1),
         bodies[:, 0, 1, 0, 0] < 0,
         float(lengths[0, 0, 3]),
@@ -52,7 +52,7 @@ def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
     )
 
 
-def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+def solve(problem: ContinuousProblem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
     """Returns a configuration (B,) for a goal (2,)."""
     p = problem
     span = p.high - p.low

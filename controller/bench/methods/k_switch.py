@@ -11,50 +11,43 @@ configuration costs one motion of a point.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from numba import float64, int64, njit, types
 
-from controller.bench.methods.planar import Array, Index, Planar, moved, planar, tips_above
+from controller.bench.methods.planar import PLANAR, Array, Index, Planar, moved, planar, tips_above
+from controller.manipulator.kernel_types import F1, I1
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class KSwitchProblem:
     """The tables of an arm."""
 
     arm: Planar
     switches: int
 
 
-def prepare(manipulator: Manipulator, densities: Densities | None, switches: int = 4) -> Problem:
+def prepare(manipulator: Manipulator, densities: Densities | None, switches: int = 4) -> KSwitchProblem:
     """Returns the tables of an arm."""
-    return Problem(planar(manipulator), switches)
+    return KSwitchProblem(planar(manipulator), switches)
 
 
-def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+def solve(problem: KSwitchProblem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
     """Returns a configuration (B,) for a goal (2,)."""
     arm, configuration = problem.arm, np.array(previous)
-    search(goal, arm.up, arm.down, arm.states, arm.differing, problem.switches, tolerance, configuration)
+    search(goal, arm, problem.switches, tolerance, configuration)
     return configuration
 
 
 @njit(
-    "void(f8[::1], f8[:,:,::1], f8[:,:,::1], i8[::1], i8[:,:,::1], i8, f8, i8[::1])",
+    types.void(F1, PLANAR, int64, float64, I1),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def search(
-    goal: Array,
-    up: Array,
-    down: Array,
-    states: Index,
-    differing: Index,
-    k: int,
-    tolerance: float,
-    configuration: Index,
-) -> None:
+def search(goal: Array, arm: Planar, k: int, tolerance: float, configuration: Index) -> None:
     """Improves the configuration, by at most k switches at a time."""
+    states, up, down, differing = arm
     count = len(states)
     tips = np.empty((count + 1, 2))
     # For each changed module: its index, its new state, the switches remaining for modules above it, and the goal in

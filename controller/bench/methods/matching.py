@@ -1,18 +1,46 @@
 """Matches the points of one list with near points of another list, which is sorted into cells."""
 
+from typing import Any, NamedTuple
+
 import numpy as np
-from numba import njit
+from numba import float64, int8, int64, njit, types
 from numpy.typing import NDArray
 
 from controller.bench.methods.planar import Array
+from controller.manipulator.kernel_types import F1, F2, S1, named
 
-# Points, prices, starts and rows of the cells, lower corner, side, and number of cells in x and y: see Cells.
-Table = tuple[Array, NDArray[np.int8], NDArray[np.int32], NDArray[np.int32], Array, float, int, int]
-TABLE = "Tuple((f8[:,::1], i1[::1], i4[::1], i4[::1], f8[::1], f8, i8, i8))"
+
+class CellTable(NamedTuple):
+    """Rows of a list, sorted into square cells; see SquareCells.
+
+    Attributes:
+        points: points of the list, shape (n, 2).
+        prices: prices of the list, shape (n,).
+        starts: first of `rows` of each cell, shape (cells + 1,).
+        rows: rows of the list, cell by cell, shape (n,).
+        low: lower corner of the first cell, shape (2,).
+        cell: side of a cell.
+        width: number of cells along x.
+        height: number of cells along y.
+    """
+
+    points: Array
+    prices: NDArray[np.int8]
+    starts: NDArray[np.int32]
+    rows: NDArray[np.int32]
+    low: Array
+    cell: float
+    width: int
+    height: int
+
+
+CELL_TABLE = named(CellTable, F2, int8[::1], S1, S1, F1, float64, int64, int64)
+FOUND: Any = types.UniTuple(int64, 2)  # type: ignore[no-untyped-call]
+FOUND_PAIR: Any = types.UniTuple(int64, 3)  # type: ignore[no-untyped-call]
 
 
 @njit(
-    f"UniTuple(i8, 2)(f8, f8, i8, {TABLE}, f8, i8)",
+    [FOUND(float64, float64, int64, CELL_TABLE, float64, int64)],
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -22,7 +50,7 @@ def cheapest(
     x: float,
     y: float,
     price: int,
-    table: Table,
+    table: CellTable,
     tolerance: float,
     best: int,
 ) -> tuple[int, int]:
@@ -48,7 +76,7 @@ def cheapest(
 
 
 @njit(
-    f"UniTuple(i8, 3)(f8[:,::1], i1[::1], i4[::1], i8, {TABLE}, f8, i8)",
+    [FOUND_PAIR(F2, int8[::1], S1, int64, CELL_TABLE, float64, int64)],
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -58,7 +86,7 @@ def match(
     prices: NDArray[np.int8],
     order: NDArray[np.int32],
     count: int,
-    table: Table,
+    table: CellTable,
     tolerance: float,
     best: int,
 ) -> tuple[int, int, int]:

@@ -10,7 +10,7 @@ The variant counts actuators instead of modules. The paper does not have it.
 
 import numpy as np
 
-from controller.bench.methods.paper_pop import Problem, descent, prepare
+from controller.bench.methods.paper_pop import PopProblem, descent, prepare
 from controller.bench.methods.planar import Array
 from controller.manipulator.manipulator import Configuration
 
@@ -21,18 +21,18 @@ __all__ = ["prepare", "solve", "solve_by_switches"]
 THRESHOLD = 1e8
 
 
-def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+def solve(problem: PopProblem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
     """Returns a configuration (B,) for a goal (2,), by the criterion as printed."""
     states = np.arange(problem.arm.differing.shape[2])
     changed = np.asarray(states != np.asarray(previous)[:, None], dtype=np.int64)
     return descent(problem, goal, changed, thresholds(problem))
 
 
-def solve_by_switches(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+def solve_by_switches(problem: PopProblem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
     """Returns a configuration (B,) for a goal (2,), by the variant that counts actuators."""
     return descent(problem, goal, problem.arm.costs(previous), thresholds(problem))
 
 
-def thresholds(problem: Problem) -> Array:
+def thresholds(problem: PopProblem) -> Array:
     """Returns the threshold on ln of a pixel's count, for each level, shape (B+1,)."""
     return np.asarray(np.log(np.maximum(THRESHOLD * problem.densities.pixels**2, 1.0)))

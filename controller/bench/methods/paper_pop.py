@@ -7,50 +7,39 @@ implementation takes the branch with the nearest pixel that has one, which favou
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
-from controller.bench.methods.planar import Array, Index, Planar, moved, planar
+from controller.bench.methods.planar import PLANAR, Array, Index, Planar, moved, planar
+from controller.manipulator.kernel_types import F1, I1, I2
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.workspace.densities import Densities
+from controller.workspace.reachability import LEVELS, Levels, levels_of
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class PopProblem:
     """The tables of an arm."""
 
     arm: Planar
     densities: Densities
 
 
-def prepare(manipulator: Manipulator, densities: Densities) -> Problem:
+def prepare(manipulator: Manipulator, densities: Densities) -> PopProblem:
     """Returns the tables of an arm."""
-    return Problem(planar(manipulator), densities)
+    return PopProblem(planar(manipulator), densities)
 
 
-def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+def solve(problem: PopProblem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
     """Returns a configuration (B,) for a goal (2,)."""
     nothing_passes = np.full(len(previous) + 1, np.inf)
     return descent(problem, goal, problem.arm.costs(previous), nothing_passes)
 
 
-def descent(problem: Problem, goal: Array, stage_costs: Index, thresholds: Array) -> Configuration:
+def descent(problem: PopProblem, goal: Array, stage_costs: Index, thresholds: Array) -> Configuration:
     """Returns the configuration (B,) of the descent; thresholds apply to ln of a pixel's count, shape (B+1,)."""
-    arm, d = problem.arm, problem.densities
-    configuration = np.zeros(len(arm.states), dtype=np.int64)
-    descend(
-        goal,
-        arm.down,
-        arm.states,
-        d.values,
-        d.offsets,
-        d.shapes,
-        d.references,
-        d.pixels,
-        stage_costs,
-        thresholds,
-        configuration,
-    )
+    configuration = np.zeros(len(problem.arm.states), dtype=np.int64)
+    descend(goal, problem.arm, levels_of(problem.densities), stage_costs, thresholds, configuration)
     return configuration
 
 
@@ -69,25 +58,22 @@ def density(
 
 
 @njit(
-    "void(f8[::1], f8[:,:,::1], i8[::1], f4[::1], i8[::1], i8[:,::1], f8[:,::1], f8[::1], i8[:,::1], f8[::1], i8[::1])",
+    types.void(F1, PLANAR, LEVELS, I2, F1, I1),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
 def descend(
     goal: Array,
-    down: Array,
-    states: Index,
-    values: NDArray[np.float32],
-    offsets: Index,
-    shapes: Index,
-    references: Array,
-    pixels: Array,
+    arm: Planar,
+    levels: Levels,
     stage_costs: Index,
     thresholds: Array,
     configuration: Index,
 ) -> None:
     """Writes the configuration: the branch of least stage cost above the threshold, otherwise the densest."""
+    states, _, down, _ = arm
+    values, offsets, shapes, references, pixels = levels
     x, y = goal[0], goal[1]
     for i in range(len(states)):
         best, best_density, best_cost, best_passes = -1, 0.0, 0, False

@@ -1,19 +1,19 @@
 """A planar arm as arrays for the kernels of the compared methods: motions of points, and numbers of switches."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import int64, njit
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F3, I1, named
 from controller.manipulator.manipulator import Configuration, Manipulator
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
-class Planar:
+class Planar(NamedTuple):
     """The arm. A motion (c, s, x, y) takes a point to (c px - s py + x, s px + c py + y).
 
     Attributes:
@@ -31,6 +31,9 @@ class Planar:
     def costs(self, previous: Configuration) -> Index:
         """Switches to each state of each module from a configuration, shape (B, K)."""
         return np.ascontiguousarray(self.differing[np.arange(len(self.states)), previous])
+
+
+PLANAR = named(Planar, I1, F3, F3, int64[:, :, ::1])
 
 
 def planar(manipulator: Manipulator) -> Planar:

@@ -23,14 +23,14 @@ from controller.workspace.densities import Densities
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class TwoByTwoProblem:
     """The arm, and the mean of each intermediate workspace in its own frame, shape (B+1, 2)."""
 
     arm: Planar
     means: Array
 
 
-def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
+def prepare(manipulator: Manipulator, densities: Densities | None) -> TwoByTwoProblem:
     """Returns the tables of an arm."""
     arm = planar(manipulator)
     means = np.zeros((len(arm.states) + 1, 2))
@@ -38,10 +38,10 @@ def prepare(manipulator: Manipulator, densities: Densities | None) -> Problem:
         c, s, x, y = arm.up[i, : arm.states[i]].mean(axis=0)  # motions are affine: mean of images = image of mean
         px, py = means[i + 1]
         means[i] = c * px - s * py + x, s * px + c * py + y
-    return Problem(arm, means)
+    return TwoByTwoProblem(arm, means)
 
 
-def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+def solve(problem: TwoByTwoProblem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
     """Returns a configuration (B,) for a goal (2,)."""
     arm, configuration = problem.arm, np.zeros(len(previous), dtype=np.int64)
     place(goal, arm.down, arm.states, problem.means, configuration)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from controller.bench.methods import paper_pop
-from controller.bench.methods.cells import Cells
+from controller.bench.methods.cells import SquareCells
 from controller.bench.methods.half_list import HalfList
 from controller.bench.methods.matching import match
 from controller.bench.methods.planar import Array, Planar, planar
@@ -23,28 +23,28 @@ NONE = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class TwoListProblem:
     """The tables of an arm."""
 
     arm: Planar
     lower: HalfList
     upper: HalfList
-    cells: Cells
+    cells: SquareCells
     switches: int
-    fallback: paper_pop.Problem | None
+    fallback: paper_pop.PopProblem | None
 
 
-def prepare(manipulator: Manipulator, densities: Densities | None, switches: int = SWITCHES) -> Problem:
+def prepare(manipulator: Manipulator, densities: Densities | None, switches: int = SWITCHES) -> TwoListProblem:
     """Allocates the lists; with densities, POP answers goals that no pair of the lists reaches."""
     arm = planar(manipulator)
     middle, count = len(arm.states) // 2, len(arm.states)
     lower = HalfList(arm, arm.down, np.arange(middle), switches)
     upper = HalfList(arm, arm.up, np.arange(middle, count)[::-1], switches)
     fallback = None if densities is None else paper_pop.prepare(manipulator, densities)
-    return Problem(arm, lower, upper, Cells(upper), switches, fallback)
+    return TwoListProblem(arm, lower, upper, SquareCells(upper), switches, fallback)
 
 
-def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+def solve(problem: TwoListProblem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
     """Returns a configuration (B,) for a goal (2,)."""
     found = meet(problem, goal, previous, tolerance, NONE)
     if found is not None:
@@ -53,7 +53,7 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
 
 
 def meet(
-    problem: Problem, goal: Array, previous: Configuration, tolerance: float, below: int
+    problem: TwoListProblem, goal: Array, previous: Configuration, tolerance: float, below: int
 ) -> tuple[Configuration, int] | None:
     """Returns the configuration of fewest switches and their number; None if there is none below `below`."""
     p, costs, c = problem, problem.arm.costs(previous), problem.cells
