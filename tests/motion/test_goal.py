@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from controller.manipulator import frames
 from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.decoding import goal as module
-from controller.motion.decoding.goal import LONGEST_SENTENCE, parse, parse_quickly, parse_strictly, schedule
+from controller.motion.decoding.goal import LONGEST_SENTENCE, GoalRules, parse, parse_quickly, parse_strictly, schedule
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory
 from tests.motion.requests import json_values
@@ -22,7 +22,7 @@ NOW = 1_800_000_000.0
 
 
 def decode(payload: bytes, dimension: int = 2) -> Trajectory:
-    return schedule(parse(payload), dimension=dimension, tolerance=0.002, turn=0.05, pace=Pace(0.06), now=NOW)
+    return schedule(parse(payload), GoalRules(dimension, 0.002, 0.05, Pace(0.06)), NOW)
 
 
 def goal(**fields: Any) -> bytes:

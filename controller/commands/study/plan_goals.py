@@ -54,7 +54,7 @@ def search(
     for position, orientation, given in wanted:
         goal = np.array(position) if orientation is None else frame(position, orientation)
         own = start if given is None else given
-        found = solver.solve(goal, own, tolerance, method, angle_tolerance=np.inf if orientation is None else turn)
+        found = solver.solve(solver.target(goal, tolerance, np.inf if orientation is None else turn), own, method)
         start = found.configuration
         yield Answer(position, orientation, found)
 
@@ -62,7 +62,7 @@ def search(
 def given(solver: Solver, configuration: Configuration, start: Configuration, tolerance: float) -> Answer:
     """Returns a configuration as the solution of its own tip position, without a search."""
     position = solver.manipulator.tip(configuration)[: solver.manipulator.dimension, 3]
-    return Answer(position.tolist(), None, solver.described(configuration, position, start, tolerance))
+    return Answer(position.tolist(), None, solver.described(configuration, solver.target(position, tolerance), start))
 
 
 def frame(position: list[float], orientation: float | list[float]) -> frames.Frame:
@@ -98,6 +98,7 @@ def follow(
     Raises:
         Failed: the lines between the goals cannot be followed.
     """
+    from controller.motion.plans.transitions import TransitionPlanner
     from controller.motion.plans.whole import plan_whole, unhurried
     from controller.motion.stages.pacing import pace_of
 
@@ -108,7 +109,7 @@ def follow(
         start = start if before is None else before
         try:
             trajectory = unhurried(as_arrays(part, *tolerances), pace, path_tolerance)
-            found = plan_whole(solver, trajectory, start, method, pace)
+            found = plan_whole(TransitionPlanner(solver, trajectory, pace), start, method)
         except Refusal as refusal:
             if path_tolerance is not None:
                 raise Failed(str(refusal)) from None
