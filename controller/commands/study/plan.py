@@ -23,7 +23,7 @@ from controller.commands.common import (
     results_table,
     shown,
 )
-from controller.commands.study.plan_goals import Goals, Orientation, follow, given, search
+from controller.commands.study.plan_goals import Goals, Orientation, Tolerances, follow, given, search
 from controller.manipulator.locked import transferred
 from controller.manipulator.manipulator import Configuration
 from controller.motion.plans.description import describe_solution
@@ -76,13 +76,14 @@ def plan(
         check_lines(wanted, goals or Path())
     solver = Solver(arm.reduced, densities_of(arm, silent=as_json), arm.weights(), arm.clearance(arm.reduced))
     solver.prepare()
-    own, chosen = tolerance or arm.tolerance, method or arm.settings.method
+    tolerances = Tolerances(tolerance or arm.tolerance, turn or arm.angle_tolerance, path_tolerance)
+    chosen = method or arm.settings.method
     if end is not None:
-        answers = iter([given(solver, end, start, own)])
+        answers = iter([given(solver, end, start, tolerances.position)])
     elif goal is not None:
-        answers = search(solver, wanted, start, own, turn or arm.angle_tolerance, chosen)
+        answers = search(solver, wanted, start, tolerances, chosen)
     else:
-        answers = follow(arm, solver, wanted, start, (own, turn or arm.angle_tolerance), path_tolerance, chosen)
+        answers = follow(arm, solver, wanted, start, tolerances, chosen)
     table = results_table("goal", "configuration", "position", "θ [rad]", "error", "switches", "ms")
     wholes = list[dict[str, Any]]()
     for position, orientation, found, between, whole in answers:

@@ -23,6 +23,20 @@ Orientation = float | list[float] | None
 Goals = list[tuple[list[float], Orientation, Configuration | None]]
 
 
+class Tolerances(NamedTuple):
+    """Tolerances of all goals.
+
+    Attributes:
+        position: greatest distance of the tip from a goal.
+        angle: greatest angle from a goal's orientation [rad].
+        path: follow straight lines between goals within this distance; None: do not.
+    """
+
+    position: float
+    angle: float
+    path: float | None = None
+
+
 class Answer(NamedTuple):
     """The solution of a goal, or of a point between two goals.
 
@@ -44,17 +58,15 @@ class Answer(NamedTuple):
 Answers = Iterator[Answer]
 
 
-def search(
-    solver: Solver, wanted: Goals, start: Configuration, tolerance: float, turn: float, method: Method
-) -> Answers:
+def search(solver: Solver, wanted: Goals, start: Configuration, tolerances: Tolerances, method: Method) -> Answers:
     """Yields the solution of each goal, searched separately.
 
     Each search starts at the previous solution, or at the goal's own previous configuration.
     """
     for position, orientation, given in wanted:
         goal = np.array(position) if orientation is None else frame(position, orientation)
-        own = start if given is None else given
-        found = solver.solve(solver.target(goal, tolerance, np.inf if orientation is None else turn), own, method)
+        own, angle = start if given is None else given, np.inf if orientation is None else tolerances.angle
+        found = solver.solve(solver.target(goal, tolerances.position, angle), own, method)
         start = found.configuration
         yield Answer(position, orientation, found)
 
@@ -77,8 +89,7 @@ def follow(
     solver: Solver,
     wanted: Goals,
     start: Configuration,
-    tolerances: tuple[float, float],
-    path_tolerance: float | None,
+    tolerances: Tolerances,
     method: Method,
 ) -> Answers:
     """Yields the solution of each point of a trajectory, as the daemon answers `plan`.
@@ -91,8 +102,7 @@ def follow(
         solver: solver of the reduced arm.
         wanted: the goals.
         start: configuration before the first goal, shape (B,).
-        tolerances: position tolerance and orientation tolerance [rad].
-        path_tolerance: follow straight lines within this distance; None: do not.
+        tolerances: of all goals.
         method: search method.
 
     Raises:
@@ -108,13 +118,13 @@ def follow(
         part, before = wanted[first:end], wanted[first][2]
         start = start if before is None else before
         try:
-            trajectory = unhurried(as_arrays(part, *tolerances), pace, path_tolerance)
+            trajectory = unhurried(as_arrays(part, tolerances), pace, tolerances.path)
             found = plan_whole(TransitionPlanner(solver, trajectory, pace), start, method)
         except Refusal as refusal:
-            if path_tolerance is not None:
+            if tolerances.path is not None:
                 raise Failed(str(refusal)) from None
             errors.print(f"no plan of the whole trajectory: {refusal}; each goal is searched separately")
-            for answer in search(solver, [(p, o, None) for p, o, _ in part], start, *tolerances, method):
+            for answer in search(solver, [(p, o, None) for p, o, _ in part], start, tolerances, method):
                 start = answer.solution.configuration
                 yield answer
             continue
@@ -128,11 +138,11 @@ def follow(
         start = found.solutions[-1].configuration
 
 
-def as_arrays(wanted: Goals, tolerance: float, turn: float) -> TipGoals:
+def as_arrays(wanted: Goals, tolerances: Tolerances) -> TipGoals:
     """Returns goals as arrays with their tolerances; the orientation tolerance is infinite without an orientation."""
     from controller.motion.plans.whole import TipGoals
 
-    turns = np.array([np.inf if orientation is None else turn for _, orientation, _ in wanted])
+    turns = np.array([np.inf if orientation is None else tolerances.angle for _, orientation, _ in wanted])
     rotations = [np.eye(3) if o is None else frame(p, o)[:3, :3] for p, o, _ in wanted]
     positions = np.array([position for position, _, _ in wanted], dtype=np.float64)
-    return TipGoals(positions, np.full(len(wanted), tolerance), np.array(rotations), turns)
+    return TipGoals(positions, np.full(len(wanted), tolerances.position), np.array(rotations), turns)
