@@ -148,23 +148,17 @@ def test_looking_ahead_switches_a_quarter_less_than_the_cheapest_each_time(solve
     assert switches <= 0.75 * cheapest
 
 
-def test_for_too_few_stages_the_search_is_given_more_time_and_then_the_line_is_named(solver, monkeypatch):
-    monkeypatch.setattr(
-        "controller.motion.plans.point_by_point.PLANNING_TIME", 0.0
-    )  # the first answers have many switches
+def test_for_too_few_stages_the_search_is_given_more_time_and_then_the_line_is_named(solver):
     home, times = np.zeros(16, dtype=np.int64), np.array([0.0, 15.0])
     line = np.array([(-0.2, 2.5), (0.2, 2.25)])
-    staged = Pace(0.06, inrush=2)
-    found = PointByPoint(
-        TransitionPlanner(solver, along(times, line, 0.002, 0.02, staged), staged), "minimum-switch"
-    ).plan(home)
+    staged, single = Pace(0.06, inrush=2), Pace(0.06, inrush=1)
+    planner = TransitionPlanner(solver, along(times, line, 0.002, 0.02, staged), staged)
+    found = PointByPoint(planner, "minimum-switch", 0.0).plan(home)  # the first answers have many switches
     for transition, solution in list(zip(found.transitions, found.solutions, strict=True))[1:]:
         assert len(transition.stages) >= solution.switches / 2
+    fast = TransitionPlanner(solver, along(np.array([0.0, 4.0]), line, 0.002, 0.02, single), single)
     with pytest.raises(Refusal, match=r"^waypoints\[0\] to waypoints\[1\], one of \d+ parts: .* and the line \S+ s$"):
-        PointByPoint(
-            TransitionPlanner(solver, along(np.array([0.0, 4.0]), line, 0.002, 0.02, Pace(0.06, 1)), Pace(0.06, 1)),
-            "pop",
-        ).plan(home)
+        PointByPoint(fast, "pop").plan(home)
 
 
 def test_a_point_of_a_line_out_of_reach_names_the_line_and_the_nearest_found(solver):
