@@ -6,7 +6,7 @@ STEPS ?= 1000000
 # Bytecode is written when a module is first imported: pip would compile all that it installs.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo panel test page-test vm vm-test check bench fuzz soak clean
+.PHONY: demo panel test page-test vm vm-test vcan-test check bench fuzz soak clean
 
 demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
@@ -34,6 +34,10 @@ vm: $(VENV)/installed
 # Some tests: make vm-test ARGS="tests/system -k reset"
 vm-test: $(VENV)/installed
 	$(BIN)/python -m tests.vm.boot $(ARGS)
+
+# The whole of tests/system on the kernel's CAN, in user-mode Linux, without root: make vcan-test ARGS="tests/system -k reset"
+vcan-test: $(VENV)/installed
+	$(BIN)/python -m tests.uml.boot $(ARGS)
 
 # The operator's page in Debian's Chromium: apt-get install chromium chromium-driver
 page-test: $(VENV)/kernels $(VENV)/page

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from controller.commands.table import COMMANDS, GROUPS, Entry
+from controller.commands.table import COMMANDS, GROUPS, CommandEntry
 from controller.host.machine_code import ADVICE, REFUSAL, watch
 
 WIDE = {"max_content_width": 120}  # columns of --help, on terminals that have them
@@ -60,7 +60,7 @@ def quick(parameter: Any) -> Any:
 class DeferredCommand(TyperCommand):
     """A command whose module is imported when its arguments are parsed."""
 
-    def __init__(self, name: str, entry: Entry) -> None:
+    def __init__(self, name: str, entry: CommandEntry) -> None:
         """Creates the command of a table entry."""
         super().__init__(name, help=entry.summary)
         self._entry = entry
@@ -137,11 +137,11 @@ def main() -> None:
         app()
     except Exception as error:
         from controller.armfile.strict import InputFaults
-        from controller.commands.common import Failed
+        from controller.commands.common import CommandFailed
 
         if isinstance(error, RuntimeError) and REFUSAL in str(error):
-            error = Failed(f"numba cannot write its machine code: {ADVICE}")
-        if not isinstance(error, InputFaults | Failed):
+            error = CommandFailed(f"numba cannot write its machine code: {ADVICE}")
+        if not isinstance(error, InputFaults | CommandFailed):
             raise
         sys.stderr.write(f"{error}\n")
         sys.exit(2 if isinstance(error, InputFaults) else 1)

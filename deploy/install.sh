@@ -44,7 +44,7 @@ echo "installing into $prefix"
 # numba cannot load kernels compiled from another version. The first start compiles them again.
 rm -rf /var/cache/private/hyperbit/numba /var/cache/private/hyperbit-arms/*/numba
 rm -rf "$prefix/README.md" "$prefix/doc"
-(cd "$project" && find README.md controller deploy drivers tests -name README.md) | while IFS= read -r page; do
+(cd "$project" && find README.md controller deploy drivers tests -name '*.md') | while IFS= read -r page; do
   install -D -m 644 "$project/$page" "$prefix/doc/$page"
 done
 ln -sf "$prefix/bin/hyperbit" /usr/local/bin/hyperbit

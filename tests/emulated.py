@@ -60,7 +60,7 @@ class Interface:
         self._state[0] = UP
 
     def delete(self) -> None:
-        """Takes it away, as a USB adapter that is unplugged."""
+        """Removes the interface, like a USB adapter that is unplugged."""
         with self._lock:
             self._state[0] = GONE
             for client in list(self._clients):

@@ -9,7 +9,7 @@ SCRIPT = DEPLOY / "certificates.sh"
 
 
 def made() -> bool:
-    """Whether there is what makes them."""
+    """Returns whether this computer has openssl, which makes the keys."""
     return shutil.which("openssl") is not None
 
 

@@ -50,7 +50,7 @@ class Interface:
         _run("ip", "link", "set", "dev", self.name, "down")
 
     def delete(self) -> None:
-        """Takes it away, as a USB adapter that is unplugged."""
+        """Removes the interface, like a USB adapter that is unplugged."""
         _run("ip", "link", "delete", "dev", self.name)
 
     def hold(self) -> None:
@@ -84,7 +84,7 @@ class Interface:
             bus.send(can.Message(arbitration_id=kind, is_error_frame=True, is_extended_id=False, data=data))
 
     def bound(self, bitrate: float) -> None:
-        """Lets no more frames through than a bus of so many bit/s, those of the last priority last."""
+        """Limits the interface to a bit rate [bit/s]; frames of the lowest priority wait."""
         rate = f"{round(bitrate / 135 * 8 * _FRAME)}bit"  # a frame of 8 bytes has up to 135 bits on the wire
         self._queue("handle", "2:", "tbf", "rate", rate, "burst", str(4 * _FRAME), "limit", str(128 * _FRAME))
         _run("tc", "qdisc", "add", "dev", self.name, "parent", "2:1", "handle", "1:", "prio")

@@ -1,17 +1,15 @@
 """Measured frames in CSV files, one row for each state; each fault is reported with its line."""
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice
-from pathlib import Path, PurePath
+from pathlib import Path
 
+from controller.armfile.csv_files import check_states, read_states
 from controller.manipulator import frames
 
 PLANAR, SPATIAL = ("x", "y", "th"), ("x", "y", "z", "qx", "qy", "qz", "qw")
 LARGEST, TURN = 1e6, 6.2832  # greatest length, and angle; as in the arm's file
-MOST_ROWS = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,29 +31,16 @@ def read_table(folder: Path, name: str, path: str, faults: list[str]) -> Table |
         path: of the field that names the file.
         faults: appended to, each beginning with `path`.
     """
-    before = len(faults)
-    if PurePath(name).is_absolute() or ".." in PurePath(name).parts or not name.endswith(".csv"):
-        faults.append(f"{path}: a CSV file beside the arm's is needed, such as measured.csv, got {name!r}")
+    before, table = len(faults), read_states(folder, name, path, faults)
+    if table is None:
         return None
-    try:
-        with (folder / name).open(newline="", encoding="utf-8-sig") as file:  # spreadsheets put a mark before it
-            reader = csv.reader(file, skipinitialspace=True, strict=True)
-            columns = [column.strip() for column in next(reader, [])]
-            if sorted(columns) not in (sorted(PLANAR), sorted(SPATIAL)):
-                wanted, given = f"{','.join(PLANAR)} or {','.join(SPATIAL)}", ",".join(columns) or "none"
-                faults.append(f"{path}: {name}: columns {wanted} are needed, got {given}")
-                return None
-            rows = [
-                read_row(row, columns, f"{path}: {name} line {reader.line_num}", faults)
-                for row in islice(reader, MOST_ROWS + 1)
-                if row
-            ]
-    except (OSError, ValueError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        faults.append(f"{path}: {name} cannot be read: {reason}")
+    columns = table.columns
+    if sorted(columns) not in (sorted(PLANAR), sorted(SPATIAL)):
+        wanted, given = f"{','.join(PLANAR)} or {','.join(SPATIAL)}", ",".join(columns) or "none"
+        faults.append(f"{path}: {name}: columns {wanted} are needed, got {given}")
         return None
-    if not 2 <= len(rows) <= MOST_ROWS:
-        faults.append(f"{path}: {name}: 2 to {MOST_ROWS} rows are needed, a state each, got {len(rows)}")
+    rows = [read_row(row.fields, columns, f"{path}: {name} line {row.line}", faults) for row in table.rows]
+    check_states(table, name, path, faults)
     found = [frame for frame in rows if frame is not None]
     return Table(found, "th" in columns) if len(faults) == before else None
 

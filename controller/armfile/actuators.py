@@ -1,10 +1,9 @@
 """The actuators of an arm's file: their labels, in order, and their wiring; no geometry."""
 
-import csv
 from collections.abc import Sequence
-from itertools import islice
-from pathlib import Path, PurePath
+from pathlib import Path
 
+from controller.armfile.csv_files import check_states, read_states
 from controller.armfile.error_states import check_error_states
 from controller.armfile.settings import (
     ActuatorSettings,
@@ -22,7 +21,6 @@ from controller.armfile.strict import InputFaults
 from controller.armfile.terminals import check_terminals, named_boards, no_bus
 
 VGT: tuple[str, ...] = ("left", "diagonal", "right")  # of a truss module
-MOST_ROWS = 4096  # of a table
 STAGE = 0.1  # [s] for a stage beside the travel time, its margin and the rest
 
 
@@ -88,21 +86,11 @@ def code_length(states: int) -> int:
 
 def count_rows(folder: Path, name: str | None, path: str, faults: list[str]) -> int:
     """Returns the number of states in a table, a CSV file with one state a row; the numbers are not checked."""
-    if name is None or PurePath(name).is_absolute() or ".." in PurePath(name).parts or not name.endswith(".csv"):
-        faults.append(f"{path}: a CSV file beside the arm's is needed, such as measured.csv, got {name!r}")
+    table = read_states(folder, name, path, faults)
+    if table is None:
         return 0
-    try:
-        with (folder / name).open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file, skipinitialspace=True, strict=True)
-            next(reader, None)
-            rows = sum(1 for row in islice(reader, MOST_ROWS + 1) if row)
-    except (OSError, ValueError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        faults.append(f"{path}: {name} cannot be read: {reason}")
-        return 0
-    if not 2 <= rows <= MOST_ROWS:
-        faults.append(f"{path}: {name}: 2 to {MOST_ROWS} rows are needed, a state each, got {rows}")
-    return rows
+    check_states(table, name, path, faults)
+    return len(table.rows)
 
 
 def map_actuators(

@@ -1,7 +1,7 @@
 """The fields of an arm's YAML file, their bounds and defaults; no geometry, so that the executor can read the file."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from msgspec import Meta, Struct, field
 
@@ -26,6 +26,7 @@ Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
 Diagonal = Literal["BC", "AD"]  # of a truss module
 PaperMethod = Literal["pop", "ipop-previous", "ipop-contracted"]
 Variant = Literal["ipop-fewest-switches", "ipop-fewest-extended"]  # the paper's IPOP, counting actuators
+MINIMUM_SWITCH: Final = "minimum-switch"
 Method = Literal["minimum-switch", PaperMethod, Variant]
 OnLoss = Literal["hold", "contract"]
 ErrorState = Literal["off", "hold", "device"] | bool  # YAML reads a plain off as false
@@ -273,7 +274,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     planner_timeout: Annotated[float, Meta(ge=0.5, le=60)] = 1.0  # of silence until the executor holds
     base: FrameSettings = FrameSettings([0.0, 0.0])
     workspace: WorkspaceSettings = WorkspaceSettings()
-    method: Method = "minimum-switch"
+    method: Method = MINIMUM_SWITCH
     on_stuck: Literal["hold", "continue"] = "hold"
     on_stop: Literal["hold", "contract"] = "hold"
     weights: WeightSettings = WeightSettings()

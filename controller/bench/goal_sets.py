@@ -3,7 +3,6 @@
 A set is a CSV file in `sets`; the arms are in `arms`. `tests/benchmarks/goal_sets.py` draws the goals and proves them.
 """
 
-import csv
 import math
 from dataclasses import dataclass
 from functools import cache
@@ -12,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from controller.arm.arm import Arm, load
+from controller.armfile.csv_files import read_csv
 from controller.manipulator import frames
 from controller.manipulator.frames import Frame
 from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import parse_configuration
 
 FOLDER = Path(__file__).parent
-COLUMNS = ("arm", "start", "goal", "tolerance", "angle_tolerance", "bound", "best")
 
 SETS = {
     "paper": "the paper's arm of 16 modules, positions",
@@ -89,12 +88,11 @@ def arm_path(name: str) -> Path:
 
 def read(name: str) -> list[Task]:
     """Returns the goals of a set."""
-    with (FOLDER / "sets" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
-        return [task(row) for row in csv.DictReader(file)]
+    return [task(row) for _, row in read_csv(FOLDER / "sets" / f"{name}.csv").records()]
 
 
 def task(row: dict[str, str]) -> Task:
-    """Returns the goal of a row; see COLUMNS."""
+    """Returns the goal of a row."""
     arm = load_arm(row["arm"]).manipulator
     numbers = tuple(map(float, row["goal"].split()))
     oriented = row["angle_tolerance"] != ""

@@ -44,7 +44,7 @@ class Residuals:
 
 
 @dataclass(frozen=True)
-class Misfit:
+class PoseResiduals:
     """Residuals of positions and, if they were measured, of orientations."""
 
     position: Residuals
@@ -52,7 +52,7 @@ class Misfit:
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class ParameterChange:
     """The change of one parameter.
 
     Attributes:
@@ -72,16 +72,16 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The result of a calibration. Misfits are over the samples that are no outliers.
+    """The result of a calibration. Residuals are over the samples that are no outliers.
 
     Attributes:
         samples: number of samples.
         outliers: lines of the outliers.
-        before: misfit of the arm in the file.
-        base_only: misfit of the arm with only the base fitted.
-        after: misfit of the calibrated arm.
-        held_out: cross-validated misfit: arms fitted to four folds, evaluated on the fifth.
-        held_out_base_only: cross-validated misfit with only the base fitted.
+        before: residuals of the arm in the file.
+        base_only: residuals of the arm with only the base fitted.
+        after: residuals of the calibrated arm.
+        held_out: cross-validated residuals: arms fitted to four folds, evaluated on the fifth.
+        held_out_base_only: cross-validated residuals with only the base fitted.
         better: whether `held_out` beats `held_out_base_only`: in mean square, by more than two standard errors.
         noise: standard deviation of a coordinate, and of an angle [rad] if orientations were measured.
         undetermined: number of directions in parameter space that the file determines, not the samples.
@@ -91,15 +91,15 @@ class Calibration:
 
     samples: int
     outliers: tuple[int, ...]
-    before: Misfit
-    base_only: Misfit
-    after: Misfit
-    held_out: Misfit
-    held_out_base_only: Misfit
+    before: PoseResiduals
+    base_only: PoseResiduals
+    after: PoseResiduals
+    held_out: PoseResiduals
+    held_out_base_only: PoseResiduals
     better: bool
     noise: Array
     undetermined: int
-    changes: tuple[Change, ...]
+    changes: tuple[ParameterChange, ...]
     description: Description
 
 
@@ -131,16 +131,18 @@ def calibrated(arm: Arm, samples: Samples, *, each: bool) -> Calibration:
     return Calibration(
         samples=len(samples.tips),
         outliers=tuple(samples.lines[~found.kept].tolist()),
-        before=misfit([(original, kept, still)]),
-        base_only=misfit([(base_model, kept, base_found.steps)]),
-        after=misfit([(Model(new, chosen), kept, still)]),
-        held_out=misfit(unseen),
-        held_out_base_only=misfit(unseen_base),
+        before=pose_residuals([(original, kept, still)]),
+        base_only=pose_residuals([(base_model, kept, base_found.steps)]),
+        after=pose_residuals([(Model(new, chosen), kept, still)]),
+        held_out=pose_residuals(unseen),
+        held_out_base_only=pose_residuals(unseen_base),
         better=better(unseen, unseen_base),
         noise=found.noise,
         undetermined=found.undetermined,
         changes=tuple(
-            Change(p, value_at(in_file, p.where), value_at(new, p.where), float(deviation), bool(determined > 0.5))
+            ParameterChange(
+                p, value_at(in_file, p.where), value_at(new, p.where), float(deviation), bool(determined > 0.5)
+            )
             for p, deviation, determined in zip(chosen, found.deviations, found.determined, strict=True)
         ),
         description=new,
@@ -231,12 +233,12 @@ def better(compared: Compared, others: Compared) -> bool:
     return bool(gain.mean() > 2 * gain.std() / np.sqrt(len(gain)))
 
 
-def misfit(compared: Compared) -> Misfit:
+def pose_residuals(compared: Compared) -> PoseResiduals:
     """Returns the residuals of models with changes over their samples, all together."""
     position = np.concatenate([distances(*each) for each in compared])
     if not compared[0][1].oriented:
-        return Misfit(summed_up(position), None)
-    return Misfit(summed_up(position), summed_up(np.concatenate([angles(*each) for each in compared])))
+        return PoseResiduals(summed_up(position), None)
+    return PoseResiduals(summed_up(position), summed_up(np.concatenate([angles(*each) for each in compared])))
 
 
 def summed_up(values: Array) -> Residuals:

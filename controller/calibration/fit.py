@@ -48,7 +48,7 @@ class Fit:
     noise: Array
 
 
-class Problem:
+class LeastSquares:
     """The least squares over one set of samples. Parameters are in units of their prior standard deviations."""
 
     def __init__(self, model: Model, samples: Samples, length: float) -> None:
@@ -129,7 +129,7 @@ def fit(model: Model, samples: Samples, length: float) -> Fit:
     Raises:
         CannotFit: there are too few samples, or the least squares fail.
     """
-    problem = Problem(model, samples, length)
+    problem = LeastSquares(model, samples, length)
     x = np.zeros(len(model.parameters))
     check_enough(problem, x)
     every = np.ones(len(samples.tips), dtype=bool)
@@ -164,11 +164,11 @@ def fit(model: Model, samples: Samples, length: float) -> Fit:
 
 def plausible(model: Model, samples: Samples, length: float, found: Fit) -> NDArray[np.bool_]:
     """Returns a mask (n,) of the samples that a fit to other samples predicts within its noise."""
-    problem = Problem(model, samples, length)
+    problem = LeastSquares(model, samples, length)
     return problem.within(found.steps / problem.priors, found.noise)
 
 
-def check_enough(problem: Problem, x: Array) -> None:
+def check_enough(problem: LeastSquares, x: Array) -> None:
     """Checks that there are at least two measured values for each parameter that they depend on.
 
     Raises:

@@ -34,13 +34,11 @@ class Parameter:
     Attributes:
         where: keys and indices from the top of the file.
         prior: prior standard deviation.
-        angular: whether it is an angle [rad].
         axis: axis of the frame about which it turns, 0 to 2; None: a number to add to.
     """
 
     where: tuple[Key, ...]
     prior: float
-    angular: bool
     axis: int | None = None
 
     @property
@@ -112,8 +110,8 @@ def parameters(description: Description, length: float, modules: int) -> tuple[P
         where, size = ("modules", g), LENGTHS * length / modules
         for name in ("width", "lengths", "base", "top"):
             if name in entry:
-                found += [Parameter(leaf, size, False) for leaf in leaves((*where, name), entry[name])]
-        found += [Parameter(leaf, ANGLES, True) for leaf in leaves((*where, "angles"), entry.get("angles", []))]
+                found += [Parameter(leaf, size) for leaf in leaves((*where, name), entry[name])]
+        found += [Parameter(leaf, ANGLES) for leaf in leaves((*where, "angles"), entry.get("angles", []))]
         if "link" in entry:
             found += of_frame((*where, "link"), entry["link"], size, ANGLES)
         for k, state in enumerate(entry.get("states", [])):
@@ -123,9 +121,9 @@ def parameters(description: Description, length: float, modules: int) -> tuple[P
 
 def of_frame(where: tuple[Key, ...], frame: Description, length: float, angle: float) -> Iterator[Parameter]:
     """Yields the parameters of a frame: coordinates and an angle, or coordinates and three rotations."""
-    yield from (Parameter(leaf, length, False) for leaf in leaves((*where, "position"), frame["position"]))
+    yield from (Parameter(leaf, length) for leaf in leaves((*where, "position"), frame["position"]))
     axes: list[int | None] = [0, 1, 2] if isinstance(frame["orientation"], list) else [None]
-    yield from (Parameter((*where, "orientation"), angle, True, axis) for axis in axes)
+    yield from (Parameter((*where, "orientation"), angle, axis) for axis in axes)
 
 
 def leaves(where: tuple[Key, ...], value: Any) -> Iterator[tuple[Key, ...]]:

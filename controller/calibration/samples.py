@@ -1,15 +1,14 @@
 """Reads measured tips from CSV files, one sample a row; each fault names its line."""
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.arm.tables import PLANAR, SPATIAL, read_row
+from controller.armfile.csv_files import read_csv
 from controller.armfile.strict import MOST_FAULTS, InputFaults
 from controller.manipulator.frames import Frame
 from controller.manipulator.manipulator import Configuration, Manipulator
@@ -54,23 +53,15 @@ def read_samples(path: Path, manipulator: Manipulator) -> Samples:
     """
     faults: list[str] = []
     found: list[tuple[Configuration, Frame, int]] = []
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets write a byte order mark
-            reader = csv.reader(file, skipinitialspace=True, strict=True)
-            columns = [column.strip() for column in next(reader, [])]
-            state, tip = checked_columns(path, columns, planar=manipulator.planar)
-            for row in islice(reader, MOST_SAMPLES + 1):
-                if row:
-                    where = f"line {reader.line_num}"
-                    fields = dict(zip(columns, row, strict=False))
-                    sample = read_sample(fields, len(row), state, tip, manipulator, where)
-                    if isinstance(sample, str):
-                        faults.append(sample)
-                    else:
-                        found.append((*sample, reader.line_num))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputFaults(path, [f"cannot be read: {reason}"]) from None
+    file = read_csv(path, MOST_SAMPLES)
+    state, tip = checked_columns(path, file.columns, planar=manipulator.planar)
+    for row in file.rows:
+        fields = dict(zip(file.columns, row.fields, strict=False))
+        sample = read_sample(fields, len(row.fields), state, tip, manipulator, f"line {row.line}")
+        if isinstance(sample, str):
+            faults.append(sample)
+        else:
+            found.append((*sample, row.line))
     if len(found) > MOST_SAMPLES:
         faults.append(f"more than {MOST_SAMPLES} samples")
     if faults or not found:

@@ -16,6 +16,7 @@ import typer
 from msgspec import Meta, Struct
 
 from controller.armfile.strict import UNIT, InputFaults, check, read_yaml
+from controller.refusals.reasons import advice
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,7 +49,7 @@ def __getattr__(name: str) -> Console:
     return created
 
 
-class Failed(Exception):
+class CommandFailed(Exception):
     """A request failed; the command exits with code 1.
 
     Args:
@@ -66,21 +67,10 @@ class Named(Struct, frozen=True):
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
 
 
-NEXT = {  # next step, by a part of the daemon's message
-    "the arm is stopped": "leave the stop by: hyperbit reset {arm}",
-    "the arm is fault": "remove the cause, then: hyperbit reset {arm}",
-    "the arm is starting": "wait until it is ready: hyperbit watch {arm}",
-    "is no configuration": "switch single actuators: hyperbit jog {arm} ACTUATOR=STATE",
-    "out of reach": "see where the arm can reach: hyperbit workspace ARM.yaml",
-    "the executor is not connected": "check it by: systemctl status hyperbit-executor",
-}
-
-
-def refusal(answer: Mapping[str, Any], arm: str) -> Failed:
+def refusal(answer: Mapping[str, Any], arm: str) -> CommandFailed:
     """Returns the error for a refusing answer or a failed result of an arm's daemon."""
     status, message = answer.get("status", "refused"), answer["message"]
-    step = next((step for part, step in NEXT.items() if part in message), "")
-    return Failed(f"{status} (code {answer['code']}): {message}", step.format(arm=arm))
+    return CommandFailed(f"{status} (code {answer['code']}): {message}", advice(answer.get("reason"), arm))
 
 
 def print_json(value: object) -> None:

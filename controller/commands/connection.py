@@ -11,7 +11,7 @@ import msgspec
 import typer
 
 from controller.armfile.strict import InputFaults, read_yaml
-from controller.commands.common import Failed, arm_name, print_json, refusal
+from controller.commands.common import CommandFailed, arm_name, print_json, refusal
 
 if TYPE_CHECKING:
     import zenoh
@@ -31,7 +31,7 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
         zenoh_file: Zenoh configuration, instead of the endpoint.
 
     Raises:
-        Failed: no daemon is there, or the daemon does not answer a request inside the context.
+        CommandFailed: no daemon is there, or the daemon does not answer a request inside the context.
         InputFaults: the arm's file or the Zenoh configuration is wrong.
     """
     import zenoh
@@ -48,12 +48,12 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
     try:
         opened = zenoh.open(config)
     except zenoh.ZError as error:
-        raise Failed(f"no daemon at {zenoh_file or connect}: {session.reason(error)}", START) from None
+        raise CommandFailed(f"no daemon at {zenoh_file or connect}: {session.reason(error)}", START) from None
     with opened as live, contextlib.closing(Client(live, name, lambda: zenoh.open(config))) as client:
         try:
             yield client
         except Unanswered as error:
-            raise Failed(str(error), after_silence(live, name)) from None
+            raise CommandFailed(str(error), after_silence(live, name)) from None
 
 
 def after_silence(session: zenoh.Session, arm: str) -> str:
@@ -69,8 +69,8 @@ def ask(client: Client, arm: str, key: str, payload: dict[str, Any], as_json: bo
     """Sends a request and prints the daemon's answer.
 
     Raises:
-        Failed: the daemon refused.
-        Unanswered: the daemon did not answer; `connected` makes this a Failed.
+        CommandFailed: the daemon refused.
+        Unanswered: the daemon did not answer; `connected` makes this a CommandFailed.
     """
     answer = client.request(key, payload)
     if as_json:

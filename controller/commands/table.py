@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 
-class Entry(NamedTuple):
+class CommandEntry(NamedTuple):
     """One command.
 
     Attributes:
@@ -21,74 +21,76 @@ class Entry(NamedTuple):
 
 GROUPS = {
     "Use an arm": {
-        "send": Entry(
+        "send": CommandEntry(
             "use.send",
             "send",
             "Send a goal and follow it to its result; Ctrl-C cancels the goal.",
             "hyperbit send planar16 --to 0.4,2.9",
         ),
-        "watch": Entry(
+        "watch": CommandEntry(
             "use.watch",
             "watch",
             "Show a running arm until Ctrl-C; with --json, print each state as a line.",
             "hyperbit watch planar16",
         ),
-        "cancel": Entry(
+        "cancel": CommandEntry(
             "use.requests",
             "cancel",
             "Cancel the running goal or stream of set-points; the arm holds and accepts the next goal.",
             "hyperbit cancel planar16",
         ),
-        "stop": Entry(
+        "stop": CommandEntry(
             "use.requests",
             "stop",
             "Stop the arm: it holds and accepts no motion until reset. No substitute for a switch that cuts the power.",
             "hyperbit stop planar16",
         ),
-        "halt": Entry(
+        "halt": CommandEntry(
             "use.halt",
             "halt",
             "Stop the arm as `stop` does; --local needs neither planner nor Zenoh. No substitute for a power switch.",
             "hyperbit halt --local",
         ),
-        "reset": Entry("use.requests", "reset", "Leave a stop or a fault. Nothing moves.", "hyperbit reset planar16"),
-        "jog": Entry(
+        "reset": CommandEntry(
+            "use.requests", "reset", "Leave a stop or a fault. Nothing moves.", "hyperbit reset planar16"
+        ),
+        "jog": CommandEntry(
             "use.requests",
             "jog",
             "Switch single actuators, even if their states form no configuration. The arm moves.",
             "hyperbit jog planar16 5.left=extended",
         ),
-        "degrade": Entry(
+        "degrade": CommandEntry(
             "use.requests",
             "degrade",
             "Lock actuators that are stuck, or unlock them. Nothing moves.",
             "hyperbit degrade planar16 5.left=contracted",
         ),
-        "lock": Entry(
+        "lock": CommandEntry(
             "use.requests",
             "lock",
             "Lock actuators in a state, or unlock them with `free`; the same as `degrade`. Nothing moves.",
             "hyperbit lock planar16 5.left=contracted 7.right=free",
         ),
-        "obstacles": Entry(
+        "obstacles": CommandEntry(
             "use.requests",
             "obstacles",
             "Replace the obstacles that were sent before; those of the arm's file remain. Nothing moves.",
             "hyperbit obstacles planar16 --none",
         ),
-        "panel": Entry(
+        "panel": CommandEntry(
             "use.panel",
             "panel",
             "Serve the operator's web page, which shows and commands all connected arms, until SIGTERM.",
             "hyperbit panel",
         ),
-        "record": Entry(
+        "record": CommandEntry(
             "use.record",
             "record",
             "Record the messages of an arm, and the requests to it, to MCAP files until SIGTERM.",
             "hyperbit record planar16",
         ),
-        "replay": Entry(
+        "replay": CommandEntry(
             "use.replay",
             "replay",
             "Publish a recording again below another key prefix, or repeat its goals on a simulated arm and compare.",
@@ -96,31 +98,31 @@ GROUPS = {
         ),
     },
     "Operate the daemon": {
-        "run": Entry(
+        "run": CommandEntry(
             "operate.run",
             "run",
             "Run the daemon until SIGTERM: it takes goals over Zenoh and moves the arm by an executor.",
             "hyperbit run my-arm.yaml",
         ),
-        "execute": Entry(
+        "execute": CommandEntry(
             "operate.execute",
             "execute",
             "Run the executor until SIGTERM: it takes motion programs from a planner and commands boards over CAN.",
             "hyperbit execute my-arm.yaml",
         ),
-        "simulate": Entry(
+        "simulate": CommandEntry(
             "operate.simulate",
             "simulate",
             "Run simulated boards on the arm's own bus, in place of the real boards, until SIGTERM.",
             "hyperbit simulate my-arm.yaml --board fixed-mapping",
         ),
-        "demo": Entry(
+        "demo": CommandEntry(
             "operate.demo",
             "demo",
             "Run a daemon on simulated boards, send it three targets and a closed curve, and draw a picture.",
             "hyperbit demo --animation demo.gif",
         ),
-        "wear": Entry(
+        "wear": CommandEntry(
             "operate.wear",
             "wear",
             "Print how often each actuator has switched, and how goals ended.",
@@ -128,37 +130,37 @@ GROUPS = {
         ),
     },
     "Configure arm and boards": {
-        "check": Entry(
+        "check": CommandEntry(
             "configure.check",
             "check",
             "Check an arm's file and name each fault by its field; --bus also reads the boards.",
             "hyperbit check my-arm.yaml --bus",
         ),
-        "probe": Entry(
+        "probe": CommandEntry(
             "configure.probe",
             "probe",
             "Find the nodes of a CAN bus and print their identity, mapping and settings; writes nothing.",
             "hyperbit probe can0 --json",
         ),
-        "node-id": Entry(
+        "node-id": CommandEntry(
             "configure.node_id",
             "node_id",
             "Set and store a board's node id and bit rate by LSS; they apply from the next power-on.",
             "hyperbit node-id can0 5",
         ),
-        "board": Entry(
+        "board": CommandEntry(
             "configure.board",
             "board",
             "Read the errors of one board, or reset it, while the arm's executor is stopped.",
             "hyperbit board my-arm.yaml can0/5 errors",
         ),
-        "exercise": Entry(
+        "exercise": CommandEntry(
             "configure.exercise",
             "exercise",
             "Move each actuator once there and back, one at a time, and propose travel times for the arm's file.",
             "hyperbit exercise planar16",
         ),
-        "calibrate": Entry(
+        "calibrate": CommandEntry(
             "configure.calibrate",
             "calibrate",
             "Fit the modules and the base of an arm's file to measured tips; print the residuals before and after.",
@@ -166,37 +168,37 @@ GROUPS = {
         ),
     },
     "Study arms": {
-        "plan": Entry(
+        "plan": CommandEntry(
             "study.plan",
             "plan",
             "Search configurations for goals, without hardware.",
             "hyperbit plan deploy/planar16.yaml --goal 0.55,2.9,0.3",
         ),
-        "fk": Entry(
+        "fk": CommandEntry(
             "study.report",
             "fk",
             "Print position and orientation of the tip for a configuration.",
             "hyperbit fk deploy/planar16.yaml 4646676700771206",
         ),
-        "map": Entry(
+        "map": CommandEntry(
             "study.report",
             "map_",
             "Compute the point densities of all intermediate workspaces and store them in the cache.",
             "hyperbit map deploy/planar16.yaml",
         ),
-        "workspace": Entry(
+        "workspace": CommandEntry(
             "study.workspace",
             "workspace",
             "Draw and report where an arm can reach: positions, orientations at a point, reach with locked actuators.",
             "hyperbit workspace deploy/planar16.yaml --at 0.55,2.9",
         ),
-        "figure5": Entry(
+        "figure5": CommandEntry(
             "study.report",
             "figure5",
             "Repeat the paper's experiment of section 4: three targets, three algorithms.",
             "hyperbit figure5",
         ),
-        "bench": Entry(
+        "bench": CommandEntry(
             "study.bench",
             "bench",
             "Compare methods of inverse kinematics on goals whose fewest switches are proven.",

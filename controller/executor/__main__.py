@@ -15,7 +15,7 @@ from controller.executor.process.journal_copy import JournalInUse
 from controller.executor.process.log_lines import start_logging
 from controller.executor.process.real_time import enter_real_time
 from controller.executor.process.run import MOST_PENDING, EventLoop
-from controller.executor.process.server import Server, SocketInUse
+from controller.executor.process.server import ExecutorServer, SocketInUse
 from controller.executor.process.switch_journal import FileJournal, default_path
 from controller.flight_recorder import FlightRecorder, Label
 from controller.host.notify import Notifier
@@ -75,7 +75,7 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         counts = FileJournal(path, arm.actuators, notifier.kept_file("switches"))
         closing.callback(counts.close)
         counts.start_copier()
-        server = Server(socket_path(socket, arm.name))
+        server = ExecutorServer(socket_path(socket, arm.name))
         core = Executor(arm, counts, secrets.randbits(62), notifier.watchdog)
         label = Label("executor", arm.name, arm.digest)
         recorder = closing.enter_context(FlightRecorder(label, path.parent, batch=MOST_PENDING))

@@ -34,7 +34,7 @@ ARM = re.compile(r"[A-Za-z0-9_-]{1,64}")
 KEPT = 10  # saved files of an arm's process; the oldest ones are deleted
 
 
-class Refused(ValueError):
+class RefusedFile(ValueError):
     """A file is no file of events, or contains what such a file may not contain; the text says what."""
 
 
@@ -62,7 +62,7 @@ def about(content: bytes) -> dict[str, Any]:
     """Returns the line of JSON at the beginning of a generation.
 
     Raises:
-        Refused: there is none, or it has other values than a process writes: its arm and kind become names of files.
+        RefusedFile: there is none, or its values are wrong: its arm and kind become names of files.
     """
     try:
         found: dict[str, Any] = json.loads(content[: content.index(b"\n")])
@@ -70,9 +70,9 @@ def about(content: bytes) -> dict[str, Any]:
         numbers = found["number"], found["checkpoint"]
         fit = ARM.fullmatch(words[0]) and words[1] in KINDS and all(type(n) is int and n >= 0 for n in numbers)
     except (ValueError, KeyError, TypeError) as error:
-        raise Refused(f"the beginning of a generation cannot be read: {error}") from None
+        raise RefusedFile(f"the beginning of a generation cannot be read: {error}") from None
     if not fit:
-        raise Refused(f"the beginning of a generation has wrong values: {words}, {numbers}")
+        raise RefusedFile(f"the beginning of a generation has wrong values: {words}, {numbers}")
     return found
 
 
@@ -90,7 +90,7 @@ def save(paths: Sequence[Path], folder: Path, cause: str, kept: int | None = Non
 
     Raises:
         OSError: a file cannot be read or written, or nothing was recorded.
-        Refused: a generation is damaged.
+        RefusedFile: a generation is damaged.
     """
     found = sorted((about(content)["number"], content) for content in map(read_generation, paths) if content)
     if not found:
@@ -130,7 +130,7 @@ def keep(paths: Sequence[Path], folder: Path) -> None:
             last = saved[cause] = now
             try:
                 text = f"the last events are in {save(paths, folder, cause, KEPT)}"
-            except (OSError, Refused) as error:
+            except (OSError, RefusedFile) as error:
                 text = f"the last events cannot be saved: {error}"
             with contextlib.suppress(OSError):
                 os.write(2, f"{text} ({cause})\n".encode())

@@ -8,14 +8,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from controller.flight_recorder.keeper import LARGEST, LENGTH, MAGIC, Refused, about
+from controller.flight_recorder.keeper import LARGEST, LENGTH, MAGIC, RefusedFile, about
 from controller.flight_recorder.pickling import unpickle
 
 # Takes the line of JSON of a generation; returns objects by name in place of those that are recorded by name.
 Given = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
-class Entry(NamedTuple):
+class RecordedStep(NamedTuple):
     """One step of the core.
 
     Attributes:
@@ -42,7 +42,7 @@ class Generation(NamedTuple):
 
     about: dict[str, Any]
     core: Any
-    entries: list[Entry]
+    entries: list[RecordedStep]
 
 
 def load(path: Path, given: Given = lambda about: {}) -> list[Generation]:
@@ -53,12 +53,14 @@ def load(path: Path, given: Given = lambda about: {}) -> list[Generation]:
         given: see `Given`.
 
     Raises:
-        Refused: the file is damaged, no file of events, or contains anything else.
+        RefusedFile: the file is damaged, no file of events, or contains anything else.
         OSError: the file cannot be read.
     """
     content = path.read_bytes()
     if not content.startswith(MAGIC):
-        raise Refused(f"{path} is no file of events of this version: it does not begin with {MAGIC.decode().strip()!r}")
+        raise RefusedFile(
+            f"{path} is no file of events of this version: it does not begin with {MAGIC.decode().strip()!r}"
+        )
     unpacking = zlib.decompressobj()
     try:
         parts = unpacking.decompress(content[content.index(b"\n", len(MAGIC)) + 1 :], LARGEST)
@@ -68,7 +70,7 @@ def load(path: Path, given: Given = lambda about: {}) -> list[Generation]:
             generations.append(_generation(parts[LENGTH.size : LENGTH.size + size], given))
             parts = parts[LENGTH.size + size :]
     except (zlib.error, struct.error, ValueError) as error:
-        raise error if isinstance(error, Refused) else Refused(f"{path} is damaged: {error}") from None
+        raise error if isinstance(error, RefusedFile) else RefusedFile(f"{path} is damaged: {error}") from None
     return generations
 
 
@@ -78,12 +80,12 @@ def _generation(content: bytes, given: Given) -> Generation:
     place = content.index(b"\n") + 1
     core = unpickle(content[place : place + said["checkpoint"]], others) if said["checkpoint"] else None
     place += said["checkpoint"]
-    entries: list[Entry] = []
+    entries: list[RecordedStep] = []
     while place + LENGTH.size <= len(content):
         (size,) = LENGTH.unpack_from(content, place)
         place += LENGTH.size
         if place + size > len(content):
             break  # the process was killed while it wrote this block
-        entries += [Entry(*entry) for entry in unpickle(content[place : place + size], others)]
+        entries += [RecordedStep(*entry) for entry in unpickle(content[place : place + size], others)]
         place += size
     return Generation(said, core, entries)

@@ -14,11 +14,12 @@ from collections.abc import Callable, Mapping
 from types import FunctionType, MappingProxyType, MethodType
 from typing import Any
 
-from controller.flight_recorder.keeper import Refused
+from controller.flight_recorder.keeper import RefusedFile
 
 # What a pickle of events may contain: classes of these modules, which only hold data and compute.
 PURE = re.compile(
-    r"controller\.(armfile\.settings|program(\.\w+)?|(manipulator|motion(\.\w+)?|obstacles|planning\.core)\.\w+)"
+    r"controller\.(armfile\.settings|host\.process|program(\.\w+)?"
+    r"|(manipulator|motion(\.\w+)?|obstacles|planning\.core|refusals)\.\w+)"
     r"|controller\.executor\.((core|motion)\.\w+|process\.clients)"
     r"|drivers\.canopen\.((boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link|load|tx_echo))"
 )
@@ -84,11 +85,13 @@ class _Unpickler(pickle.Unpickler):
             pure = isinstance(found, type) or (isinstance(found, FunctionType) and module.startswith(CORE))
             if pure and found.__module__ == module:
                 return found
-        raise Refused(f"the file contains {module}.{name}, which no file of events may contain: it is not loaded")
+        raise RefusedFile(f"the file contains {module}.{name}, which no file of events may contain: it is not loaded")
 
     def _outside(self, name: str) -> Any:
         if name not in self._given:
-            raise Refused(f"the core needs {name!r}, which is not in the file: it can only be made from the arm's file")
+            raise RefusedFile(
+                f"the core needs {name!r}, which is not in the file: it can only be made from the arm's file"
+            )
         return self._given[name]
 
 
@@ -100,24 +103,24 @@ def unpickle(content: bytes, given: Mapping[str, Any] = MappingProxyType({})) ->
         given: objects that were recorded by name.
 
     Raises:
-        Refused: the pickle is damaged, or contains anything else.
+        RefusedFile: the pickle is damaged, or contains anything else.
     """
     try:
         return _Unpickler(content, given).load()
-    except Refused:
+    except RefusedFile:
         raise
     except Exception as error:
-        raise Refused(f"a pickle cannot be read: {type(error).__name__}: {error}") from None
+        raise RefusedFile(f"a pickle cannot be read: {type(error).__name__}: {error}") from None
 
 
 def method_of(owner: object, name: str) -> MethodType:
     """Returns a method of an object of a pure module; the form in which a pickle has bound methods."""
     function = next((vars(kind)[name] for kind in type(owner).__mro__ if name in vars(kind)), None)
     if not isinstance(function, FunctionType) or not PURE.fullmatch(function.__module__):
-        raise Refused(f"the file contains a method {name!r} of {type(owner).__name__}: it is not loaded")
+        raise RefusedFile(f"the file contains a method {name!r} of {type(owner).__name__}: it is not loaded")
     return MethodType(function, owner)
 
 
 def stands_outside(name: str) -> Any:
     """Stands in a pickle for an object that is recorded by name; `load` is given the object."""
-    raise Refused(f"{name!r} was not given")
+    raise RefusedFile(f"{name!r} was not given")

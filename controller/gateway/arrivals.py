@@ -16,7 +16,6 @@ from controller.planning.core.events import Payload
 
 MOST_AT_ONCE = 20  # refusals a second without pauses; only these give a reason, which takes a hundred times as long
 PAUSE_EVERY, PAUSE = 10, 0.002  # number of further requests for each pause, and its length [s]
-BRIEFLY = "the request is malformed; no details are given while many bad requests arrive"
 REMEMBERED = 60.0  # [s] after the last answer; clients repeat a request for a few seconds
 FORGET_EVERY = 1.0  # [s]
 MOST = 1_000  # keys of goals remembered

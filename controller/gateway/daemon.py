@@ -108,8 +108,8 @@ def running(
         gc.collect()
         gc.freeze()  # the collector need not scan long-lived objects while a goal waits
         closing.callback(gc.unfreeze)
-        notifier.send("READY=1")
-        closing.callback(notifier.send, "STOPPING=1")
+        notifier.notify("READY=1")
+        closing.callback(notifier.notify, "STOPPING=1")
         log.info("serving the arm %s", name)
         yield daemon
 

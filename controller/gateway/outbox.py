@@ -13,9 +13,10 @@ import msgspec
 import numpy as np
 import zenoh
 
-from controller.motion import codes
 from controller.network.session import LEASE
 from controller.planning.core.events import Identity, Payload, Published, PublishResult, refused
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 
@@ -236,4 +237,4 @@ def without_json(payload: Payload) -> Payload:
     """Returns a replacement for a payload that cannot be encoded; it has the goal and status of a result."""
     fields = {name: value for name in ("id", "status") if isinstance(value := payload.get(name), str)}
     fields = {name: value.encode(errors="backslashreplace").decode() for name, value in fields.items()}
-    return {**refused(codes.INVALID_GOAL, "internal error, see the journal"), **fields}
+    return {**refused(Refusal(Reason.INTERNAL_ERROR)), **fields}

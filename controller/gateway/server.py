@@ -13,13 +13,14 @@ from typing import Any, Literal
 import msgspec
 import zenoh
 
-from controller.gateway.arrivals import BRIEFLY, FloodBrake, Rate, RepeatedGoals, Reply
+from controller.gateway.arrivals import FloodBrake, Rate, RepeatedGoals, Reply
 from controller.gateway.outbox import Outbox
-from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.decoding.goal import GoalMessage
+from controller.motion.decoding.goal import GoalMessage, Undecodable
 from controller.planning.core.events import CancelMessage, Key, Message, Payload, SetpointArrived, TipArrived, refused
 from controller.planning.loop import Receive
 from controller.planning.planner import Planner
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 
@@ -163,17 +164,17 @@ class Way:
         try:
             self._submit(arrival)
         except Refusal as refusal:
-            self._answer(arrival, refused(refusal.code, str(refusal), refusal.goal))
+            self._answer(arrival, refused(refusal))
         except Exception:
             log.exception("a request on %s failed", self._key)
-            self._answer(arrival, refused(INVALID_GOAL, "internal error, see the journal"))
+            self._answer(arrival, refused(Refusal(Reason.INTERNAL_ERROR)))
         self._brake.slow_down()
 
     def _submit(self, arrival: Arrival) -> None:
         """Gives a request to the planner; raises Refusal if it is malformed, names no arm, or too many wait."""
         self._check_named(arrival.name, named=self._reach == "named")
         if self._reach != "each arm" and len(self._unanswered) > MOST_UNANSWERED:
-            raise Refusal(INVALID_GOAL, f"busy: {MOST_UNANSWERED} requests on {self._key} are waiting already")
+            raise Refusal(Reason.BUSY, most=MOST_UNANSWERED, what=f"requests on {self._key}")
         message = self._decode(arrival.payload)
         if isinstance(message, CancelMessage) and message.goal is not None:
             self._check_named(arrival.name, named=True)
@@ -186,20 +187,19 @@ class Way:
             self._planner.loop.request(self._key, message, reply)
 
     def _decode(self, payload: bytes) -> Message:
-        """Returns the content of a request, or raises Refusal; without the reason while many are invalid."""
+        """Returns the content of a request, or raises Refusal; in a flood without a reason that takes long."""
         try:
             return self._planner.decoder.decode(self._key, payload)
         except Refusal as refusal:
-            if self._brake.explained.admits():
+            if not isinstance(refusal, Undecodable) or self._brake.explained.admits():
                 raise
-            raise Refusal(refusal.code, BRIEFLY, refusal.goal) from None
+            raise Refusal(Reason.NOT_EXPLAINED, refusal.goal) from None
 
     def _check_named(self, name: str, *, named: bool) -> None:
         """Raises Refusal if a key expression does not name the key, or not in full though it must be `named`."""
         if name == self.name or self._reach == "all" or (not named and name.rpartition("/")[2] == self._key):
             return
-        needed = f"{self._key} must be named, as in {self.name}"
-        raise Refusal(INVALID_GOAL, f"{needed}; {name[:200]} does not name it")
+        raise Refusal(Reason.NOT_NAMED, key=self._key, name=self.name, given=name[:200])
 
     def _answer(self, arrival: Arrival, answer: Payload) -> None:
         """Answers a request that has no answer yet, and notes it if a recorder listens."""

@@ -56,6 +56,12 @@ def fields_of_result(payload: Mapping[str, object]) -> dict[str, str]:
     return {"MESSAGE_ID": message_id(f"goal-{payload.get('status')}"), "HYPERBIT_GOAL": str(payload.get("id")), **shown}
 
 
+def fields_of_refusal(goal: str, reason: str, code: int) -> dict[str, str]:
+    """Returns the fields of a goal or jog that is refused: its id, the reason's name, and the code."""
+    fields = {"HYPERBIT_GOAL": goal, "HYPERBIT_REASON": reason, "HYPERBIT_CODE": str(code)}
+    return {"MESSAGE_ID": message_id(f"refused-{reason}"), **fields}
+
+
 class JournalHandler(logging.Handler):
     """Sends each record to the journal without waiting; unsent datagrams go before the next record.
 

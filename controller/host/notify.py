@@ -24,7 +24,7 @@ class Notifier:
         usec = os.environ.get("WATCHDOG_USEC", "")
         self.watchdog = int(usec) / 1e6 if usec.isdecimal() and address else None
 
-    def send(self, assignment: str) -> None:
+    def notify(self, assignment: str) -> None:
         """Sends an assignment such as "READY=1"."""
         if self._socket is None:
             return

@@ -23,7 +23,7 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import format_configuration, parse_configuration
 from controller.workspace.cache import default_directory, load_or_map
 from controller.workspace.densities import Densities
-from controller.workspace.locked_reach import LockedReach, reach_when_locked
+from controller.workspace.locked_reach import LockChoices, LockedReach, reach_when_locked
 from controller.workspace.orientations import Orientations, orientations_at
 
 Array = NDArray[np.float64]
@@ -79,19 +79,19 @@ class Arm:
             "workspace": {} if pixel is None else {"pixel": pixel},
         }
         settings = checked(ArmSettings, msgspec.to_builtins(fields), name)
-        self._take(build(settings, Path(name)))
+        self._set_arm(build(settings, Path(name)))
 
     @classmethod
-    def _of(cls, arm: config.Arm, held: LockedStates | None = None) -> Arm:
+    def _of(cls, arm: config.Arm, locked_states: LockedStates | None = None) -> Arm:
         """Returns the arm of a file with locked states (A,); with the file's locked states if None."""
         self = cls.__new__(cls)
-        self._take(arm, held)
+        self._set_arm(arm, locked_states)
         return self
 
-    def _take(self, arm: config.Arm, held: LockedStates | None = None) -> None:
+    def _set_arm(self, arm: config.Arm, locked_states: LockedStates | None = None) -> None:
         self._arm = arm
-        self._held = arm.locked if held is None else held
-        self._reduced = arm.reduced if held is None else lock_actuators(arm.manipulator, held)
+        self._locked_states = arm.locked if locked_states is None else locked_states
+        self._reduced = arm.reduced if locked_states is None else lock_actuators(arm.manipulator, locked_states)
 
     @property
     def name(self) -> str:
@@ -136,7 +136,9 @@ class Arm:
     @property
     def locked(self) -> dict[str, str]:
         """Locked actuators by label, each "contracted" or "extended"."""
-        return {label: STATES[s] for label, s in zip(self.actuators, self._held.tolist(), strict=True) if s >= 0}
+        return {
+            label: STATES[s] for label, s in zip(self.actuators, self._locked_states.tolist(), strict=True) if s >= 0
+        }
 
     @cached_property
     def home(self) -> Configuration:
@@ -152,15 +154,15 @@ class Arm:
         Raises:
             LockError: a label or a state is unknown, or a module has no state with these actuator states.
         """
-        held = self._held.copy()
+        locked_states = self._locked_states.copy()
         for label, state in states.items():
             if label not in self.actuators:
                 raise LockError(f"the arm has no actuator {label!r}; the first is {self.actuators[0]!r}")
             if state is not None and state not in STATES:
                 raise LockError(f"{label}: 'contracted', 'extended' or None is needed, got {state!r}")
-            held[self.actuators.index(label)] = -1 if state is None else STATES.index(state)
+            locked_states[self.actuators.index(label)] = -1 if state is None else STATES.index(state)
         try:
-            return Arm._of(self._arm, held)
+            return Arm._of(self._arm, locked_states)
         except ValueError as error:
             raise LockError(str(error)) from None
 
@@ -269,7 +271,8 @@ class Arm:
             LockError: the arm has too few actuators to lock.
         """
         try:
-            return reach_when_locked(self._reduced, self._densities, locks, self.tolerance, samples, seed)
+            choices = LockChoices(locks, samples, seed)
+            return reach_when_locked(self._reduced, self._densities, self.tolerance, choices)
         except ValueError as error:
             raise LockError(str(error)) from None
 

@@ -62,4 +62,4 @@ def calibrate(arm: Arm, configurations: ArrayLike, tips: ArrayLike, *, each: boo
     fields: dict[str, Any] = {"name": arm.name, "tolerance": {"position": arm.tolerance}, **report.description}
     found = checked(ArmSettings, fields, arm.name)
     settings = structs.replace(arm._arm.settings, base=found.base, modules=found.modules)
-    return Fitted(Arm._of(build(settings, Path(arm.name)), arm._held), report)
+    return Fitted(Arm._of(build(settings, Path(arm.name)), arm._locked_states), report)

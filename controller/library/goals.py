@@ -80,7 +80,7 @@ def numbers(values: ArrayLike, name: str) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
+class ToleratedGoal:
     """A goal with its effective tolerances.
 
     Attributes:
@@ -96,7 +96,7 @@ class Request:
     angle_tolerance: float
 
 
-def request(goal: Goal | ArrayLike, dimension: int, tolerance: float, angle_tolerance: float) -> Request:
+def with_tolerances(goal: Goal | ArrayLike, dimension: int, tolerance: float, angle_tolerance: float) -> ToleratedGoal:
     """Returns a goal, or a bare position, with the arm's tolerances as defaults.
 
     Raises:
@@ -107,4 +107,4 @@ def request(goal: Goal | ArrayLike, dimension: int, tolerance: float, angle_tole
     if size != dimension:
         raise GoalError(f"a goal of this arm has {dimension} coordinates, got {size}")
     angle = math.inf if own.orientation is None else own.angle_tolerance or angle_tolerance
-    return Request(own, own.target, own.tolerance or tolerance, angle)
+    return ToleratedGoal(own, own.target, own.tolerance or tolerance, angle)

@@ -60,11 +60,11 @@ def plot(
         case _:
             given = {name: arm.parse(configuration) for name, configuration in drawn.items()}
     regions = together([arm._arm.obstacles, build_obstacles(obstacles, arm.dimension)])
-    panel = plots.Panel(arm.name if title is None else title, given, targets, curve)
+    subplot = plots.Subplot(arm.name if title is None else title, given, targets, curve)
     if arm.dimension == 2:
-        return plots.figure(arm._whole, arm._densities, [panel], unit, regions)
+        return plots.figure(arm._whole, arm._densities, [subplot], unit, regions)
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.6, 6.2), layout="constrained")
-    plots.draw_spatial(figure.add_subplot(projection="3d"), arm._whole, panel, unit, regions)
+    plots.draw_spatial(figure.add_subplot(projection="3d"), arm._whole, subplot, unit, regions)
     return figure

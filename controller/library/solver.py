@@ -13,16 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from controller.library.arm import Arm
 from controller.library.errors import GoalError, PathError
-from controller.library.goals import Goal, Request, request
+from controller.library.goals import Goal, ToleratedGoal, with_tolerances
 from controller.library.obstacles import Obstacle, build_obstacles
 from controller.manipulator.manipulator import Configuration
-from controller.motion.codes import Refusal
 from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.plans.whole import WHOLE_TIME, TipGoals, plan_whole, unhurried
 from controller.motion.stages.pacing import pace_of
 from controller.motion.trajectory import MOST_POINTS
+from controller.refusals.refusal import Refusal
 from controller.search import solver as search
-from controller.search.method import METHODS, Method
+from controller.search.method import METHODS, MINIMUM_SWITCH, Method
 from controller.search.solution import Certificate, Solution
 
 DEADLINE, PATH_DEADLINE = search.TIMEOUT, WHOLE_TIME
@@ -101,7 +101,7 @@ class Solver:
         goal: Goal | ArrayLike,
         start: Start = None,
         *,
-        method: Method = "minimum-switch",
+        method: Method = MINIMUM_SWITCH,
         deadline: float = DEADLINE,
     ) -> Solution:
         """Returns a configuration for a goal. If the goal is out of reach, returns the nearest configuration found.
@@ -121,7 +121,7 @@ class Solver:
             raise GoalError(f"no method {method!r}; there are {', '.join(METHODS)}")
         if not 0 < deadline < math.inf:
             raise GoalError(f"deadline: a positive number of seconds is needed, got {deadline!r}")
-        asked = self._request(goal)
+        asked = self._with_tolerances(goal)
         before = self._start(start)
         target = self._search.target(asked.target, asked.tolerance, asked.angle_tolerance)
         found = self._search.solve(target, before, method, timeout=deadline)
@@ -133,7 +133,7 @@ class Solver:
         start: Start = None,
         *,
         path_tolerance: float | None = None,
-        method: Method = "minimum-switch",
+        method: Method = MINIMUM_SWITCH,
         deadline: float = DEADLINE,
         path_deadline: float = PATH_DEADLINE,
     ) -> Path:
@@ -162,7 +162,7 @@ class Solver:
         for name, value in (("deadline", deadline), ("path_deadline", path_deadline)):
             if not 0 < value < math.inf:
                 raise GoalError(f"{name}: a positive number of seconds is needed, got {value!r}")
-        asked = [self._request(goal) for goal in goals]
+        asked = [self._with_tolerances(goal) for goal in goals]
         before, pace = self._start(start), pace_of(self.arm._arm.settings)
         try:
             trajectory = unhurried(self._goals(asked, path_tolerance), pace, path_tolerance)
@@ -191,8 +191,8 @@ class Solver:
         solver.prepare()
         return solver
 
-    def _request(self, goal: Goal | ArrayLike) -> Request:
-        return request(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
+    def _with_tolerances(self, goal: Goal | ArrayLike) -> ToleratedGoal:
+        return with_tolerances(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
 
     def _start(self, start: Start) -> Configuration:
         """Returns the start configuration in the numbering of the reduced arm."""
@@ -202,7 +202,7 @@ class Solver:
             self.arm.home if start is None else start.configuration if isinstance(start, Solution) else start
         )
 
-    def _goals(self, asked: Sequence[Request], path_tolerance: float | None) -> TipGoals:
+    def _goals(self, asked: Sequence[ToleratedGoal], path_tolerance: float | None) -> TipGoals:
         """Returns goals as arrays."""
         if path_tolerance is not None:
             if any(math.isfinite(one.angle_tolerance) for one in asked):

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.motion.codes import INVALID_GOAL, Refusal
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 if TYPE_CHECKING:  # its kernels take a second to import; clients that only decode messages need not wait
     from controller.motion.stages.pacing import Pace
@@ -150,17 +151,23 @@ def along(
     if fewest.sum() + 1 > MOST_POINTS:
         least = COARSEST * lengths.sum() / max(MOST_POINTS - len(times), 1)
         raise Refusal(
-            INVALID_GOAL,
-            f"path_tolerance: {path_tolerance:g} takes {fewest.sum() + 1:.6g} points along lines of {lengths.sum():.3g}"
-            f" in all, at most {MOST_POINTS} are accepted; {upwards(least):g} would do",
+            Reason.TOO_MANY_POINTS,
+            tolerance=path_tolerance,
+            count=float(fewest.sum() + 1),
+            length=f"{lengths.sum():.3g}",
+            most=MOST_POINTS,
+            enough=upwards(least),
         )
     needed = pace.shortest * fewest
     if (durations < needed - 1e-9).any():
         k = int(np.argmax(durations < needed - 1e-9))
         raise Refusal(
-            INVALID_GOAL,
-            f"waypoints[{k}] to waypoints[{k + 1}]: {durations[k]:.3g} s for a line of {lengths[k]:.3g} within"
-            f" path_tolerance {path_tolerance:g}, the actuators need {upwards(needed[k]):g} s",
+            Reason.LINE_TOO_FAST,
+            where=f"waypoints[{k}] to waypoints[{k + 1}]",
+            seconds=f"{durations[k]:.3g}",
+            length=f"{lengths[k]:.3g}",
+            tolerance=path_tolerance,
+            needed=upwards(needed[k]),
         )
     finest = count_parts(lengths, path_tolerance / FINEST)
     parts = np.clip(np.floor(durations / pace.unhurried + 1e-9), fewest, finest)

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.collision import first_collisions
-from controller.obstacles.distance import Array, Index
+from controller.obstacles.collision import ArmBodies, first_collisions
+from controller.obstacles.distance import Array, Index, Surroundings
 from controller.obstacles.obstacles import Obstacles
 
 # Share of the arm's length that covers rounding: bodies that come so near count as touching. The crossing of two nearly
@@ -26,6 +26,8 @@ class Clearance:
         bodies: line segments of each module's states, padded with 0, shape (B, Kmax, Lmax, 2, 3).
         balls: centre and radius of a ball around each body, shape (B, Kmax, 4).
         lines: number of line segments of each module, shape (B,).
+        arm_bodies: frames and bodies for kernels.
+        surroundings: obstacles for kernels.
     """
 
     def __init__(
@@ -46,6 +48,10 @@ class Clearance:
         for i, module in enumerate(manipulator.modules):
             self.bodies[i, : len(module.body), : self.lines[i]] = module.body
             self.balls[i, : len(module.body)] = balls(module.body)
+        bodies = self.bodies, self.balls, self.lines
+        self.arm_bodies = ArmBodies(manipulator.rotations, manipulator.translations, *bodies)
+        shapes = obstacles.kinds, obstacles.axes, obstacles.centres, obstacles.sizes
+        self.surroundings = Surroundings(*shapes, float(self.margin), float(self.apart))
 
     @property
     def free(self) -> bool:
@@ -90,25 +96,8 @@ class Clearance:
 
         A row has the module, the obstacle that it touches, and the other module that it touches; -1 for none.
         """
-        arm, obstacles = self.manipulator, self.obstacles
-        return np.asarray(
-            first_collisions(
-                np.ascontiguousarray(arm.base[:3, :3]),
-                np.ascontiguousarray(arm.base[:3, 3]),
-                arm.rotations,
-                arm.translations,
-                self.bodies,
-                self.balls,
-                self.lines,
-                obstacles.kinds,
-                obstacles.axes,
-                obstacles.centres,
-                obstacles.sizes,
-                self.margin,
-                self.apart,
-                configurations,
-            )
-        )
+        r, b = (np.ascontiguousarray(part) for part in (self.manipulator.base[:3, :3], self.manipulator.base[:3, 3]))
+        return np.asarray(first_collisions(r, b, self.arm_bodies, self.surroundings, configurations))
 
 
 def balls(bodies: Array) -> Array:

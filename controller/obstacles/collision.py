@@ -1,13 +1,51 @@
 """The first collision of a configuration, from base to tip, with an obstacle or between two modules."""
 
+from typing import Any, NamedTuple
+
 import numpy as np
-from numba import njit
+from numba import float64, int64, njit, types
 
 from controller.manipulator.frame_kernels import compose
-from controller.obstacles.distance import Array, Index, first_obstacle, placed
+from controller.manipulator.kernel_types import F1, F2, F3, F4, F5, I1, I2, UNCOUNTED, named
+from controller.obstacles.distance import SURROUNDINGS, Array, Index, Surroundings, first_obstacle, placed
 
 
-@njit("f8(f8[:,::1], f8[:,::1])", cache=True, nogil=True, error_model="numpy")
+class ArmBodies(NamedTuple):
+    """Frames and bodies of an arm, for kernels.
+
+    Attributes:
+        rotations: configuration sets, shape (B, Kmax, 3, 3).
+        translations: configuration sets, shape (B, Kmax, 3).
+        bodies: see Clearance.
+        balls: see Clearance.
+        lines: see Clearance.
+    """
+
+    rotations: Array
+    translations: Array
+    bodies: Array
+    balls: Array
+    lines: Index
+
+
+class WorldBodies(NamedTuple):
+    """The bodies of one configuration in the world, written from base to tip. Only used with self-collision.
+
+    Attributes:
+        ends: line segments, shape (B, Lmax, 2, 3).
+        balls: centres and radii of balls around them, shape (B, 4).
+    """
+
+    ends: Array
+    balls: Array
+
+
+ARM_BODIES = named(ArmBodies, F4, F3, F5, F3, I1)
+WORLD_BODIES = named(WorldBodies, F4, F2)
+TOUCH: Any = types.UniTuple(int64, 2)  # type: ignore[no-untyped-call]
+
+
+@njit("f8(f8[:,::1], f8[:,::1])", **UNCOUNTED, error_model="numpy")
 def lines_distance(first: Array, second: Array) -> float:
     """Returns the distance between two line segments (2, 3).
 
@@ -37,22 +75,22 @@ def lines_distance(first: Array, second: Array) -> float:
     return float(np.sqrt(square))
 
 
-@njit("i8(f8[:,:,:,::1], f8[:,::1], i8[::1], i8, f8)", cache=True, nogil=True)
-def first_module(ends: Array, middles: Array, lines: Index, i: int, apart: float) -> int:
+@njit(int64(WORLD_BODIES, I1, int64, float64), **UNCOUNTED)
+def first_module(world: WorldBodies, lines: Index, i: int, apart: float) -> int:
     """Returns the first module at most `apart` away from module i, without its neighbours; -1 if there is none.
 
     Args:
-        ends: line segments in the world, shape (B, Lmax, 2, 3).
-        middles: centres and radii of balls around them, shape (B, 4).
+        world: bodies of modules up to i.
         lines: number of line segments of each module, shape (B,).
         i: the module; only modules below it are compared.
         apart: distance that counts as touching.
     """
+    ends, balls = world.ends, world.balls
     for j in range(i - 1):
         square = 0.0
         for a in range(3):
-            square += (middles[i, a] - middles[j, a]) ** 2
-        if square > (middles[i, 3] + middles[j, 3] + apart) ** 2:
+            square += (balls[i, a] - balls[j, a]) ** 2
+        if square > (balls[i, 3] + balls[j, 3] + apart) ** 2:
             continue
         for m in range(lines[i]):
             for n in range(lines[j]):
@@ -61,27 +99,39 @@ def first_module(ends: Array, middles: Array, lines: Index, i: int, apart: float
     return -1
 
 
-@njit(
-    "i8[:,::1](f8[:,::1], f8[::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,:,::1], f8[:,:,::1], i8[::1],"
-    " i8[::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8, f8, i8[:,::1])",
-    cache=True,
-    nogil=True,
-)
+@njit([TOUCH(ARM_BODIES, SURROUNDINGS, int64, int64, F2, F1, WORLD_BODIES)], **UNCOUNTED, error_model="numpy")
+def first_touch(
+    arm: ArmBodies, surroundings: Surroundings, i: int, state: int, r: Array, b: Array, world: WorldBodies
+) -> tuple[int, int]:
+    """Returns the first obstacle that a module touches, otherwise the first module below; -1 for none.
+
+    With self-collision, call in order, base to tip.
+
+    Args:
+        arm: frames and bodies.
+        surroundings: what the module must not touch.
+        i: the module.
+        state: its state.
+        r: rotation of the frame below the module in the world, shape (3, 3).
+        b: position of this frame, shape (3,).
+        world: the module's body is written, those of the modules below are read.
+    """
+    body, ball = arm.bodies[i, state, : arm.lines[i]], arm.balls[i, state]
+    obstacle = first_obstacle(r, b, body, ball, surroundings, surroundings.margin)
+    if obstacle >= 0 or surroundings.apart < 0:
+        return obstacle, -1
+    ends, balls = world.ends, world.balls
+    for n in range(arm.lines[i]):
+        for end in range(2):
+            ends[i, n, end, 0], ends[i, n, end, 1], ends[i, n, end, 2] = placed(r, b, body[n, end])
+    balls[i, 0], balls[i, 1], balls[i, 2] = placed(r, b, ball[:3])
+    balls[i, 3] = ball[3]
+    return -1, first_module(world, arm.lines, i, surroundings.apart)
+
+
+@njit(I2(F2, F1, ARM_BODIES, SURROUNDINGS, I2), cache=True, nogil=True)
 def first_collisions(
-    base_r: Array,
-    base_b: Array,
-    rotations: Array,
-    translations: Array,
-    bodies: Array,
-    ball_table: Array,
-    lines: Index,
-    kinds: Index,
-    axes: Array,
-    centres: Array,
-    sizes: Array,
-    margin: float,
-    apart: float,
-    configurations: Index,
+    base_r: Array, base_b: Array, arm: ArmBodies, surroundings: Surroundings, configurations: Index
 ) -> Index:
     """Returns the first collision of each configuration, shape (n, 3).
 
@@ -90,23 +140,14 @@ def first_collisions(
     Args:
         base_r: rotation of frame F_0 in the world, shape (3, 3).
         base_b: position of frame F_0 in the world, shape (3,).
-        rotations: configuration sets, shape (B, Kmax, 3, 3).
-        translations: configuration sets, shape (B, Kmax, 3).
-        bodies: see Clearance.
-        ball_table: see `balls` of Clearance.
-        lines: see Clearance.
-        kinds: see Obstacles.
-        axes: see Obstacles.
-        centres: see Obstacles.
-        sizes: see Obstacles.
-        margin: distance from an obstacle that counts as touching.
-        apart: distance between modules that counts as touching; negative without self-collision.
+        arm: frames and bodies.
+        surroundings: what the arm must not touch.
         configurations: shape (n, B).
     """
     n, modules = configurations.shape
     result = np.full((n, 3), -1)
     r, b = np.empty((3, 3)), np.empty(3)
-    ends, middles = np.empty((modules, bodies.shape[2], 2, 3)), np.empty((modules, 4))
+    world = WorldBodies(np.empty((modules, arm.bodies.shape[2], 2, 3)), np.empty((modules, 4)))
     for c in range(n):
         for a in range(3):
             b[a] = base_b[a]
@@ -114,21 +155,9 @@ def first_collisions(
                 r[a, d] = base_r[a, d]
         for i in range(modules):
             state = configurations[c, i]
-            ball, body = ball_table[i, state], bodies[i, state, : lines[i]]
-            obstacle = first_obstacle(r, b, body, ball, kinds, axes, centres, sizes, margin)
-            if obstacle >= 0:
-                result[c, 0], result[c, 1] = i, obstacle
+            obstacle, other = first_touch(arm, surroundings, i, state, r, b, world)
+            if obstacle >= 0 or other >= 0:
+                result[c, 0], result[c, 1], result[c, 2] = i, obstacle, other
                 break
-            if apart >= 0:
-                for line in range(lines[i]):
-                    for side in range(2):
-                        x, y, z = placed(r, b, body[line, side])
-                        ends[i, line, side, 0], ends[i, line, side, 1], ends[i, line, side, 2] = x, y, z
-                x, y, z = placed(r, b, ball[:3])
-                middles[i, 0], middles[i, 1], middles[i, 2], middles[i, 3] = x, y, z, ball[3]
-                other = first_module(ends, middles, lines, i, apart)
-                if other >= 0:
-                    result[c, 0], result[c, 2] = i, other
-                    break
-            compose(r, b, rotations[i, state], translations[i, state], r, b)
+            compose(r, b, arm.rotations[i, state], arm.translations[i, state], r, b)
     return result

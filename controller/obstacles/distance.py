@@ -6,9 +6,13 @@ form. The squared distance from a box along the segment is a convex, piecewise q
 the segment crosses the planes of the box's faces.
 """
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit
+from numba import float64, int64, njit
 from numpy.typing import NDArray
+
+from controller.manipulator.kernel_types import F1, F2, F3, I1, UNCOUNTED, named
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -16,7 +20,30 @@ Index = NDArray[np.int64]
 SPHERE, BOX, HALF_SPACE = 0, 1, 2
 
 
-@njit("f8(i8, f8[:,::1], f8[::1], f8[::1], f8, f8, f8)", cache=True, nogil=True, error_model="numpy")
+class Surroundings(NamedTuple):
+    """What bodies must not touch, for kernels.
+
+    Attributes:
+        kinds: see Obstacles.
+        axes: see Obstacles.
+        centres: see Obstacles.
+        sizes: see Obstacles.
+        margin: distance from an obstacle that counts as touching.
+        apart: distance between modules that counts as touching; negative without self-collision.
+    """
+
+    kinds: Index
+    axes: Array
+    centres: Array
+    sizes: Array
+    margin: float
+    apart: float
+
+
+SURROUNDINGS = named(Surroundings, I1, F3, F2, F2, float64, float64)
+
+
+@njit("f8(i8, f8[:,::1], f8[::1], f8[::1], f8, f8, f8)", **UNCOUNTED, error_model="numpy")
 def signed_distance(kind: int, axes: Array, centre: Array, size: Array, x: float, y: float, z: float) -> float:
     """Returns the signed distance of a point from an obstacle, negative inside."""
     x, y, z = x - centre[0], y - centre[1], z - centre[2]
@@ -32,7 +59,7 @@ def signed_distance(kind: int, axes: Array, centre: Array, size: Array, x: float
     return float(np.sqrt(square) if deepest > 0 else deepest)
 
 
-@njit("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3), f8)", cache=True, nogil=True, inline="always")
+@njit("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3), f8)", **UNCOUNTED, inline="always")
 def slope(half: Array, start: tuple[float, ...], way: tuple[float, ...], t: float) -> float:
     """Returns half the derivative of the squared distance from a box along a line, in the frame of the box."""
     total = 0.0
@@ -45,7 +72,7 @@ def slope(half: Array, start: tuple[float, ...], way: tuple[float, ...], t: floa
     return total
 
 
-@njit("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3))", cache=True, nogil=True, error_model="numpy")
+@njit("f8(f8[::1], UniTuple(f8, 3), UniTuple(f8, 3))", **UNCOUNTED, error_model="numpy")
 def nearest_to_box(half: Array, start: tuple[float, ...], way: tuple[float, ...]) -> float:
     """Returns the place on a segment that is nearest to a box, from 0 at its start to 1 at its end."""
     low, high = 0.0, 1.0
@@ -72,8 +99,7 @@ def nearest_to_box(half: Array, start: tuple[float, ...], way: tuple[float, ...]
 
 @njit(
     "f8(i8, f8[:,::1], f8[::1], f8[::1], UniTuple(f8, 3), UniTuple(f8, 3))",
-    cache=True,
-    nogil=True,
+    **UNCOUNTED,
     error_model="numpy",
 )
 def segment_distance(
@@ -108,7 +134,7 @@ def segment_distance(
     return float(np.sqrt(square))
 
 
-@njit("UniTuple(f8, 3)(f8[:,::1], f8[::1], f8[::1])", cache=True, nogil=True)
+@njit("UniTuple(f8, 3)(f8[:,::1], f8[::1], f8[::1])", **UNCOUNTED)
 def placed(r: Array, b: Array, point: Array) -> tuple[float, float, float]:
     """Returns b + R p."""
     x, y, z = point[0], point[1], point[2]
@@ -120,22 +146,11 @@ def placed(r: Array, b: Array, point: Array) -> tuple[float, float, float]:
 
 
 @njit(
-    "i8(f8[:,::1], f8[::1], f8[:,:,::1], f8[::1], i8[::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8)",
-    cache=True,
-    nogil=True,
+    int64(F2, F1, F3, F1, SURROUNDINGS, float64),
+    **UNCOUNTED,
     error_model="numpy",
 )
-def first_obstacle(
-    r: Array,
-    b: Array,
-    body: Array,
-    ball: Array,
-    kinds: Index,
-    axes: Array,
-    centres: Array,
-    sizes: Array,
-    radius: float,
-) -> int:
+def first_obstacle(r: Array, b: Array, body: Array, ball: Array, surroundings: Surroundings, radius: float) -> int:
     """Returns the first obstacle at most `radius` away from a body, -1 if there is none.
 
     Args:
@@ -143,12 +158,10 @@ def first_obstacle(
         b: position of the body's frame in the world, shape (3,).
         body: line segments in the body's frame, shape (L, 2, 3).
         ball: centre and radius of a ball around them in the body's frame, shape (4,).
-        kinds: see Obstacles.
-        axes: see Obstacles.
-        centres: see Obstacles.
-        sizes: see Obstacles.
+        surroundings: the obstacles.
         radius: radius of the body, or a greater distance to keep.
     """
+    kinds, axes, centres, sizes, _, _ = surroundings
     if len(kinds) == 0:
         return -1
     middle = placed(r, b, ball[:3])

@@ -3,13 +3,12 @@
 import math
 from collections.abc import Sequence
 
-from controller.armfile.settings import MOST_OBSTACLES, BoxSettings, HalfSettings, ObstacleSettings, RoundSettings
+from controller.armfile.settings import BoxSettings, HalfSettings, ObstacleSettings, RoundSettings
 from controller.armfile.settings import ObstacleList as ObstacleList  # messages with obstacles use it
 from controller.armfile.strict import UNIT
 from controller.manipulator import frames
 from controller.obstacles.obstacles import Obstacles, box, half_space, sphere, together
 
-MOST = MOST_OBSTACLES
 PLANAR, SPATIAL = ("disc", "box", "half_plane"), ("sphere", "box", "half_space")
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from controller.obstacles.clearance import Clearance, balls
 from controller.obstacles.displacements import displacements_of
 from controller.obstacles.distance import Array, Index
-from controller.obstacles.swept_check import CLEAR, COLLIDING, swept_check
+from controller.obstacles.swept_check import CLEAR, COLLIDING, Chains, Switching, swept_check
 
 States = NDArray[np.uint8]
 
@@ -104,7 +104,7 @@ class Sweep:
 
     def _swept(self, states: States, actuators: Index) -> Collision | None:
         """Proves by bounds that the transition is clear, for boxes of displacements that are halved as needed."""
-        actuators, c = np.sort(actuators), self._clearance
+        actuators = np.sort(actuators)
         owners, rates = self._owners[actuators], np.empty((len(actuators), 3))
         modules = np.unique(owners)
         for i in modules:
@@ -117,12 +117,10 @@ class Sweep:
         suspects = np.ones((1, len(self._arm.modules)), dtype=bool)
         while len(middles):
             boxes -= len(middles)
-            parts = self._placed(chain, states, actuators, modules, middles)
+            chains = self._placed(chain, states, actuators, modules, middles)
             reports = np.full((len(middles), 3), -1)
-            obstacles = c.obstacles.kinds, c.obstacles.axes, c.obstacles.centres, c.obstacles.sizes
-            verdicts = swept_check(
-                *parts, c.lines, owners, rates, half_widths, *obstacles, c.margin, c.apart, suspects, reports
-            )
+            switching = Switching(owners, rates, half_widths)
+            verdicts = swept_check(chains, switching, self._clearance.surroundings, suspects, reports)
             colliding, unclear = np.flatnonzero(verdicts == COLLIDING), np.flatnonzero(verdicts != CLEAR)
             if len(colliding) or 2 * len(unclear) > boxes:
                 return Collision(*reports[[*colliding, *unclear][0]].tolist())
@@ -140,7 +138,7 @@ class Sweep:
 
     def _placed(
         self, chain: tuple[Array, Array, Array, Array], states: States, actuators: Index, modules: Index, middles: Array
-    ) -> tuple[Array, Array, Array, Array]:
+    ) -> Chains:
         """Returns the chain (see _chain) of each box, with actuators (k,) at displacements (n, k)."""
         n = len(middles)
         r, b, bodies, around = (np.repeat(part[None], n, axis=0) for part in chain)
@@ -150,7 +148,7 @@ class Sweep:
             frames, body = self._displacements[i].at(displacements[:, self._starts[i] : self._starts[i + 1]])
             r[:, i + 1], b[:, i + 1], bodies[:, i, : body.shape[1]] = frames[:, :3, :3], frames[:, :3, 3], body
             around[:, i] = balls(body)
-        return r, b, bodies, around
+        return Chains(r, b, bodies, around, self._clearance.lines)
 
 
 def cut(middles: Array, half_widths: Array, axes: Index) -> tuple[Array, Array]:

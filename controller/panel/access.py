@@ -27,7 +27,7 @@ class Person(NamedTuple):
     role: Role
 
 
-class Listed(Struct, forbid_unknown_fields=True, frozen=True):
+class PersonEntry(Struct, forbid_unknown_fields=True, frozen=True):
     """One entry of the file of people.
 
     Attributes:
@@ -44,7 +44,7 @@ class Listed(Struct, forbid_unknown_fields=True, frozen=True):
 class People(Struct, forbid_unknown_fields=True, frozen=True):
     """The file of people."""
 
-    people: Annotated[list[Listed], Meta(min_length=1, max_length=1000)]
+    people: Annotated[list[PersonEntry], Meta(min_length=1, max_length=1000)]
 
 
 class TooManyWrong(Exception):
@@ -60,7 +60,7 @@ class Access:
         clock: returns UNIX time [s].
     """
 
-    def __init__(self, people: Sequence[Listed], key: bytes, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self, people: Sequence[PersonEntry], key: bytes, clock: Callable[[], float] = time.time) -> None:
         self._people = {entry.name: entry for entry in people}
         self._key, self._clock = key, clock
         self._wrong: list[float] = []
@@ -85,7 +85,7 @@ class Access:
         found = self._holder(token)
         return None if found is None else Person(found.name, found.role)
 
-    def _holder(self, token: str) -> Listed | None:
+    def _holder(self, token: str) -> PersonEntry | None:
         """Returns the entry of a token; counts wrong tokens."""
         now = self._clock()
         self._wrong = [at for at in self._wrong if now - at < WRONG_WITHIN]
@@ -116,7 +116,7 @@ class Access:
         entry = self._people.get(name or "")
         return None if entry is None else Person(entry.name, entry.role)
 
-    def _signature(self, content: str, entry: Listed) -> str:
+    def _signature(self, content: str, entry: PersonEntry) -> str:
         """Returns the signature of a cookie; a change of token or role invalidates older cookies."""
         words = f"{content}.{entry.role}.{entry.token}".encode()
         return hmac.new(self._key, words, hashlib.sha256).hexdigest()
@@ -132,7 +132,7 @@ def new_token() -> str:
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 
-def read_people(path: Path) -> list[Listed]:
+def read_people(path: Path) -> list[PersonEntry]:
     """Reads the people of a file.
 
     Raises:

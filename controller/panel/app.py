@@ -21,9 +21,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from controller.panel import requests
 from controller.panel.access import LASTS, Access, Person, TooManyWrong
+from controller.panel.arm_page import ArmPage, Flood, RequestThreads, encoded
 from controller.panel.arm_view import ArmView
 from controller.panel.arms import Arms, valid
-from controller.panel.desk import Desk, Desks, Flood, encoded
 from controller.panel.metrics import endpoint
 from controller.panel.pages import Page
 from controller.panel.shield import Shield, TooLarge, policy
@@ -33,7 +33,7 @@ MOST_PAGES = 100
 NO_LOGIN, TOO_MANY, BAD = 4401, 4429, 4400  # close codes of the WebSocket
 
 
-class Panel:
+class PanelServer:
     """The page's server.
 
     Attributes:
@@ -60,7 +60,7 @@ class Panel:
         self._cookie = "__Host-hyperbit" if secure else "hyperbit"
         self._pages = 0
         self._arms: Arms | None = None
-        self._desks = Desks()
+        self._threads = RequestThreads()
         routes = [
             Route("/", self._shell, methods=["GET"]),
             Route("/arms/{name}", self._shell, methods=["GET"]),
@@ -86,7 +86,7 @@ class Panel:
             yield
             await self._arms.close()
         finally:
-            self._desks.close()
+            self._threads.close()
             await asyncio.to_thread(session.close)
 
     @property
@@ -140,7 +140,7 @@ class Panel:
             raise HTTPException(404, "There is no such arm.")
         loop = asyncio.get_running_loop()
         try:
-            return JSONResponse(await loop.run_in_executor(self._desks.stops, view.client.request, "stop"))
+            return JSONResponse(await loop.run_in_executor(self._threads.stops, view.client.request, "stop"))
         except RuntimeError as error:
             return JSONResponse({"accepted": False, "message": str(error)}, status_code=503)
 
@@ -185,7 +185,7 @@ class Panel:
             return
         self._pages += 1
         page.offer("you", encoded({"section": "you", "name": person.name, "role": person.role, "page": page.number}))
-        sender = asyncio.create_task(page.send(lambda data: socket.send_text(data.decode())))
+        sender = asyncio.create_task(page.send_updates(lambda data: socket.send_text(data.decode())))
         receiver = asyncio.create_task(self._receive(socket, view, page))
         try:
             await asyncio.wait([sender, receiver], return_when=asyncio.FIRST_COMPLETED)
@@ -201,18 +201,18 @@ class Panel:
 
     async def _receive(self, socket: WebSocket, view: ArmView | None, page: Page) -> int:
         """Serves the requests of a page; returns the close code of its WebSocket."""
-        desk = None if view is None else Desk(view, page, self._desks)
+        arm_page = None if view is None else ArmPage(view, page, self._threads)
         while True:
             message = await socket.receive()
             if message["type"] == "websocket.disconnect":
                 return 1000
             text = message.get("text")
-            if desk is None or text is None:
+            if arm_page is None or text is None:
                 return BAD
             try:
-                desk.take(requests.decode(text))
+                arm_page.receive_request(requests.decode_request(text))
             except requests.BadRequest as error:
-                desk.refuse(0, str(error))
+                arm_page.refuse(0, str(error))
             except Flood:
                 return TOO_MANY
 

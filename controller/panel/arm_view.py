@@ -9,10 +9,10 @@ from typing import Any
 import msgspec
 
 from controller.network.client import Client, Unanswered
+from controller.panel.arm_history import ArmHistory
 from controller.panel.drawing import Drawing, cloud, picture
 from controller.panel.faults import advice
 from controller.panel.pages import Control, Page
-from controller.panel.record import Record
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ class ArmView:
         known: whether a message of the arm has been received.
         pages: open pages of the arm.
         control: the page that commands the arm.
-        record: history of the arm.
+        history: history of the arm.
         drawing: structure of the arm; None until the daemon has described it.
         background: content type and bytes of the density; None until the daemon has described it.
         state: latest payload of `state`; None before the first.
@@ -45,7 +45,7 @@ class ArmView:
     def __init__(self, name: str, client: Client, loop: asyncio.AbstractEventLoop) -> None:
         self.name, self.client, self.known, self.alive = name, client, False, False
         self.pages: set[Page] = set()
-        self.control, self.record = Control(), Record()
+        self.control, self.history = Control(), ArmHistory()
         self.drawing: Drawing | None = None
         self.background: tuple[str, bytes] | None = None
         self.state: Message | None = None
@@ -62,7 +62,7 @@ class ArmView:
         """Labels of the actuators; empty until the daemon has described the arm."""
         return list(self._arm.get("actuators") or ())
 
-    def close(self) -> None:
+    def cancel_request(self) -> None:
         """Cancels the request under way."""
         if self._asking is not None:
             self._asking.cancel()
@@ -70,7 +70,7 @@ class ArmView:
     def open(self, page: Page) -> None:
         """Adds a page and sends it all sections."""
         self.pages.add(page)
-        self.publish_record()
+        self.publish_history()
         for section, data in self._sections.items():
             page.offer(section, data)
         self.publish_presence(time.monotonic())
@@ -78,9 +78,9 @@ class ArmView:
     def shut(self, page: Page) -> None:
         """Removes a page; the page loses control."""
         self.pages.discard(page)
-        if self.control.release(page):
-            self.record.say(f"{page.person.name} released control")
-            self.publish_record()
+        if self.control.release_control(page):
+            self.history.say(f"{page.person.name} released control")
+            self.publish_history()
 
     def publish(self, section: str, content: Message) -> None:
         """Sends a section to all pages, if its content has changed."""
@@ -91,11 +91,11 @@ class ArmView:
         for page in self.pages:
             page.offer(section, data)
 
-    def publish_record(self) -> None:
+    def publish_history(self) -> None:
         """Sends the present goals, log and curves to all pages."""
-        self.publish("goals", {"goals": list(self.record.goals)})
-        self.publish("log", {"lines": list(self.record.lines)})
-        self.publish("curves", {"errors": list(self.record.errors), "lateness": list(self.record.lateness)})
+        self.publish("goals", {"goals": list(self.history.goals)})
+        self.publish("log", {"lines": list(self.history.lines)})
+        self.publish("curves", {"errors": list(self.history.errors), "lateness": list(self.history.lateness)})
 
     def summary(self, now: float) -> Message:
         """Returns the arm's entry in the list of arms."""
@@ -123,8 +123,8 @@ class ArmView:
     def hear_alive(self, alive: bool) -> None:
         """Accepts a change of the arm's liveliness."""
         if alive != self.alive:
-            self.record.say("the daemon is there" if alive else "the daemon is gone", "note" if alive else "fault")
-            self.publish_record()
+            self.history.say("the daemon is there" if alive else "the daemon is gone", "note" if alive else "fault")
+            self.publish_history()
         self.alive, self.known = alive, True
         if alive:  # this may be another daemon, with another arm's file
             self._ask("drawing", "density", "running")
@@ -136,8 +136,8 @@ class ArmView:
         before, self.state, self._heard, self.known = self.state, state, at, True
         if before is None or any(state.get(name) != before.get(name) for name in ("goal", "obstacles")):
             self._ask("running", *(() if self.drawing else ("drawing", "density")))
-        if self.record.state(state):
-            self.publish_record()
+        if self.history.state(state):
+            self.publish_history()
         faults = [{**fault, "advice": advice(str(fault.get("code")))} for fault in state.get("faults", ())]
         shown = {name: value for name, value in state.items() if name != "stamp"}
         self.publish("state", {**shown, "faults": faults, "error": target_distance(state)})
@@ -146,20 +146,20 @@ class ArmView:
     def hear(self, key: str, payload: Message) -> None:
         """Accepts a payload of another key."""
         if key == "feedback":
-            self.record.feedback(payload)
+            self.history.feedback(payload)
         elif key == "result":
-            self.record.result(payload)
+            self.history.result(payload)
         elif key == "request":
-            self.record.request(payload)
+            self.history.request(payload)
         elif key == "diagnostics":
             self.diagnostics = payload
-            self.record.diagnostics(payload)
+            self.history.diagnostics(payload)
             self.publish("diagnostics", payload)
         elif key == "timeline":
             self._heard = time.monotonic()  # a paused replay publishes no state
             self.publish("timeline", payload)
             return
-        self.publish_record()
+        self.publish_history()
 
     def _draw(self, state: Message) -> None:
         """Publishes the commanded and the measured shape of the arm, if either has changed."""

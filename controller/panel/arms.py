@@ -59,7 +59,7 @@ class Arms:
         while self._declared:
             await asyncio.to_thread(self._declared.pop().undeclare)
         for view in self.views.values():
-            view.close()
+            view.cancel_request()
 
     def known(self) -> list[ArmView]:
         """Returns the arms of which a message was received."""
@@ -139,7 +139,7 @@ class Arms:
         except (msgspec.MsgspecError, RecursionError):
             log.warning("arm %s: a message on %s is not JSON", name, key)
             return
-        if key == "result" and message.get("repeated") and view.record.has_result(message.get("id")):
+        if key == "result" and message.get("repeated") and view.history.has_result(message.get("id")):
             return
         if key == "result":
             self.counters.result(name, message)

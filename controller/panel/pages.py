@@ -39,7 +39,7 @@ class Page:
         self._closing |= len(self._replies) > MOST_REPLIES
         self._news.set()
 
-    async def send(self, send: Callable[[bytes], Awaitable[None]]) -> None:
+    async def send_updates(self, send: Callable[[bytes], Awaitable[None]]) -> None:
         """Sends queued sections and answers as JSON arrays until the page is closed."""
         while not self._closing:
             await self._news.wait()
@@ -76,14 +76,14 @@ class Control:
         if self._holder is not None and self._holder.person.name != page.person.name:
             return f"{self._holder.person.name} has control: take it first"
         if self._holder is not page:  # control was free, or another page of the same person had it
-            self.take(page)
+            self.take_control(page)
         return None
 
-    def take(self, page: Page) -> None:
+    def take_control(self, page: Page) -> None:
         """Gives control to a page."""
         self._holder, self._since = page, time.time()
 
-    def release(self, page: Page) -> bool:
+    def release_control(self, page: Page) -> bool:
         """Releases the control of a page; returns whether the page had control."""
         had = self._holder is page
         if had:
@@ -91,7 +91,7 @@ class Control:
         return had
 
 
-class Allowance:
+class RateLimit:
     """A rate limit (token bucket).
 
     Attributes:
@@ -108,7 +108,7 @@ class Allowance:
         self._tokens, self._at = most, clock()
         self.refused = 0
 
-    def take(self) -> bool:
+    def take_token(self) -> bool:
         """Returns whether an action is allowed now, and counts it."""
         now = self._clock()
         self._tokens, self._at = min(self._tokens + (now - self._at) * self._rate, self._most), now

@@ -11,71 +11,71 @@ Number = Annotated[int, Meta(ge=0, le=2**53)]
 Label = Annotated[str, Meta(min_length=1, max_length=100)]
 
 
-class Asked(Struct, forbid_unknown_fields=True, tag_field="do", kw_only=True):
-    """A message of a page."""
+class NumberedRequest(Struct, forbid_unknown_fields=True, tag_field="do", kw_only=True):
+    """A message of a page, with its number."""
 
     n: Number
 
 
-class Stop(Asked, tag="stop"):
+class StopRequest(NumberedRequest, tag="stop"):
     """Stop the arm until a reset."""
 
 
-class Cancel(Asked, tag="cancel"):
+class CancelRequest(NumberedRequest, tag="cancel"):
     """End the running goal."""
 
 
-class Reset(Asked, tag="reset"):
+class ResetRequest(NumberedRequest, tag="reset"):
     """Leave a stop or a fault."""
 
 
-class Take(Asked, tag="take"):
+class TakeControlRequest(NumberedRequest, tag="take"):
     """Take control of the arm."""
 
 
-class Release(Asked, tag="release"):
+class ReleaseControlRequest(NumberedRequest, tag="release"):
     """Release control of the arm."""
 
 
-class Jog(Asked, tag="jog"):
+class JogRequest(NumberedRequest, tag="jog"):
     """Switch one actuator."""
 
     actuator: Label
     state: Literal["contracted", "extended"]
 
 
-class Lock(Asked, tag="lock"):
+class LockRequest(NumberedRequest, tag="lock"):
     """Lock an actuator in a state, or unlock it."""
 
     actuator: Label
     state: Literal[0, 1] | None
 
 
-class Obstacles(Asked, tag="obstacles"):
+class ObstaclesRequest(NumberedRequest, tag="obstacles"):
     """Replace the obstacles sent before."""
 
     regions: Annotated[list[Any], Meta(max_length=1000)]
 
 
-class Plan(Asked, tag="plan"):
+class PlanRequest(NumberedRequest, tag="plan"):
     """Plan a goal without running it."""
 
     goal: dict[str, Any]
 
 
-class Go(Asked, tag="go"):
+class GoalRequest(NumberedRequest, tag="go"):
     """Run a goal."""
 
     goal: dict[str, Any]
 
 
-class GoalFile(Asked, tag="file"):
+class GoalFileRequest(NumberedRequest, tag="file"):
     """Read a goal's file, YAML or JSON, and plan it."""
 
     text: Annotated[str, Meta(max_length=1_000_000)]
 
 
-class Seek(Asked, tag="seek"):
+class SeekRequest(NumberedRequest, tag="seek"):
     """Move a replay to a time, set its speed, pause or continue it."""
 
     at: float | None = None
@@ -83,16 +83,19 @@ class Seek(Asked, tag="seek"):
     paused: bool | None = None
 
 
-Request = Stop | Cancel | Reset | Take | Release | Jog | Lock | Obstacles | Plan | Go | GoalFile | Seek
+UrgentRequest = StopRequest | CancelRequest
+FreeRequest = UrgentRequest | TakeControlRequest | ReleaseControlRequest | PlanRequest | GoalFileRequest | SeekRequest
+ControlRequest = ResetRequest | JogRequest | LockRequest | ObstaclesRequest | GoalRequest  # need control
+PageRequest = FreeRequest | ControlRequest
 
-_decoder = msgspec.json.Decoder(Request)
+_decoder = msgspec.json.Decoder(PageRequest)
 
 
 class BadRequest(ValueError):
     """A message is no valid request of a page; the text says why."""
 
 
-def decode(data: str) -> Request:
+def decode_request(data: str) -> PageRequest:
     """Decodes a request.
 
     Raises:
@@ -101,7 +104,7 @@ def decode(data: str) -> Request:
     if len(data) > MOST_BYTES:
         raise BadRequest(f"at most {MOST_BYTES} characters are accepted")
     try:
-        request: Request = _decoder.decode(data)
+        request: PageRequest = _decoder.decode(data)
     except (msgspec.MsgspecError, RecursionError, UnicodeError) as error:
         raise BadRequest(f"not a request of this page: {error}") from None
     return request

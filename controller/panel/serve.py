@@ -3,7 +3,6 @@
 import asyncio
 import ipaddress
 import json
-import logging
 import signal
 import ssl
 import sys
@@ -19,11 +18,9 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from controller.armfile.strict import InputFaults
 from controller.host.notify import Notifier
 from controller.network import session
-from controller.panel.access import Access, Listed, cookie_key, digest_of, new_token, read_people
-from controller.panel.app import Panel
+from controller.panel.access import Access, PersonEntry, cookie_key, digest_of, new_token, read_people
+from controller.panel.app import PanelServer
 from controller.panel.requests import MOST_BYTES
-
-log = logging.getLogger(__name__)
 
 MOST_CONNECTIONS = 500
 WATCHDOG_EVERY = 2.0  # [s]
@@ -87,14 +84,14 @@ def zenoh_configuration(endpoints: Sequence[str], file: Path | None) -> zenoh.Co
     return config
 
 
-def read_or_make_people(path: Path | None) -> tuple[list[Listed], dict[str, str]]:
+def read_or_make_people(path: Path | None) -> tuple[list[PersonEntry], dict[str, str]]:
     """Returns the people of a file, or an operator and a viewer with new tokens; and the new tokens by name."""
     if path is not None:
         return read_people(path), {}
     tokens = {"operator": new_token(), "viewer": new_token()}
     return [
-        Listed("operator", "operator", digest_of(tokens["operator"])),
-        Listed("viewer", "viewer", digest_of(tokens["viewer"])),
+        PersonEntry("operator", "operator", digest_of(tokens["operator"])),
+        PersonEntry("viewer", "viewer", digest_of(tokens["viewer"])),
     ], tokens
 
 
@@ -110,11 +107,11 @@ def serve(address: Address, tls: Tls | None, people: Path | None, config: zenoh.
         raise InputFaults(Path("--listen"), [f"{address.host}: {needed}"])
     listed, tokens = read_or_make_people(people)
     access = Access(listed, cookie_key())
-    panel = Panel(lambda: zenoh.open(config), access, prefix=prefix, secure=tls is not None, local=address.local)
+    panel = PanelServer(lambda: zenoh.open(config), access, prefix=prefix, secure=tls is not None, local=address.local)
     asyncio.run(_serve(panel, address, tls, tokens))
 
 
-async def _serve(panel: Panel, address: Address, tls: Tls | None, tokens: dict[str, str]) -> None:
+async def _serve(panel: PanelServer, address: Address, tls: Tls | None, tokens: dict[str, str]) -> None:
     options: dict[str, Any] = {}
     if tls is not None:
         options = {"ssl_certfile": tls.certificate, "ssl_keyfile": tls.key}
@@ -159,10 +156,10 @@ async def _announce(server: uvicorn.Server, address: Address, secure: bool, toke
     for line in lines:
         sys.stdout.write(f"hyperbit panel, {line}\n")
     sys.stdout.flush()
-    notifier.send("READY=1")
-    notifier.send(f"STATUS=serving at {url}")
+    notifier.notify("READY=1")
+    notifier.notify(f"STATUS=serving at {url}")
     while True:
-        notifier.send("WATCHDOG=1")
+        notifier.notify("WATCHDOG=1")
         await asyncio.sleep(WATCHDOG_EVERY)
 
 

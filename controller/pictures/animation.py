@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.manipulator import Manipulator
 from controller.obstacles.obstacles import NONE, Obstacles
-from controller.pictures.plots import COLOURS, Panel, bounds, figure
+from controller.pictures.plots import COLOURS, Subplot, bounds, figure
 from controller.workspace.densities import Densities
 
 Array = NDArray[np.float64]
@@ -22,13 +22,24 @@ SHADES = 48  # of the palette: fewer make a smaller file
 SIDES, DOTS = (7.0, 5.9), 72.0  # of the picture [inch], and per inch
 
 
+class Movement(NamedTuple):
+    """The movement to show.
+
+    Attributes:
+        states: of the actuators, 0 or 1, shape (A,) each, one after the other; at least one.
+        pauses: indices of the states at which the animation pauses.
+    """
+
+    states: Sequence[ArrayLike]
+    pauses: Collection[int] = ()
+
+
 def animate(
     path: Path,
     manipulator: Manipulator,
     densities: Densities,
-    states: Sequence[ArrayLike],
-    pauses: Collection[int],
-    panel: Panel,
+    movement: Movement,
+    subplot: Subplot,
     obstacles: Obstacles = NONE,
 ) -> None:
     """Writes an endless animation, in the format of the path's suffix: .gif, .png (APNG) or .webp.
@@ -37,9 +48,8 @@ def animate(
         path: file to write.
         manipulator: the arm.
         densities: of its intermediate workspaces; ignored for a spatial arm.
-        states: of the actuators, 0 or 1, shape (A,) each, one after the other; at least one.
-        pauses: indices of the states at which the animation pauses.
-        panel: title, targets and waypoints.
+        movement: states of the actuators, and pauses.
+        subplot: title, targets and waypoints.
         obstacles: obstacles to draw.
 
     Raises:
@@ -49,9 +59,9 @@ def animate(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
-    steps = [np.asarray(each, dtype=float) for each in states]
+    steps = [np.asarray(each, dtype=float) for each in movement.states]
     bodies = [body_of(manipulator, step) for step in steps]
-    shown = figure(manipulator, densities, [panel], obstacles=obstacles)
+    shown = figure(manipulator, densities, [subplot], obstacles=obstacles)
     shown.set_size_inches(*SIDES)
     shown.set_dpi(DOTS)
     axes, canvas = shown.axes[0], cast(Any, FigureCanvasAgg)(shown)
@@ -64,7 +74,7 @@ def animate(
         for share in SHARES if k else (1.0,):
             before = steps[max(k - 1, 0)]
             body = body_of(manipulator, before + share * (step - before))
-            if np.isfinite(body).all():  # else nobody knows where the arm is meanwhile
+            if np.isfinite(body).all():  # the arm's place is unknown otherwise
                 lines.set_segments(body if not manipulator.planar else body[:, :, :2])
             if share == 1.0:
                 trail.append(tip_of(manipulator, step))
@@ -74,7 +84,7 @@ def animate(
                     tips.set_3d_properties(coordinates[2])
             canvas.draw()
             images.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"))
-            durations.append(FRAME if share < 1.0 else PAUSE if k in pauses else END)
+            durations.append(FRAME if share < 1.0 else PAUSE if k in movement.pauses else END)
     swatch = images[-1].copy()  # thin lines and dots alone would have no colour of their own in the palette
     for k, colour in enumerate(COLOURS[:2]):
         swatch.paste(colour, (0, 40 * k, swatch.width, 40 * (k + 1)))

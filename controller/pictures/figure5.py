@@ -22,7 +22,7 @@ TITLES: dict[PaperMethod, str] = {
 
 
 @dataclass(frozen=True)
-class Row:
+class ExperimentResult:
     """Result of one method for one target.
 
     Attributes:
@@ -46,16 +46,16 @@ class Row:
     switches: int
 
 
-def experiment(arm: Arm, densities: Densities) -> list[Row]:
+def experiment(arm: Arm, densities: Densities) -> list[ExperimentResult]:
     """Returns nine rows, in the order of Figure 6."""
-    solver, rows = Solver(arm.manipulator, densities), []
+    solver, results = Solver(arm.manipulator, densities), []
     for method in PAPER_METHODS:
         previous = np.zeros(len(arm.manipulator.modules), dtype=np.int64)
         for target in TARGETS:
             found = solver.solve(solver.target(target, arm.tolerance), previous, method)
             previous = found.configuration
-            rows.append(
-                Row(
+            results.append(
+                ExperimentResult(
                     method=method,
                     target=target,
                     configuration=format_configuration(arm.manipulator, found.configuration),
@@ -66,15 +66,15 @@ def experiment(arm: Arm, densities: Densities) -> list[Row]:
                     switches=found.switches,
                 )
             )
-    return rows
+    return results
 
 
-def save(path: Path, arm: Arm, densities: Densities, rows: list[Row]) -> None:
-    """Writes Figure 5 (a) to (c) as three panels side by side."""
-    panels = []
+def save(path: Path, arm: Arm, densities: Densities, results: list[ExperimentResult]) -> None:
+    """Writes Figure 5 (a) to (c) as three pictures side by side."""
+    subplots = []
     for method in PAPER_METHODS:
-        own = [row for row in rows if row.method == method]
-        reached = {f"({row.target[0]:g}, {row.target[1]:g})": row.configuration for row in own}
+        own = [result for result in results if result.method == method]
+        reached = {f"({result.target[0]:g}, {result.target[1]:g})": result.configuration for result in own}
         configurations = {name: parse_configuration(arm.manipulator, text) for name, text in reached.items()}
-        panels.append(plots.Panel(TITLES[method], configurations, [row.target for row in own]))
-    plots.save(path, arm.manipulator, densities, panels)
+        subplots.append(plots.Subplot(TITLES[method], configurations, [result.target for result in own]))
+    plots.save(path, arm.manipulator, densities, subplots)

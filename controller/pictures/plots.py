@@ -29,7 +29,7 @@ CROWDED = 60  # lines of one spatial arm, drawn thinner from there on
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class Subplot:
     """The content of one picture.
 
     Attributes:
@@ -49,17 +49,17 @@ def save(
     path: Path,
     manipulator: Manipulator,
     densities: Densities,
-    panels: Sequence[Panel],
+    subplots: Sequence[Subplot],
     unit: str = "m",
     obstacles: Obstacles = NONE,
 ) -> None:
-    """Writes a picture of the panels side by side, in the format of the path's suffix.
+    """Writes a picture of the subplots side by side, in the format of the path's suffix.
 
     Args:
         path: file to write.
         manipulator: the arm.
         densities: of its intermediate workspaces; ignored for a spatial arm.
-        panels: from left to right.
+        subplots: from left to right.
         unit: of length, for the axes.
         obstacles: obstacles to draw.
 
@@ -67,28 +67,28 @@ def save(
         OSError: the file cannot be written.
         ValueError: matplotlib knows no such suffix.
     """
-    figure(manipulator, densities, panels, unit, obstacles).savefig(path, dpi=150, bbox_inches="tight")
+    figure(manipulator, densities, subplots, unit, obstacles).savefig(path, dpi=150, bbox_inches="tight")
 
 
 def figure(
     manipulator: Manipulator,
     densities: Densities,
-    panels: Sequence[Panel],
+    subplots: Sequence[Subplot],
     unit: str = "m",
     obstacles: Obstacles = NONE,
 ) -> Figure:
     """Returns the picture that `save` writes."""
     from matplotlib.figure import Figure
 
-    result = Figure(figsize=(6.0 * len(panels) + 0.6, 6.2), layout="constrained")
+    result = Figure(figsize=(6.0 * len(subplots) + 0.6, 6.2), layout="constrained")
     shades = None
-    for k, panel in enumerate(panels):
+    for k, subplot in enumerate(subplots):
         if manipulator.planar:
-            axes = result.add_subplot(1, len(panels), k + 1)
-            shades = draw(axes, manipulator, densities, panel, unit, obstacles)
+            axes = result.add_subplot(1, len(subplots), k + 1)
+            shades = draw(axes, manipulator, densities, subplot, unit, obstacles)
         else:
-            axes = result.add_subplot(1, len(panels), k + 1, projection="3d")
-            draw_spatial(axes, manipulator, panel, unit, obstacles)
+            axes = result.add_subplot(1, len(subplots), k + 1, projection="3d")
+            draw_spatial(axes, manipulator, subplot, unit, obstacles)
     if shades is not None:
         bar = result.colorbar(shades, ax=result.axes, extend="max", shrink=0.7, aspect=30, pad=0.02)
         bar.set_label(f"point density [1/{unit}²]")
@@ -100,7 +100,7 @@ def draw(
     axes: Axes,
     manipulator: Manipulator,
     densities: Densities,
-    panel: Panel,
+    subplot: Subplot,
     unit: str = "m",
     obstacles: Obstacles = NONE,
 ) -> Any:
@@ -109,17 +109,17 @@ def draw(
 
     shades, reachable = draw_density(axes, manipulator, densities)
     everything = [reachable]
-    for name, configuration, colour, width in styled(panel):
+    for name, configuration, colour, width in styled(subplot):
         body = manipulator.body(configuration)[:, :, :2]
         for line, shade, order in ((width + 1.6, "white", 2), (width, colour, 3)):  # the rims below all colours
             lines = LineCollection(list(body), colors=shade, linewidths=line, capstyle="round", zorder=order)
             axes.add_collection(lines)
         axes.plot([], [], color=colour, linewidth=2, label=name)
         everything.append(body.reshape(-1, 2))
-    goals = draw_goals(axes, panel, 2)
+    goals = draw_goals(axes, subplot, 2)
     low, high = bounds([*everything, *goals])
     draw_obstacles(axes, obstacles, low, high)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", title=panel.title)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", title=subplot.title)
     axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
     add_legend(axes)
     return shades
@@ -154,7 +154,7 @@ def draw_density(axes: Axes, manipulator: Manipulator, densities: Densities) -> 
 
 
 def draw_spatial(
-    axes: Any, manipulator: Manipulator, panel: Panel, unit: str = "m", obstacles: Obstacles = NONE
+    axes: Any, manipulator: Manipulator, subplot: Subplot, unit: str = "m", obstacles: Obstacles = NONE
 ) -> None:
     """Draws a spatial arm in the world, on matplotlib's 3-D axes, without its density."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
@@ -162,16 +162,16 @@ def draw_spatial(
 
     axes.computed_zorder = False  # else an arm in front hides waypoints and targets
     everything = [manipulator.base[None, :3, 3]]
-    for name, configuration, colour, width in styled(panel):
+    for name, configuration, colour, width in styled(subplot):
         body = manipulator.body(configuration)
         width *= 1.0 if len(body) < CROWDED else 0.6
         lines = Line3DCollection(body, colors=colour, linewidths=width, label=name, capstyle="round", zorder=3)
         axes.add_collection3d(lines)
         everything.append(body.reshape(-1, 3))
-    goals = draw_goals(axes, panel, 3)
+    goals = draw_goals(axes, subplot, 3)
     low, high = bounds([*everything, *goals])
     draw_spatial_obstacles(axes, obstacles, low, high)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]), title=panel.title)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]), title=subplot.title)
     ticks = MaxNLocator(5).tick_values(0.0, (high - low).max())
     for axis, name in ((axes.xaxis, "x"), (axes.yaxis, "y"), (axes.zaxis, "z")):
         axis.set_major_locator(MultipleLocator(ticks[1] - ticks[0]))
@@ -181,11 +181,11 @@ def draw_spatial(
     add_legend(axes)
 
 
-def draw_goals(axes: Any, panel: Panel, dimension: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def draw_goals(axes: Any, subplot: Subplot, dimension: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Draws waypoints, dotted, and targets, crossed; returns the points of both, shape (n, dimension) each."""
     from matplotlib.patheffects import withStroke
 
-    curve, targets = points(panel.curve, dimension), points(panel.targets, dimension)
+    curve, targets = points(subplot.curve, dimension), points(subplot.targets, dimension)
     if len(curve):
         halo = [withStroke(linewidth=3.2, foreground="white")]
         axes.plot(*curve.T, ":", color="black", linewidth=1.6, label="waypoints", path_effects=halo, zorder=4)
@@ -202,11 +202,11 @@ def add_legend(axes: Any) -> None:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=count if count <= 4 else 3, frameon=False)
 
 
-def styled(panel: Panel) -> Iterator[tuple[str, Configuration, str, float]]:
+def styled(subplot: Subplot) -> Iterator[tuple[str, Configuration, str, float]]:
     """Yields name, configuration, colour and line width; widths decrease, so that coinciding modules stay visible."""
-    last = len(panel.configurations) - 1
+    last = len(subplot.configurations) - 1
     for k, ((name, configuration), colour) in enumerate(
-        zip(panel.configurations.items(), cycle(COLOURS), strict=False)
+        zip(subplot.configurations.items(), cycle(COLOURS), strict=False)
     ):
         yield name, configuration, colour, 1.3 + min(last - k, 3)
 

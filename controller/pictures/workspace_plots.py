@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.manipulator import Manipulator
+from controller.pictures.orientation_plots import ORANGE, draw_angles, draw_rotations
 from controller.pictures.plots import DARKEST, LIGHTEST
 from controller.workspace.densities import Densities
 from controller.workspace.locked_reach import LockedReach
@@ -19,9 +20,7 @@ if TYPE_CHECKING:  # matplotlib takes half a second to import
 
 Array = NDArray[np.float64]
 
-ARCS = 36  # of a histogram of angles
-LATITUDES, LONGITUDES = 24, 48  # cells of equal area of a histogram of directions
-ORANGE, BLUE = "#D55E00", "#0072B2"
+BLUE = "#0072B2"
 SLICES = ((2, 0, 1), (1, 0, 2), (0, 1, 2))  # axis that a slice cuts, and the axes that it shows
 
 
@@ -41,6 +40,22 @@ class Field(NamedTuple):
     reference: Array
     pixel: float
     lost: NDArray[np.bool_] | None = None
+
+
+class Slice(NamedTuple):
+    """A plane through a field.
+
+    Attributes:
+        counts: log10 of the numbers, minus infinity where there are none, shape (rows, columns).
+        lost: pixels to mark as lost, shape (rows, columns), or None.
+        reference: centre of the first pixel, horizontal and vertical.
+        pixel: side of the pixels.
+    """
+
+    counts: Array
+    lost: NDArray[np.bool_] | None
+    reference: Array
+    pixel: float
 
 
 def positions_field(densities: Densities, dimension: int, tolerance: float) -> Field:
@@ -121,7 +136,7 @@ def draw_plane(axes: Any, manipulator: Manipulator, field: Field, point: ArrayLi
     base = manipulator.base[np.ix_([0, 1, 3], [0, 1, 3])]
     transform = Affine2D(base) + axes.transData
     lost = None if field.lost is None else field.lost[0]
-    extent = draw_counts(axes, field.counts[0], lost, field.reference[:2], field.pixel, transform)
+    extent = draw_counts(axes, Slice(field.counts[0], lost, field.reference[:2], field.pixel), transform)
     corners = np.array([[x, y] for x in extent[:2] for y in extent[2:]]) @ base[:2, :2].T + base[:2, 2]
     axes.plot(*base[:2, 2], "^", color=BLUE, markersize=8, label="base")
     if point is not None:
@@ -142,7 +157,8 @@ def draw_slices(figure: Any, field: Field, centre: Array, unit: str, *, cross: b
         axes = figure.add_subplot(1, 3, k + 1)
         counts = np.take(field.counts, index[cut], axis=2 - cut)
         lost = None if field.lost is None else np.take(field.lost, index[cut], axis=2 - cut)
-        draw_counts(axes, counts, lost, field.reference[[across, up]], field.pixel, axes.transData, limits)
+        part = Slice(counts, lost, field.reference[[across, up]], field.pixel)
+        draw_counts(axes, part, axes.transData, limits)
         if cross:
             axes.plot(centre[across], centre[up], "x", color="black", markersize=9, markeredgewidth=2)
         names = "xyz"
@@ -152,17 +168,22 @@ def draw_slices(figure: Any, field: Field, centre: Array, unit: str, *, cross: b
 
 
 def draw_counts(
-    axes: Any,
-    counts: Array,
-    lost: NDArray[np.bool_] | None,
-    reference: Array,
-    pixel: float,
-    transform: Any,
-    limits: tuple[float, float] | None = None,
+    axes: Any, part: Slice, transform: Any, limits: tuple[float, float] | None = None
 ) -> tuple[float, float, float, float]:
-    """Draws log10 of numbers of configurations (rows, columns) in gray, lost pixels in colour; returns the extent."""
+    """Draws the numbers of configurations in gray, and lost pixels in colour.
+
+    Args:
+        axes: where to draw.
+        part: what to draw.
+        transform: from the field's frame to the axes.
+        limits: log10 of the numbers drawn in the lightest and the darkest gray; None: the least and the greatest.
+
+    Returns:
+        The extent: left, right, bottom, top.
+    """
     from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 
+    counts, lost, reference, pixel = part
     rows, columns = counts.shape
     left, bottom = reference - pixel / 2
     extent = (float(left), float(left + columns * pixel), float(bottom), float(bottom + rows * pixel))
@@ -200,68 +221,3 @@ def add_key(figure: Any, every: list[Any], fields: list[Field]) -> None:
         handles["lost with some choice"] = Patch(color=ORANGE)
     if handles:
         figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles), frameon=False)
-
-
-def draw_angles(axes: Any, found: Orientations) -> None:
-    """Draws the density of a planar arm's orientations on polar axes, zero to the right, counter-clockwise."""
-    shares = arcs(angles_of(found.rotations), found.counts)
-    width = 2 * math.pi / ARCS
-    axes.bar(-math.pi + width * (np.arange(ARCS) + 0.5), shares, width=width, color=ORANGE, edgecolor="white")
-    axes.set_title("orientations at the point, share of configurations")
-    axes.set_thetalim(-math.pi, math.pi)
-    axes.set_rlabel_position(math.degrees(-math.pi + width * (int(shares.argmin()) + 0.5)))
-    axes.set_yticks([tick for tick in axes.get_yticks() if tick > 0][::2])
-    axes.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}" if share >= 0.01 else f"{share:.1%}")
-
-
-def draw_rotations(figure: Any, found: Orientations) -> None:
-    """Draws the density of a spatial arm's orientations: direction of the tip's z axis, and rotation about it.
-
-    Directions are drawn in Lambert's azimuthal equal-area projection, centred at the z axis of the world.
-    """
-    figure.suptitle("orientations at the point")
-    axes = figure.add_subplot(1, 3, 1, projection="polar")
-    shares = directions(found)[::-1]  # from the z axis on
-    polar = np.arccos(np.linspace(1, -1, LATITUDES + 1))
-    longitudes = np.linspace(-math.pi, math.pi, LONGITUDES + 1)
-    shown = np.where(shares > 0, shares, np.nan)
-    radii = 2 * np.sin(polar / 2)
-    mesh = axes.pcolormesh(longitudes, radii, shown, cmap="Oranges", vmin=0, edgecolors="none", rasterized=True)
-    last = int(np.flatnonzero(shares.sum(axis=1) > 0).max()) + 1
-    axes.set_rlim(0, radii[min(last + 2, LATITUDES)])
-    degrees = [angle for angle in (15, 30, 45, 60, 90, 120, 180) if polar[last] * 1.2 >= math.radians(angle)]
-    axes.set_yticks([2 * math.sin(math.radians(angle) / 2) for angle in degrees], [f"{angle}°" for angle in degrees])
-    axes.grid(alpha=0.3)
-    axes.set_title("tip's z axis: angle from the z axis, and longitude", fontsize="medium")
-    figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.1, label="share of configurations", format="{x:.1%}")
-    twist = figure.add_subplot(1, 3, (2, 3))
-    turns = np.degrees(-math.pi + 2 * math.pi / ARCS * (np.arange(ARCS) + 0.5))
-    twist.bar(turns, arcs(twists(found.rotations), found.counts), width=360 / ARCS, color=ORANGE, edgecolor="white")
-    twist.set(xlabel="turn about the tip's z axis [°]", ylabel="share of configurations", xlim=(-180, 180))
-    twist.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}" if share >= 0.01 else f"{share:.1%}")
-
-
-def angles_of(rotations: Array) -> Array:
-    """Returns the angles of rotations about z, shape (n,)."""
-    return np.asarray(np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]))
-
-
-def twists(rotations: Array) -> Array:
-    """Returns the twist angles (n,) of rotations (n, 3, 3) about their own z axis."""
-    qz, qw = rotations[:, 1, 0] - rotations[:, 0, 1], 1 + np.trace(rotations, axis1=1, axis2=2)
-    return np.asarray(2 * np.arctan2(qz, qw) + math.pi) % (2 * math.pi) - math.pi
-
-
-def arcs(angles: Array, counts: Array) -> Array:
-    """Returns the share of the counts (n,) in each of ARCS equal arcs from -pi on."""
-    found = np.histogram(angles, ARCS, (-math.pi, math.pi), weights=counts)[0]
-    return np.asarray(found / max(float(found.sum()), 1e-300))
-
-
-def directions(found: Orientations) -> Array:
-    """Returns the share of configurations by direction of the tip's z axis, shape (latitudes, longitudes)."""
-    axis = found.rotations[:, :, 2]
-    longitude = np.arctan2(axis[:, 1], axis[:, 0])
-    bounds = [(-1.0, 1.0), (-math.pi, math.pi)]
-    counts = np.histogram2d(axis[:, 2], longitude, (LATITUDES, LONGITUDES), bounds, weights=found.counts)[0]
-    return np.asarray(counts / max(float(counts.sum()), 1e-300))

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple, Protocol
 
 from controller.flight_recorder import FlightRecorder
 from controller.host.notify import Notifier
-from controller.motion.codes import INVALID_GOAL
+from controller.host.process import Log, Notify, Quit
 from controller.planning.core import events
 from controller.planning.core.core import Core
 from controller.planning.core.requests import CANCELED
@@ -18,7 +18,9 @@ from controller.planning.core.tasks import Failed
 from controller.planning.ledger import Ledger, PublishedResults
 from controller.planning.link import ExecutorLink, Inbox
 from controller.planning.workers.pool import Workers
-from controller.program import Cancel, Fault, Halt
+from controller.program import Cancel, Fault, Stop
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 
@@ -116,7 +118,7 @@ class Loop:
 
     def end_goals(self) -> None:
         """Ends the running goal, and waits for its result; the executor stays connected."""
-        self._inbox.post(events.Quit())
+        self._inbox.post(Quit())
         self.ended.wait(LAST_RESULTS)
 
     def close(self, timeout: float = 2.0) -> None:
@@ -126,7 +128,7 @@ class Loop:
         if self._thread.ident is not None:
             self._thread.join(timeout)
         for number in list(self._replies):
-            self._carry_out(events.Reply(number, events.refused(INVALID_GOAL, events.CLOSING)))
+            self._carry_out(events.Reply(number, events.refused(Refusal(Reason.SHUTTING_DOWN))))
         self._link.close()
 
     def request(self, key: events.Key, message: events.Message, reply: OnReply) -> int:
@@ -141,7 +143,7 @@ class Loop:
         self._inbox.events.append(events.Request(number, key, message, self._wall()))
         unsent = None
         if key == "stop":
-            unsent = self._link.send_now(Halt(number))
+            unsent = self._link.send_now(Stop(number))
         elif key == "cancel" and message == events.CancelMessage():
             unsent = self._link.send_now(Cancel(number, None, CANCELED))
         if unsent is not None:
@@ -282,9 +284,9 @@ class Loop:
                 self._link.drop(reason)
             case events.Wake(at):
                 self._wake = at
-            case events.Notify(text):
-                services.notifier.send(text)
-            case events.Log(level, text, fields):
+            case Notify(text):
+                services.notifier.notify(text)
+            case Log(level, text, fields):
                 log.log(level, "%s", text, extra={"journal": fields})
             case events.Fail(reason):
                 raise PlannerFailed(reason)

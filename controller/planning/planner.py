@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import math
 import uuid
 from collections.abc import Callable, Collection, Iterator
 
@@ -12,8 +11,7 @@ import numpy as np
 from controller.arm.arm import Arm
 from controller.arm.description import density, description, drawing, file
 from controller.flight_recorder import FlightRecorder
-from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, Refusal
-from controller.motion.decoding.goal import GoalMessage, Id, parse
+from controller.motion.decoding.goal import GoalMessage, Id, check_reach, parse
 from controller.motion.decoding.requests import decode_degrade, decode_jog, decode_obstacles
 from controller.motion.stages.pacing import pace_of
 from controller.obstacles.obstacles import NONE
@@ -117,16 +115,7 @@ class RequestDecoder:
     def _goal(self, payload: bytes) -> GoalMessage:
         """Returns a goal; positions beyond the arm's length are refused here, without a search."""
         message = parse(payload)
-        farthest = self._farthest + (message.tolerance.position or self._tolerance)
-        for k, waypoint in enumerate(message.waypoints):
-            position = waypoint.position
-            if position is None or len(position) != self._dimension:
-                continue
-            away = math.dist(position, self._base)
-            if away > farthest:
-                where = f"waypoints[{k}].position: ({', '.join(f'{x:g}' for x in position)}) is out of reach"
-                words = f"{where}: {away:g} from the base, and no tip is farther from it than {self._farthest:g}"
-                raise Refusal(GOAL_TOLERANCE_VIOLATED, words, message.id)
+        check_reach(message, self._base, self._farthest, self._tolerance)
         return message
 
 

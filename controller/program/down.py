@@ -8,7 +8,7 @@ from controller.program.parts import MOST_ACTUATORS, MOST_STAGES, Message, Numbe
 
 
 class Hello(Message, frozen=True, tag="hello"):
-    """The first message of a client. Only one `planner` can be connected; an `operator` can only halt and ask."""
+    """The first message of a client. Only one `planner` can be connected; an `operator` can only stop the arm."""
 
     version: int
     role: Literal["planner", "operator"]
@@ -124,7 +124,7 @@ class Cancel(Message, frozen=True, tag="cancel"):
     reason: Text
 
 
-class Halt(Message, frozen=True, tag="halt"):
+class Stop(Message, frozen=True, tag="stop"):
     """Stop: hold, and accept no motion until `Reset`. Answered by `Answer` when nothing switches any more."""
 
     request: Number
@@ -157,5 +157,5 @@ class Counts(Message, frozen=True, tag="counts"):
 
 
 Down = (
-    Hello | Alive | Program | Replacement | Setpoint | Clearance | Cancel | Halt | Reset | Lock | Acknowledge | Counts
+    Hello | Alive | Program | Replacement | Setpoint | Clearance | Cancel | Stop | Reset | Lock | Acknowledge | Counts
 )

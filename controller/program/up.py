@@ -6,6 +6,7 @@ import msgspec
 from msgspec import Meta
 
 from controller.program.parts import MOST_TRAVELS, Index, Message, Mode, Number, Seconds, States, Text, Travel
+from controller.refusals.refusal import Refused
 
 
 class Welcome(Message, frozen=True, tag="welcome"):
@@ -33,11 +34,22 @@ class Goodbye(Message, frozen=True, tag="goodbye"):
 
 
 class Answer(Message, frozen=True, tag="answer"):
-    """The answer to a request."""
+    """The answer to a request.
+
+    Attributes:
+        request: its number.
+        message: what is done, or why it is refused, as a sentence.
+        refused: the refusal as data; None if the request is carried out.
+    """
 
     request: Number
-    accepted: bool
     message: Text
+    refused: Refused | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the request is carried out."""
+        return self.refused is None
 
 
 class Accepted(Message, frozen=True, tag="accepted"):
@@ -57,13 +69,11 @@ class Declined(Message, frozen=True, tag="declined"):
 
     Attributes:
         program: its number.
-        cause: with "moved" the planner must plan again from the latest snapshot; the others are final.
-        reason: a sentence.
+        refused: why. If the arm has moved, the planner must plan again from the latest snapshot; the others are final.
     """
 
     program: Number
-    cause: Literal["moved", "epoch", "mode", "locked", "malformed"]
-    reason: Text
+    refused: Refused
 
 
 class Replaced(Message, frozen=True, tag="replaced"):
@@ -80,12 +90,10 @@ class Begun(Message, frozen=True, tag="begun"):
     Attributes:
         program: its number.
         stage: index.
-        switches: actuators switched by the program so far.
     """
 
     program: Number
     stage: Number
-    switches: Number
 
 
 class Settled(Message, frozen=True, tag="settled"):
@@ -169,7 +177,7 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
         at: time of the snapshot [s].
         mode: of the executor.
         reason: a sentence on the mode.
-        epoch: a number that grows with each cancel, halt, reset, fault, boot, change of locks, and loss of the planner.
+        epoch: a number that grows with each cancel, stop, reset, fault, boot, change of locks, and loss of the planner.
             A cancel of one program begins no epoch.
         outputs: packed outputs of the boards, as last switched.
         measured: packed states from end-stops, otherwise from outputs.

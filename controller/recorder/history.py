@@ -15,7 +15,7 @@ CHANGES = ("degrade", "obstacles")  # requests that affect the plans of later go
 OUT_OF_REACH = -5
 
 
-class Goal(NamedTuple):
+class RecordedGoal(NamedTuple):
     """A recorded goal.
 
     Attributes:
@@ -56,14 +56,14 @@ class Goal(NamedTuple):
         return None
 
 
-class Change(NamedTuple):
+class RecordedChange(NamedTuple):
     """A recorded request that affects the plans of later goals: its key and payload."""
 
     key: str
     payload: dict[str, Any]
 
 
-def history(past: RecordingReader) -> list[Goal | Change]:
+def history(past: RecordingReader) -> list[RecordedGoal | RecordedChange]:
     """Returns the goals of a recording and the changes between them, ordered by time.
 
     Raises:
@@ -88,14 +88,14 @@ def history(past: RecordingReader) -> list[Goal | Change]:
             case "result" if not (message.get("repeated") and results[name]):
                 results[name].append(message)
                 feedback[name].append({})  # an id may be used again
-    steps: list[Goal | Change] = list(initial_changes(past, states[0][1] if states else {}))
+    steps: list[RecordedGoal | RecordedChange] = list(initial_changes(past, states[0][1] if states else {}))
     stamps = [stamp for stamp, _ in states]
     for note in sorted(notes, key=lambda note: note.get("stamp", 0.0)):
         payload, answer = note.get("payload"), note.get("answer") or {}
         if not isinstance(payload, dict):
             continue
         if note.get("key") in CHANGES and answer.get("accepted"):
-            steps.append(Change(note["key"], payload))
+            steps.append(RecordedChange(note["key"], payload))
         if note.get("key") != "goal" or not (answer.get("accepted") or answer.get("code") == OUT_OF_REACH):
             continue
         name, accepted, stamp = str(answer.get("id")), bool(answer.get("accepted")), note.get("stamp", 0.0)
@@ -103,15 +103,15 @@ def history(past: RecordingReader) -> list[Goal | Change]:
         there = feedback[name].popleft() if accepted and feedback[name] else {}
         result = results[name].popleft() if accepted and results[name] else None
         start, moving = before.get("configuration"), before.get("mode") == "executing"
-        steps.append(Goal(name, stamp, payload, accepted, start, moving, there, result))
+        steps.append(RecordedGoal(name, stamp, payload, accepted, start, moving, there, result))
     return steps
 
 
-def initial_changes(past: RecordingReader, state: Message) -> list[Change]:
+def initial_changes(past: RecordingReader, state: Message) -> list[RecordedChange]:
     """Returns the changes that restore the arm at the begin of the recording: locked actuators, sent obstacles."""
-    locked = [Change("degrade", dict(entry)) for entry in state.get("degraded") or ()]
+    locked = [RecordedChange("degrade", dict(entry)) for entry in state.get("degraded") or ()]
     regions = (past.description or {}).get("sent_obstacles")
-    return [*locked, Change("obstacles", {"regions": regions})] if regions else locked
+    return [*locked, RecordedChange("obstacles", {"regions": regions})] if regions else locked
 
 
 def brief(state: Message) -> tuple[Any, ...]:

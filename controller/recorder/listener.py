@@ -12,7 +12,7 @@ ARM_TIMEOUT = 10.0  # [s] for the daemon to describe the arm
 PARTS = b'{"with": ["drawing", "file"]}'
 
 
-class Received(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """A received message.
 
     Attributes:
@@ -36,7 +36,7 @@ class Listener:
 
     def __init__(self, session: zenoh.Session, arm: str) -> None:
         self._session, self._prefix = session, f"hyperbit/{arm}"
-        self._waiting, self._bytes, self._news = deque[Received](), 0, threading.Condition()
+        self._waiting, self._bytes, self._news = deque[ReceivedMessage](), 0, threading.Condition()
         self._dropped = 0
         self._declared = [
             session.declare_subscriber(f"{self._prefix}/**", self._on_sample),
@@ -53,7 +53,7 @@ class Listener:
         """Requests the arm's description from the daemon; the answer is queued with the key "arm"."""
         self._session.get(f"{self._prefix}/arm", self._on_reply, payload=PARTS, timeout=ARM_TIMEOUT)
 
-    def take(self, timeout: float) -> list[Received]:
+    def receive_messages(self, timeout: float) -> list[ReceivedMessage]:
         """Returns the queued messages, oldest first; waits at most `timeout` [s] for the first."""
         with self._news:
             if not self._waiting:
@@ -81,7 +81,7 @@ class Listener:
             self._put("arm", reply.ok.payload.to_bytes())
 
     def _put(self, key: str, data: bytes) -> None:
-        item = Received(time.monotonic_ns(), key, data)
+        item = ReceivedMessage(time.monotonic_ns(), key, data)
         with self._news:
             if self._bytes + len(data) > MOST_WAITING:
                 self._dropped += 1

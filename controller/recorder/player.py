@@ -114,12 +114,12 @@ class Player:
 
     def _wait(self) -> None:
         """Waits for the next message or request, at most LONGEST_WAIT, and applies the request."""
-        patience = LONGEST_WAIT
+        timeout = LONGEST_WAIT
         if self._next is not None and not self.timeline.paused:
             remaining = (self._next.at / 1e9 - self.timeline.at) / self.timeline.speed
-            patience = min(max(remaining, 0.0), LONGEST_WAIT)
+            timeout = min(max(remaining, 0.0), LONGEST_WAIT)
         try:
-            query = self._requests.get(timeout=patience) if patience else self._requests.get_nowait()
+            query = self._requests.get(timeout=timeout) if timeout else self._requests.get_nowait()
         except queue.Empty:
             return
         self._carry_out(query)

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from controller.recorder.event_log import EventLog, Line
+from controller.recorder.event_log import EventLog, LogLine
 from controller.recorder.folder import Folder
-from controller.recorder.listener import Listener, LogClock, Received
+from controller.recorder.listener import Listener, LogClock, ReceivedMessage
 from controller.recorder.recording import Recording
-from controller.recorder.scene import Scene
+from controller.recorder.scene import FoxgloveScene
 from controller.recorder.schemas import LOG, SCENE, TOPICS, TRANSFORMS
 
 log = logging.getLogger(__name__)
@@ -61,7 +61,7 @@ class Recorder:
         self._recording: Recording | None = None
         self._retry_at = 0.0
         self._description: bytes | None = None
-        self._scene: Scene | None = None
+        self._scene: FoxgloveScene | None = None
         self._drawn: tuple[Any, ...] | None = None
         self._state: tuple[int, Mapping[str, Any], bytes] | None = None  # the latest: log time, decoded, encoded
         self._topics: set[str] = set()
@@ -72,23 +72,23 @@ class Recorder:
     def run(self, listener: Listener, ending: Callable[[], bool], beat: Callable[[], None]) -> None:
         """Records until `ending` returns True; calls `beat` several times a second."""
         while not ending():
-            for item in listener.take(POLL):
-                self.take(item)
+            for item in listener.receive_messages(POLL):
+                self.receive_message(item)
             if dropped := listener.dropped():
-                self._say(Line(4, f"{dropped} messages were dropped: the disk is too slow"))
+                self._say(LogLine(4, f"{dropped} messages were dropped: the disk is too slow"))
             if self._needs_description and time.monotonic() >= self._asked_at + ASK_EVERY:
                 self._asked_at = time.monotonic()
                 listener.ask()
             self._turn()
             beat()
 
-    def close(self) -> None:
+    def end_recording(self) -> None:
         """Completes the recording."""
         if self._recording is not None:
             self._attempt(self._recording.close)
             self._recording = None
 
-    def take(self, item: Received) -> None:
+    def receive_message(self, item: ReceivedMessage) -> None:
         """Writes a message, and the drawing and log lines that follow from it."""
         at = self._clock.at(item.at)
         if item.key == "arm":
@@ -117,9 +117,9 @@ class Recorder:
             return
         try:
             arm = msgspec.json.decode(data)
-            self._scene = Scene(arm)
+            self._scene = FoxgloveScene(arm)
         except (msgspec.MsgspecError, RecursionError, *UNEXPECTED) as error:
-            self._say(Line(3, f"the daemon's description of the arm cannot be drawn: {error}"), at)
+            self._say(LogLine(3, f"the daemon's description of the arm cannot be drawn: {error}"), at)
             self._scene = None
         else:
             self._description, self._drawn = data, None
@@ -174,7 +174,7 @@ class Recorder:
                 )
                 frames["transforms"][:0] = held["transforms"]
         except UNEXPECTED as error:  # a state of another arm or version
-            self._say(Line(3, f"a state cannot be drawn: {error}"), at)
+            self._say(LogLine(3, f"a state cannot be drawn: {error}"), at)
             return
         self._write("scene", SCENE, scene, at, stamp)
         self._write("frames", TRANSFORMS, msgspec.json.encode(frames), at, stamp)
@@ -192,7 +192,7 @@ class Recorder:
             self._topics.add(key)
         return key, data
 
-    def _say(self, line: Line, at: int | None = None) -> None:
+    def _say(self, line: LogLine, at: int | None = None) -> None:
         """Writes a line of the log."""
         at = self._clock.now() if at is None else at
         seconds, nanoseconds = divmod(at, 1_000_000_000)
@@ -210,7 +210,7 @@ class Recorder:
         if recording is None or recording.begun is None:
             return
         if recording.size >= self._limits.size or now - recording.begun >= self._limits.seconds * 1e9:
-            self.close()
+            self.end_recording()
             self._open(now)
         elif recording.due(now):
             self._attempt(recording.flush)

@@ -18,8 +18,9 @@ import zenoh
 from controller.network import session
 from controller.network.client import Client, Unanswered
 from controller.planning.ledger import Ledger
-from controller.recorder.history import Change, Goal, history
+from controller.recorder.history import RecordedChange, RecordedGoal, history
 from controller.recorder.reader import RecordingReader
+from controller.search.method import MINIMUM_SWITCH
 
 Message = Mapping[str, Any]
 
@@ -64,13 +65,13 @@ class SimulatedArm:
     def _hear(self, message: Message) -> None:
         self._state = message
 
-    def wait_ready(self, patience: float = SETTLING) -> Message:
+    def wait_ready(self, timeout: float = SETTLING) -> Message:
         """Waits until the arm is in mode ready; returns its state.
 
         Raises:
             ArmFailed: the arm is not ready in time.
         """
-        until = time.monotonic() + patience
+        until = time.monotonic() + timeout
         while time.monotonic() < until:
             if (code := self._ended()) is not None:
                 raise ArmFailed(f"the simulated arm ended with code {code}")
@@ -132,10 +133,10 @@ def compare(past: RecordingReader, file: Path | None, report: Callable[[Compared
         ArmFailed: the arm does not start, or does not answer.
         BadRecording: the recording is damaged.
     """
-    steps, anytime = history(past), (past.description or {}).get("method") == "minimum-switch"
+    steps, anytime = history(past), (past.description or {}).get("method") == MINIMUM_SWITCH
     with simulated(past, file) as arm:
         for step in steps:
-            if isinstance(step, Change):
+            if isinstance(step, RecordedChange):
                 if not (answer := arm.ask(step.key, step.payload)).get("accepted"):
                     raise ArmFailed(f"the simulated arm refuses a recorded {step.key}: {answer.get('message')}")
                 arm.wait_ready(STARTING)  # the planner rebuilds its tables for locked actuators
@@ -143,7 +144,7 @@ def compare(past: RecordingReader, file: Path | None, report: Callable[[Compared
                 report(compared(arm, step, anytime=anytime))
 
 
-def compared(arm: SimulatedArm, goal: Goal, *, anytime: bool) -> Compared:
+def compared(arm: SimulatedArm, goal: RecordedGoal, *, anytime: bool) -> Compared:
     """Sends one goal from its recorded start, and returns the comparison.
 
     Args:
@@ -172,7 +173,7 @@ def compared(arm: SimulatedArm, goal: Goal, *, anytime: bool) -> Compared:
     return Compared(goal.id, "differs" if proven or not anytime else "unproven", difference)
 
 
-def differs(goal: Goal, then: Message, now: Message, reached: Mapping[int, str | None]) -> str | None:
+def differs(goal: RecordedGoal, then: Message, now: Message, reached: Mapping[int, str | None]) -> str | None:
     """Returns the first difference of configurations in words; None if there is none."""
     for waypoint, configuration in sorted(goal.configurations.items()):
         if reached.get(waypoint) != configuration:

@@ -27,7 +27,7 @@ FAR = 4.0  # of the arm's length: sides of a half-plane or half-space
 PARTS = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 
 
-class Scene:
+class FoxgloveScene:
     """Draws an arm in any state.
 
     Args:

@@ -47,7 +47,9 @@ REACHED = {
 }
 WAYPOINT = fields(t=NUMBER, position=POSITION, orientation=ORIENTATION, configuration=TEXT)
 GOAL = fields(id=TEXT, stamp=NUMBER, waypoints=array(WAYPOINT), tolerance=fields(position=NUMBER, orientation=NUMBER))
-ANSWER = fields(accepted=BOOLEAN, id=optional(TEXT), code=INTEGER, message=TEXT, waypoints=array(fields(**REACHED)))
+ANSWER = fields(
+    accepted=BOOLEAN, id=optional(TEXT), code=INTEGER, reason=TEXT, message=TEXT, waypoints=array(fields(**REACHED))
+)
 
 TOPICS: dict[str, Schema] = {
     "state": fields(
@@ -65,7 +67,14 @@ TOPICS: dict[str, Schema] = {
     ),
     "feedback": fields(id=TEXT, waypoint=INTEGER, waypoints=INTEGER, switches=INTEGER, stages=INTEGER, **REACHED),
     "result": fields(
-        id=optional(TEXT), status=TEXT, code=INTEGER, message=TEXT, switches=INTEGER, repeated=BOOLEAN, **REACHED
+        id=optional(TEXT),
+        status=TEXT,
+        code=INTEGER,
+        reason=TEXT,
+        message=TEXT,
+        switches=INTEGER,
+        repeated=BOOLEAN,
+        **REACHED,
     ),
     "diagnostics": fields(
         stamp=NUMBER,

@@ -8,15 +8,16 @@ is the least lower bound passed over. Poses have two costs to go, of position an
 
 import math
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import boolean, int64, njit
+from numba import boolean, float64, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, I1, UNCOUNTED, named
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import Scene, collides, for_scenes
-from controller.search.frame_rows import F1, F2, I1, motions, named
+from controller.search.frame_rows import motions
 from controller.search.solution import EPSILON, Incumbent
 from controller.search.target import QUERY, SearchQuery, SearchTarget, reaches, search_radius
 from controller.workspace.cost_to_go import MAPS, UNREACHABLE, CostToGo, Maps, in_levels
@@ -38,12 +39,14 @@ class Tree(NamedTuple):
         states: K_i, shape (B,).
         ranked: states of each module, cheapest first, shape (B * Kmax,).
         costs: cost of each module's states, shape (B, Kmax).
+        per: pixels of the maps per unit of length, by level, shape (B + 1,).
     """
 
     motions: Array
     states: Integers
     ranked: Integers
     costs: Array
+    per: Array
 
 
 class Walk(NamedTuple):
@@ -68,7 +71,8 @@ class Walk(NamedTuple):
     bounds: Array
 
 
-TREE = named(Tree, F2, I1, I1, F2)
+PLACE: Any = types.UniTuple(float64, 2)  # type: ignore[no-untyped-call]
+TREE = named(Tree, F2, I1, I1, F2, F1)
 WALK = named(Walk, F2, I1, F1, I1, I1, I1, F1)
 
 
@@ -114,7 +118,8 @@ class BranchAndBound:
         """
         m, maps = self._m, self.maps.maps(costs, target.radius)
         padded = np.where(np.arange(costs.shape[1]) < m.states[:, None], costs, np.inf)
-        tree = Tree(self._motions, m.states, np.argsort(padded, axis=1, kind="stable").ravel(), costs)
+        ranked = np.argsort(padded, axis=1, kind="stable").ravel()
+        tree = Tree(self._motions, m.states, ranked, costs, 1.0 / maps.pixels)
         angle = 2 * math.asin(math.sqrt(target.chord) / 2) if target.oriented and target.chord < 4 else math.inf
         headings = self._to_turn.headings(in_levels(costs)[1], UNREACHABLE, angle)
         if self._walk is None:
@@ -142,10 +147,27 @@ def start(target: SearchTarget, seed: Configuration, bound: float) -> Walk:
     return Walk(points, headings, np.zeros(levels), tried, seed.copy(), level, np.array((bound, np.inf, np.inf)))
 
 
+@njit([PLACE(F2, int64, float64, float64)], **UNCOUNTED, inline="always")
+def seen_above(motions: Array, row: int, x: float, y: float) -> tuple[float, float]:
+    """Returns a point (x, y) as seen from the frame above a module in a state, a row of `motions`."""
+    c, s = motions[row, 2], motions[row, 3]
+    dx, dy = x - motions[row, 0], y - motions[row, 1]
+    return c * dx + s * dy, c * dy - s * dx
+
+
+@njit(int64(MAPS, int64, float64, float64, float64), **UNCOUNTED, inline="always")
+def cost_to_go(maps: Maps, level: int, x: float, y: float, per: float) -> int:
+    """Returns the cost to go of a point (x, y) in a map of `per` pixels per unit of length; see Maps."""
+    u, v = (x - maps.corners[level, 0]) * per, (y - maps.corners[level, 1]) * per
+    nx, ny = maps.shapes[level, 0], maps.shapes[level, 1]
+    if not (0.0 <= u < nx and 0.0 <= v < ny):
+        return UNREACHABLE
+    return int(maps.values[maps.offsets[level] + int(u) * ny + int(v)])
+
+
 @njit(
     for_scenes(lambda scene: boolean(TREE, MAPS, HEADINGS, QUERY, scene, WALK, int64)),
-    cache=True,
-    nogil=True,
+    **UNCOUNTED,
     error_model="numpy",
 )
 def search(
@@ -155,9 +177,9 @@ def search(
 
     `walk` then has the configuration, and its cost at the last level. The next call continues from there.
     """
-    motions, states, ranked, costs = tree
+    motions, states, ranked, costs, per = tree
     points, headings, prices, tried, configuration, at, bounds = walk
-    turns, oriented, per = to_turn.turns, len(to_turn.values) > 0, 1.0 / maps.pixels
+    turns, oriented = to_turn.turns, len(to_turn.values) > 0
     count, most, level, above = len(states), costs.shape[1], at[0], bounds[1]
     threshold, ceiling = bounds[0] * (1 + EPSILON), bounds[2] * (1 - EPSILON)
     while level >= 0:
@@ -181,15 +203,9 @@ def search(
                 if value < UNREACHABLE:
                     above = min(above, price + maps.unit * value)
                 continue
-        c, s = motions[row, 2], motions[row, 3]
-        dx, dy = points[level, 0] - motions[row, 0], points[level, 1] - motions[row, 1]
-        x, y = c * dx + s * dy, c * dy - s * dx
+        x, y = seen_above(motions, row, points[level, 0], points[level, 1])
         if child >= maps.first:
-            u, v = (x - maps.corners[child, 0]) * per[child], (y - maps.corners[child, 1]) * per[child]
-            nx, ny = maps.shapes[child, 0], maps.shapes[child, 1]
-            if not (0.0 <= u < nx and 0.0 <= v < ny):
-                continue
-            value = maps.values[maps.offsets[child] + int(u) * ny + int(v)]
+            value = cost_to_go(maps, child, x, y, per[child])
             if value >= UNREACHABLE:
                 continue
             least = price + maps.unit * value

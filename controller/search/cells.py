@@ -5,13 +5,14 @@ the sine of the angle. It changes by at most the chord between two rotations. A 
 as the greatest distance. In the plane the coordinate is the sine of the angle; in space there are three.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float64, int32, njit, uint8
+from numba import float64, int64, njit, types, uint8
 from numpy.typing import NDArray
 
-from controller.search.frame_rows import F1, F2, I1, SIDE, Side, named
+from controller.manipulator.kernel_types import F1, F2, I1, S1, named
+from controller.search.frame_rows import SIDE, Side
 
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]
@@ -23,21 +24,52 @@ NOTHING = 255  # cost level of cells without points
 MARGIN = 1 + 1e-6  # factor of the side: rounding must not put two near points more than one cell apart
 
 
+class Grid(NamedTuple):
+    """Cells of one width along all coordinates of a point, at most six. A border of empty cells surrounds all points.
+
+    Attributes:
+        origin: least corner of the points.
+        shape: number of cells along each coordinate, less one.
+        strides: difference of the numbers of adjacent cells along each coordinate.
+        per: cells per unit of length.
+        cells: number of cells.
+    """
+
+    origin: tuple[float, ...]
+    shape: tuple[float, ...]
+    strides: tuple[int, ...]
+    per: float
+    cells: int
+
+
+class SortedPoints(NamedTuple):
+    """Points in the order of their cells, as the kernel writes them.
+
+    Attributes:
+        starts: first point of each cell, shape (cells + 2,).
+        order: number of each point before, shape (n,).
+        points: shape (n, size).
+        costs: shape (n,).
+    """
+
+    starts: Index32
+    order: Index32
+    points: Array
+    costs: Array
+
+
 class Index(NamedTuple):
     """Points in the order of their cells.
 
     Attributes:
         points: shape (n, size).
         costs: costs of the points, shape (n,).
-        starts: first point of each cell, shape (cells + 1,). A border of empty cells surrounds all points.
+        starts: first point of each cell, shape (cells + 2,).
         order: row of each point in the side, shape (n,).
         near: least cost level of the cells that a match compares: a cell and the next one along each coordinate;
             NOTHING if they are empty. Not used for six coordinates.
         bounds: least cost of each level, shape (256,).
-        origin: least corner of the points, shape (6,).
-        shape: number of cells along each coordinate, less one, shape (6,).
-        strides: difference of the numbers of adjacent cells along each coordinate, shape (6,).
-        per: cells per unit of length.
+        grid: the cells.
         rotation_scale: length of a rotation axis of unit size; 0 for cells of positions only.
         least: least cost.
         side: the configurations.
@@ -49,16 +81,16 @@ class Index(NamedTuple):
     order: Index32
     near: NDArray[np.uint8]
     bounds: Array
-    origin: Array
-    shape: Array
-    strides: NDArray[np.int64]
-    per: float
+    grid: Grid
     rotation_scale: float
     least: float
     side: Side
 
 
-INDEX = named(Index, F2, F1, int32[::1], int32[::1], uint8[::1], F1, F1, F1, I1, float64, float64, float64, SIDE)
+SIX: Any = types.UniTuple(float64, 6)  # type: ignore[no-untyped-call]
+GRID = named(Grid, SIX, SIX, types.UniTuple(int64, 6), float64, int64)  # type: ignore[no-untyped-call]
+SORTED_POINTS = named(SortedPoints, S1, S1, F2, F1)
+INDEX = named(Index, F2, F1, S1, S1, uint8[::1], F1, GRID, float64, float64, SIDE)
 
 
 class Cells:
@@ -99,21 +131,27 @@ class Cells:
             size, scale = self._whole, radius / np.sqrt(chord)
             points = self._unsorted[: n * size].reshape(n, size)
             write_points(side.frames, scale, points)
-        own, costs = self._points[: n * size].reshape(n, size), self._costs[:n]
-        grid, strides = np.empty(13), np.empty(6, dtype=np.int64)
-        most = n / POINTS_A_CELL + 64 if cells is None else cells
-        near = self._near if size < 6 else self._near[:1]
-        least, most_cost = (float(side.costs.min()), float(side.costs.max())) if n else (np.inf, np.inf)
-        bounds = np.full(256, least)
-        if most_cost > least:
-            bounds += np.arange(256) * ((most_cost - least) / (NOTHING - 1))
-        bounds[NOTHING] = np.inf
-        given, table = (points, side.costs, size, radius, most, bounds), (self._starts, near, grid, strides)
-        count = sort_into_cells(*given, self._cells, *table, self._order, own, costs)
-        starts, order = self._starts[: count + 2], self._order[:n]
-        return Index(
-            own, costs, starts, order, near, bounds, grid[:6], grid[6:12], strides, float(grid[12]), scale, least, side
+        most = min(n / POINTS_A_CELL + 64 if cells is None else cells, len(self._starts) - 2)
+        grid = grid_of(points, size, radius, most)
+        table = SortedPoints(
+            self._starts[: grid.cells + 2], self._order[:n], self._points[: n * size].reshape(n, size), self._costs[:n]
         )
+        sort_into_cells(grid, points, side.costs, self._cells, table)
+        least, bounds = cost_levels(side.costs)
+        near = self._near if size < 6 else self._near[:1]
+        if size < 6:
+            mark_levels(grid, size, self._cells[:n], side.costs, bounds, near)
+        return Index(table.points, table.costs, table.starts, table.order, near, bounds, grid, scale, least, side)
+
+
+def cost_levels(costs: Array) -> tuple[float, Array]:
+    """Returns the least of costs (n,), infinite if there are none, and the least cost of each level (256,)."""
+    least, most = (float(costs.min()), float(costs.max())) if len(costs) else (np.inf, np.inf)
+    bounds = np.full(256, least)
+    if most > least:
+        bounds += np.arange(256) * ((most - least) / (NOTHING - 1))
+    bounds[NOTHING] = np.inf
+    return least, bounds
 
 
 @njit("void(f8[:,::1], i8, f8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
@@ -135,46 +173,15 @@ def write_points(frames: Array, scale: float, points: Array) -> None:
         write_point(frames, n, scale, points, n)
 
 
-@njit(
-    "i8(f8[:,::1], f8[::1], i8, f8, f8, f8[::1],"
-    " i4[::1], i4[::1], u1[::1], f8[::1], i8[::1], i4[::1], f8[:,::1], f8[::1])",
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
-def sort_into_cells(
-    rows: Array,
-    costs: Array,
-    size: int,
-    radius: float,
-    most: float,
-    bounds: Array,
-    cells: Index32,
-    starts: Index32,
-    near: NDArray[np.uint8],
-    grid: Array,
-    strides: NDArray[np.int64],
-    order: Index32,
-    points: Array,
-    prices: Array,
-) -> int:
-    """Sorts points into cells at least two radii wide; returns the number of cells.
+@njit([GRID(F2, int64, float64, float64)], cache=True, nogil=True, error_model="numpy")
+def grid_of(rows: Array, size: int, radius: float, most: float) -> Grid:
+    """Returns cells for points, at least two radii wide.
 
     Args:
         rows: rows that begin with the coordinates of a point, shape (n, ...).
-        costs: costs of the points, shape (n,).
         size: number of coordinates of a point, at most 6.
         radius: greatest distance of a match.
         most: greatest number of cells.
-        bounds: see Index.
-        cells: scratch, shape (n,).
-        starts: written, see Index, shape (cells + 2,).
-        near: written, see Index; skipped if the shape is (1,).
-        grid: written: origin (6,), shape (6,), per, see Index.
-        strides: written, see Index.
-        order: written, see Index.
-        points: written, see Index.
-        prices: written, see `costs` of Index.
     """
     low, high, shape = np.zeros(6), np.zeros(6), np.ones(6)
     for a in range(size):
@@ -182,51 +189,84 @@ def sort_into_cells(
     for n in range(len(rows)):
         for a in range(size):
             low[a], high[a] = min(low[a], rows[n, a]), max(high[a], rows[n, a])
-    most = min(most, len(starts) - 2)
-    side = max(2.0 * radius * MARGIN, LEAST_SIDE)
+    width, product, finest = max(2.0 * radius * MARGIN, LEAST_SIDE), np.inf, np.inf
     while True:
         product, finest = 1.0, 0.0
         for a in range(size):
-            shape[a] = np.floor((high[a] - low[a]) / side) + 3.0
+            shape[a] = np.floor((high[a] - low[a]) / width) + 3.0
             product *= shape[a]
             finest = max(finest, shape[a])
         if product <= most or finest == 3.0:
             break
-        side *= 1.25
-    per, step, count = 1.0 / side, 1, int(product)
-    grid[12] = per
-    for a in range(6):
-        grid[a], grid[6 + a], strides[a] = low[a], shape[a] - 1.0, step
-        step *= int(shape[a])
-    mapped = len(near) > 1
-    for c in range(count + 2):
+        width *= 1.25
+    strides = np.ones(6, dtype=np.int64)
+    for a in range(5):
+        strides[a + 1] = strides[a] * int(shape[a])
+    return Grid(
+        (low[0], low[1], low[2], low[3], low[4], low[5]),
+        (shape[0] - 1.0, shape[1] - 1.0, shape[2] - 1.0, shape[3] - 1.0, shape[4] - 1.0, shape[5] - 1.0),
+        (strides[0], strides[1], strides[2], strides[3], strides[4], strides[5]),
+        1.0 / width,
+        int(product),
+    )
+
+
+@njit(types.void(GRID, F2, F1, S1, SORTED_POINTS), cache=True, nogil=True, error_model="numpy")
+def sort_into_cells(grid: Grid, rows: Array, costs: Array, cells: Index32, table: SortedPoints) -> None:
+    """Sorts points into cells.
+
+    Args:
+        grid: the cells.
+        rows: rows that begin with the coordinates of a point, shape (n, ...).
+        costs: costs of the points, shape (n,).
+        cells: written: cell of each point, shape (n,).
+        table: written.
+    """
+    starts, order, points, sorted_costs = table
+    origin, shape, strides, per = np.array(grid.origin), np.array(grid.shape), np.array(grid.strides), grid.per
+    size = points.shape[1]
+    for c in range(len(starts)):
         starts[c] = 0
-    if mapped:
-        for c in range(count):
-            near[c] = NOTHING
-    finer = 1.0 / (bounds[1] - bounds[0]) if bounds[1] > bounds[0] else 0.0
     for n in range(len(rows)):
         c = 0
         for a in range(size):
             # Rounding may put the outermost points just outside.
-            c += strides[a] * min(1 + int((rows[n, a] - low[a]) * per), int(shape[a]) - 2)
+            c += strides[a] * min(1 + int((rows[n, a] - origin[a]) * per), int(shape[a]) - 1)
         cells[n] = c
         starts[c] += 1
-        if mapped:
-            level = min(int((costs[n] - bounds[0]) * finer), NOTHING - 1)
-            if bounds[level] > costs[n]:  # by rounding
-                level -= 1
-            for corner in range(1 << size):
-                other = c
-                for a in range(size):
-                    other -= strides[a] * ((corner >> a) & 1)
-                near[other] = min(near[other], level)
-    for c in range(count + 1):
+    for c in range(len(starts) - 1):
         starts[c + 1] += starts[c]
     for n in range(len(rows) - 1, -1, -1):
         starts[cells[n]] -= 1
         at = starts[cells[n]]
-        order[at], prices[at] = n, costs[n]
+        order[at], sorted_costs[at] = n, costs[n]
         for a in range(size):
             points[at, a] = rows[n, a]
-    return count
+
+
+@njit(I1(GRID, int64, int64), cache=True, nogil=True)
+def corner_offsets(grid: Grid, first: int, size: int) -> NDArray[np.int64]:
+    """Returns by how much the number of a cell grows to the next cells along coordinates first+1 to `size`.
+
+    There is one offset for each combination of coordinates, the first is 0.
+    """
+    offsets = np.zeros(1 << (size - first), np.int64)
+    for corner in range(len(offsets)):
+        for d in range(first, size):
+            offsets[corner] += grid.strides[d] * ((corner >> (d - first)) & 1)
+    return offsets
+
+
+@njit(types.void(GRID, int64, S1, F1, F1, uint8[::1]), cache=True, nogil=True, error_model="numpy")
+def mark_levels(grid: Grid, size: int, cells: Index32, costs: Array, bounds: Array, near: NDArray[np.uint8]) -> None:
+    """Writes `near` of an index, from cells and costs (n,) of points of `size` coordinates, and the levels' bounds."""
+    for c in range(grid.cells):
+        near[c] = NOTHING
+    corners, finer = corner_offsets(grid, 0, size), 1.0 / (bounds[1] - bounds[0]) if bounds[1] > bounds[0] else 0.0
+    for n in range(len(cells)):
+        level = min(int((costs[n] - bounds[0]) * finer), NOTHING - 1)
+        if bounds[level] > costs[n]:  # by rounding
+            level -= 1
+        for corner in range(len(corners)):
+            cell = cells[n] - corners[corner]
+            near[cell] = min(near[cell], level)

@@ -1,169 +1,214 @@
 """Descents of the configuration tree, from base to tip: POP and IPOP (section 3.2), and a beam search."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import float64, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
 from controller.obstacles.scene import Scene, for_scenes, module_collides, set_state
-from controller.search.frame_rows import F1, F2, I1, I2
-from controller.workspace.reachability import LEVELS, TABLES, Levels, Tables, measure
+from controller.workspace.reachability import LEVELS, POINT, TABLES, Levels, Tables, measure, seen_from
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Point = tuple[float, float, float]
 
-POINT: Any = types.UniTuple(float64, 3)  # type: ignore[no-untyped-call]
+UNREACHABLE = 1e12  # score of a node that cannot reach the goal: worse than that of any node that can
+
+
+class DescentTables(NamedTuple):
+    """What a descent goes by.
+
+    Attributes:
+        arm: configuration sets.
+        levels: densities.
+        costs: cost of each module's states, shape (B, Kmax).
+        depth: number of modules to decide.
+    """
+
+    arm: Tables
+    levels: Levels
+    costs: Array
+    depth: int
+
+
+class Beam(NamedTuple):
+    """The nodes of one level of a beam search, the best first.
+
+    Attributes:
+        configurations: shape (W, B).
+        wanted: position of the goal in the frame of each node, shape (W, 3).
+        costs: cost of each node, shape (W,).
+    """
+
+    configurations: Index
+    wanted: Array
+    costs: Array
+
+
+class Children(NamedTuple):
+    """Scratch: the children of a beam's nodes.
+
+    Attributes:
+        parents: node of each child, shape (n,).
+        choices: its state of the last module, shape (n,).
+        scores: shape (n,).
+        wanted: position of the goal in its frame, shape (n, 3).
+        costs: shape (n,).
+    """
+
+    parents: Index
+    choices: Index
+    scores: Array
+    wanted: Array
+    costs: Array
+
+
+DESCENT_TABLES = named(DescentTables, TABLES, LEVELS, F2, int64)
+BEAM = named(Beam, I2, F2, F1)
+CHILDREN = named(Children, I1, I1, F1, F2, F1)
+CHOICE: Any = types.Tuple((int64, POINT))  # type: ignore[no-untyped-call]
 
 
 @njit(
-    for_scenes(lambda scene: POINT(F1, TABLES, LEVELS, F2, F1, int64, I1, scene)),
-    cache=True,
-    nogil=True,
+    for_scenes(lambda scene: CHOICE(DESCENT_TABLES, int64, POINT, float64, scene)),
+    **UNCOUNTED,
     error_model="numpy",
 )
-def descend(
-    goal: Array,
-    arm: Tables,
-    levels: Levels,
-    stage_costs: Array,
-    thresholds: Array,
-    depth: int,
-    configuration: Index,
-    scene: Scene | None,
-) -> tuple[float, float, float]:
+def best_state(tables: DescentTables, i: int, goal: Point, threshold: float, scene: Scene | None) -> tuple[int, Point]:
+    """Returns the best clear state of module i, -1 if all collide, and the goal in the frame above it.
+
+    Among states whose measure is at least the threshold, the one with the least cost is the best. Ties are broken by
+    the greater measure. If no state reaches the threshold, the one with the greatest measure is the best.
+    """
+    rotations, translations, states = tables.arm
+    best, best_measure, best_cost, best_passes, best_goal = -1, 0.0, 0.0, False, goal
+    for j in range(states[i]):
+        seen = seen_from(rotations[i, j], translations[i, j], goal[0], goal[1], goal[2])
+        m, cost = measure(tables.levels, i + 1, seen[0], seen[1], seen[2]), tables.costs[i, j]
+        passes = m >= threshold
+        if best < 0:
+            better = True
+        elif passes != best_passes:
+            better = passes
+        elif passes and cost != best_cost:
+            better = cost < best_cost
+        else:
+            better = m > best_measure
+        if scene is not None and better:
+            scene.states[i] = j
+            better = not module_collides(scene, i)
+        if better:
+            best, best_measure, best_cost, best_passes, best_goal = j, m, cost, passes, seen
+    return best, best_goal
+
+
+@njit(
+    for_scenes(lambda scene: POINT(POINT, DESCENT_TABLES, F1, I1, scene)),
+    **UNCOUNTED,
+    error_model="numpy",
+)
+def descend(goal: Point, tables: DescentTables, thresholds: Array, configuration: Index, scene: Scene | None) -> Point:
     """Decides modules 1 to `depth`; writes their states to `configuration`, returns the goal in frame F_depth.
 
-    Of a module's states whose measure is at least the threshold of the level, the one with the least cost is taken.
-    Ties are broken by the greater measure. If no state reaches the threshold, the one with the greatest measure is
-    taken. POP has infinite thresholds. States in which the module collides are skipped. If no state remains, the
-    descent ends and returns NaN.
+    Each module takes its best state, see best_state. POP has infinite thresholds. If all states of a module collide,
+    the descent ends and returns NaN.
 
     Args:
-        goal: position in frame F_0, shape (3,).
-        arm: configuration sets.
-        levels: densities.
-        stage_costs: the secondary criterion, shape (B, Kmax).
+        goal: position in frame F_0.
+        tables: configuration sets, densities, and the secondary criterion as costs.
         thresholds: thresholds of the primary criterion, by level, shape (B+1,).
-        depth: number of modules to decide.
         configuration: written, shape (B,).
         scene: obstacles, None if there are none.
     """
-    rotations, translations, states = arm
-    x, y, z = goal[0], goal[1], goal[2]
-    for i in range(depth):
-        best, best_measure, best_cost, best_passes = -1, 0.0, 0.0, False
-        bx, by, bz = 0.0, 0.0, 0.0
-        for j in range(states[i]):
-            r, b = rotations[i, j], translations[i, j]
-            dx, dy, dz = x - b[0], y - b[1], z - b[2]
-            qx = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
-            qy = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
-            qz = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
-            m = measure(levels, i + 1, qx, qy, qz)
-            passes = m >= thresholds[i + 1]
-            if best < 0 or (passes and not best_passes):
-                better = True
-            elif passes != best_passes:
-                better = False
-            elif passes and stage_costs[i, j] != best_cost:
-                better = stage_costs[i, j] < best_cost
-            else:
-                better = m > best_measure
-            if scene is not None and better:
-                scene.states[i] = j
-                better = not module_collides(scene, i)
-            if better:
-                best, best_measure, best_cost, best_passes = j, m, stage_costs[i, j], passes
-                bx, by, bz = qx, qy, qz
+    for i in range(tables.depth):
+        best, goal = best_state(tables, i, goal, thresholds[i + 1], scene)
         if scene is not None:
             if best < 0:
                 return np.nan, np.nan, np.nan
             set_state(scene, i, best)
         configuration[i] = best
-        x, y, z = bx, by, bz
-    return x, y, z
+    return goal
 
 
 @njit(
-    for_scenes(lambda scene: int64(F1, TABLES, LEVELS, F2, float64, int64, I2, F2, F1, scene)),
+    for_scenes(lambda scene: int64(DESCENT_TABLES, int64, float64, BEAM, int64, CHILDREN, scene)),
+    **UNCOUNTED,
+    error_model="numpy",
+)
+def expand(
+    tables: DescentTables, i: int, worth: float, beam: Beam, count: int, children: Children, scene: Scene | None
+) -> int:
+    """Writes the clear children of the first `count` nodes, which decide module i; returns their number."""
+    rotations, translations, states = tables.arm
+    configurations, wanted, costs = beam
+    born = 0
+    for n in range(count):
+        if scene is not None:
+            for k in range(i):
+                set_state(scene, k, configurations[n, k])
+        for j in range(states[i]):
+            if scene is not None:
+                scene.states[i] = j
+                if module_collides(scene, i):
+                    continue
+            x, y, z = seen_from(rotations[i, j], translations[i, j], wanted[n, 0], wanted[n, 1], wanted[n, 2])
+            m, cost = measure(tables.levels, i + 1, x, y, z), costs[n] + tables.costs[i, j]
+            children.parents[born], children.choices[born], children.costs[born] = n, j, cost
+            children.wanted[born, 0], children.wanted[born, 1], children.wanted[born, 2] = x, y, z
+            children.scores[born] = cost - worth * m if m >= 0 else UNREACHABLE - m
+            born += 1
+    return born
+
+
+@njit(types.void(CHILDREN, I1, int64, BEAM, I2), cache=True, nogil=True)
+def replace_nodes(children: Children, chosen: Index, i: int, beam: Beam, before: Index) -> None:
+    """Replaces the nodes of a beam by chosen children (n,), which decide module i; `before` (W, B) is scratch."""
+    configurations, wanted, costs = beam
+    for n in range(len(costs)):
+        for j in range(i):
+            before[n, j] = configurations[n, j]
+    for n in range(len(chosen)):
+        child = chosen[n]
+        for j in range(i):
+            configurations[n, j] = before[children.parents[child], j]
+        configurations[n, i], costs[n] = children.choices[child], children.costs[child]
+        for a in range(3):
+            wanted[n, a] = children.wanted[child, a]
+
+
+@njit(
+    for_scenes(lambda scene: int64(F1, DESCENT_TABLES, float64, BEAM, scene)),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
-def beam_search(
-    goal: Array,
-    arm: Tables,
-    levels: Levels,
-    costs: Array,
-    worth: float,
-    depth: int,
-    configurations: Index,
-    wanted: Array,
-    prices: Array,
-    scene: Scene | None,
-) -> int:
+def beam_search(goal: Array, tables: DescentTables, worth: float, beam: Beam, scene: Scene | None) -> int:
     """Decides modules 1 to `depth` of up to W configurations at once: a beam search of the configuration tree.
 
     The score of a node is its cost less `worth` times its measure. Of all clear children of a level, the W with the
-    least scores survive. Writes their states to `configurations` (W, B), the goal in frame F_depth to `wanted` (W, 3),
-    and the costs so far to `prices` (W,), the best first. Returns the number of configurations that can reach the goal.
+    least scores survive. Returns the number of configurations that can reach the goal.
 
     Args:
         goal: position in frame F_0, shape (3,).
-        arm: configuration sets.
-        levels: densities.
-        costs: cost of each module's states, shape (B, Kmax).
+        tables: configuration sets, densities and costs.
         worth: cost that one unit of the measure is worth.
-        depth: number of modules to decide.
-        configurations: written.
-        wanted: written.
-        prices: written.
+        beam: written, with the goal in frame F_depth.
         scene: obstacles, None if there are none.
     """
-    rotations, translations, states = arm
-    width, most = len(prices), len(prices) * states.max()
-    parents, choices = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
-    scores, points, totals = np.empty(most), np.empty((most, 3)), np.empty(most)
-    survivors = np.empty_like(configurations)
-    wanted[0, 0], wanted[0, 1], wanted[0, 2] = goal[0], goal[1], goal[2]
-    prices[0], count = 0.0, 1
-    for i in range(depth):
-        born = 0
-        for n in range(count):
-            x, y, z = wanted[n, 0], wanted[n, 1], wanted[n, 2]
-            if scene is not None:
-                for k in range(i):
-                    set_state(scene, k, configurations[n, k])
-            for j in range(states[i]):
-                if scene is not None:
-                    scene.states[i] = j
-                    if module_collides(scene, i):
-                        continue
-                r, b = rotations[i, j], translations[i, j]
-                dx, dy, dz = x - b[0], y - b[1], z - b[2]
-                points[born, 0] = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
-                points[born, 1] = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
-                points[born, 2] = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
-                p = points[born]
-                m = measure(levels, i + 1, p[0], p[1], p[2])
-                parents[born], choices[born], totals[born] = n, j, prices[n] + costs[i, j]
-                # A node that cannot reach the goal is worse than any node that can.
-                scores[born] = totals[born] - worth * m if m >= 0 else 1e12 - m
-                born += 1
-        order = np.argsort(scores[:born])
+    width, before = len(beam.costs), np.zeros_like(beam.configurations)
+    most = width * tables.arm.states.max()
+    whole, parts = np.empty((2, most), dtype=np.int64), np.empty((2, most))
+    children = Children(whole[0], whole[1], parts[0], np.empty((most, 3)), parts[1])
+    beam.wanted[0, 0], beam.wanted[0, 1], beam.wanted[0, 2] = goal[0], goal[1], goal[2]
+    beam.costs[0], count = 0.0, 1
+    for i in range(tables.depth):
+        born = expand(tables, i, worth, beam, count, children, scene)
+        order = np.argsort(children.scores[:born])
         count = min(born, width)
-        if i == depth - 1:  # drop configurations that cannot reach the goal
-            while count > 0 and scores[order[count - 1]] >= 1e12:
+        if i == tables.depth - 1:  # drop configurations that cannot reach the goal
+            while count > 0 and children.scores[order[count - 1]] >= UNREACHABLE:
                 count -= 1
-        for n in range(count):
-            k = order[n]
-            for j in range(i):
-                survivors[n, j] = configurations[parents[k], j]
-            survivors[n, i] = choices[k]
-            wanted[n, 0], wanted[n, 1], wanted[n, 2] = points[k, 0], points[k, 1], points[k, 2]
-            prices[n] = totals[k]
-        for n in range(count):
-            for j in range(i + 1):
-                configurations[n, j] = survivors[n, j]
+        replace_nodes(children, order[:count], i, beam, before)
     return count

@@ -7,13 +7,14 @@ import numpy as np
 from numba import boolean, float64, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, F3, I1, UNCOUNTED, named
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.scene import Scene, for_scenes, segment_collides, set_state
-from controller.search.frame_rows import F1, F2, F3, I1, named
-from controller.workspace.reachability import TABLES, Tables
+from controller.obstacles.scene import SCENE, Scene, for_scenes, segment_collides, set_state
+from controller.workspace.reachability import POINT, TABLES, Tables, seen_from
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Point = tuple[float, float, float]
 
 MOST_POINTS = 1 << 16
 MOST_BRANCHES = 64
@@ -64,10 +65,27 @@ class Wanted(NamedTuple):
     weight: float
 
 
+class DistalSearch(NamedTuple):
+    """What a search of the distal table goes by.
+
+    Attributes:
+        table: the distal table.
+        costs: cost of each module's states, shape (B, Kmax).
+        arm: configuration sets.
+    """
+
+    table: DistalTable
+    costs: Array
+    arm: Tables
+
+
 DISTAL = named(DistalTable, int64, int64, F2, F3, float64, F1, I1, I1, I1)
 TRIPLE: Any = types.Tuple((int64, float64, float64))  # type: ignore[no-untyped-call]
-PAIR: Any = types.Tuple((float64, boolean))  # type: ignore[no-untyped-call]
+PAIR: Any = types.UniTuple(float64, 2)  # type: ignore[no-untyped-call]
+SEEN: Any = types.Tuple((POINT, float64))  # type: ignore[no-untyped-call]
+FINISHED: Any = types.Tuple((float64, boolean))  # type: ignore[no-untyped-call]
 WANTED = named(Wanted, F2, float64, float64, float64)
+DISTAL_SEARCH = named(DistalSearch, DISTAL, F2, TABLES)
 
 
 @lru_cache(maxsize=2)  # shared by the solvers of goals and of set-points
@@ -115,32 +133,61 @@ def lowest(states: Index, top: int, most: int) -> int:
     return i
 
 
+@njit([PAIR(int64, float64, WANTED, DISTAL_SEARCH)], **UNCOUNTED, error_model="numpy")
+def rate(row: int, square: float, wanted: Wanted, search: DistalSearch) -> tuple[float, float]:
+    """Returns cost and squared error of a row whose squared distance is known; outside the tolerances infinite cost."""
+    rotations, rotation, states = search.table.rotations, wanted.rotation, search.arm.states
+    within = square <= wanted.tolerance * wanted.tolerance
+    if wanted.weight > 0.0:
+        apart = 0.0
+        for a in range(3):
+            for b in range(3):
+                apart += 0.5 * (rotations[row, a, b] - rotation[a, b]) ** 2
+        square += wanted.weight * wanted.weight * apart
+        within = within and apart <= wanted.chord
+    if not within:
+        return np.inf, square
+    cost, rest = 0.0, row
+    for i in range(len(states) - 1, search.table.depth - 1, -1):
+        cost += search.costs[i, rest % states[i]]
+        rest //= states[i]
+    return cost, square
+
+
+@njit(boolean(int64, DISTAL_SEARCH, SCENE), **UNCOUNTED)
+def row_collides(row: int, search: DistalSearch, scene: Scene) -> bool:
+    """Returns whether the modules of a row collide; also true if no check is left."""
+    states, depth = search.arm.states, search.table.depth
+    if scene.checks[0] == 0:
+        return True
+    scene.checks[0] -= 1
+    rest = row
+    for i in range(len(states) - 1, depth - 1, -1):
+        scene.states[i] = rest % states[i]
+        rest //= states[i]
+    return bool(segment_collides(scene, depth, len(states)))
+
+
 @njit(
-    for_scenes(lambda scene: TRIPLE(F1, WANTED, float64, float64, DISTAL, F2, I1, scene)),
-    cache=True,
-    nogil=True,
+    for_scenes(lambda scene: TRIPLE(POINT, WANTED, float64, float64, DISTAL_SEARCH, scene)),
+    **UNCOUNTED,
     error_model="numpy",
 )
 def nearest(
-    position: Array,
+    position: Point,
     wanted: Wanted,
     best_cost: float,
     best_square: float,
-    table: DistalTable,
-    stage_costs: Array,
-    states: Index,
+    search: DistalSearch,
     scene: Scene | None,
 ) -> tuple[int, float, float]:
-    """Returns row, cost and squared error of the best row of the table for a position (3,); row -1 if none is better.
+    """Returns row, cost and squared error of the best row of the table for a position; row -1 if none is better.
 
     Within the tolerances the least cost is the best; ties are broken by distance. Outside, the cost is infinite, and
     the nearest row is the best. Configurations that collide are skipped; the scene must be set up to the table's frame.
     """
-    x, y, z, rotation = position[0], position[1], position[2], wanted.rotation
-    tolerance, chord, weight, depth = wanted.tolerance, wanted.chord, wanted.weight, table.depth
-    points, rotations, cell, corner, shape = table.points, table.rotations, table.cell, table.corner, table.shape
-    starts, order = table.starts, table.order
-    oriented = weight > 0.0
+    x, y, z, farthest = position[0], position[1], position[2], wanted.tolerance * wanted.tolerance
+    _, _, points, _, cell, corner, shape, starts, order = search.table
     cx = min(max(int(np.floor((x - corner[0]) / cell)), 0), shape[0] - 1)
     cy = min(max(int(np.floor((y - corner[1]) / cell)), 0), shape[1] - 1)
     cz = min(max(int(np.floor((z - corner[2]) / cell)), 0), shape[2] - 1)
@@ -152,7 +199,7 @@ def nearest(
     for ring in range(max(shape[0], shape[1], shape[2]) + 1):
         # `square` bounds the distance of the cells of this ring. Stop if neither cost nor distance can improve.
         square = outside + (max(ring - 1, 0) * cell) ** 2
-        if square > tolerance * tolerance and (best_cost < np.inf or square > best_square):
+        if square > farthest and (best_cost < np.inf or square > best_square):
             break
         for iz in range(max(cz - ring, 0), min(cz + ring, shape[2] - 1) + 1):
             for iy in range(max(cy - ring, 0), min(cy + ring, shape[1] - 1) + 1):
@@ -165,30 +212,12 @@ def nearest(
                         n = order[k]
                         dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                         square = dx * dx + dy * dy + dz * dz
-                        cost, within = np.inf, square <= tolerance * tolerance
-                        if oriented:
-                            apart = 0.0
-                            for a in range(3):
-                                for b in range(3):
-                                    apart += 0.5 * (rotations[n, a, b] - rotation[a, b]) ** 2
-                            square += weight * weight * apart
-                            within = within and apart <= chord
-                        if within:
-                            cost, rest = 0.0, n
-                            for i in range(len(states) - 1, depth - 1, -1):
-                                cost += stage_costs[i, rest % states[i]]
-                                rest //= states[i]
-                        if cost < best_cost or (cost == best_cost and square < best_square):
-                            if scene is not None:
-                                if scene.checks[0] == 0:
-                                    continue
-                                scene.checks[0] -= 1
-                                rest = n
-                                for i in range(len(states) - 1, depth - 1, -1):
-                                    scene.states[i] = rest % states[i]
-                                    rest //= states[i]
-                                if segment_collides(scene, depth, len(states)):
-                                    continue
+                        if square > farthest and (best_cost < np.inf or square >= best_square):
+                            continue
+                        cost, square = rate(n, square, wanted, search)
+                        if cost > best_cost or (cost == best_cost and square >= best_square):
+                            continue
+                        if scene is None or not row_collides(n, search, scene):
                             best, best_cost, best_square = n, cost, square
     return best, best_cost, best_square
 
@@ -204,8 +233,56 @@ def carried_back(rotation: Array, other: Array) -> Array:
     return result
 
 
+@njit(boolean(int64, DISTAL_SEARCH, SCENE), **UNCOUNTED)
+def branch_collides(branch: int, search: DistalSearch, scene: Scene) -> bool:
+    """Returns whether the modules of a branch, root+1 to depth, collide."""
+    root, depth, states, rest = search.table.root, search.table.depth, search.arm.states, branch
+    for i in range(root, depth):
+        scene.states[i] = rest % states[i]
+        rest //= states[i]
+    return bool(segment_collides(scene, root, depth))
+
+
+@njit([SEEN(int64, F1, DISTAL_SEARCH)], **UNCOUNTED, error_model="numpy")
+def seen_from_branch(branch: int, position: Array, search: DistalSearch) -> tuple[Point, float]:
+    """Returns a position (3,) of frame F_root as seen from the frame above a branch, and the branch's cost.
+
+    The states of modules root+1 to depth are the digits of `branch`, the first module least significant.
+    """
+    rotations, translations, states = search.arm
+    x, y, z, cost, rest = position[0], position[1], position[2], 0.0, branch
+    for i in range(search.table.root, search.table.depth):
+        j = rest % states[i]
+        rest //= states[i]
+        x, y, z = seen_from(rotations[i, j], translations[i, j], x, y, z)
+        cost += search.costs[i, j]
+    return (x, y, z), cost
+
+
+@njit(F2(int64, F2, DISTAL_SEARCH), cache=True, nogil=True, error_model="numpy")
+def turned_back(branch: int, rotation: Array, search: DistalSearch) -> Array:
+    """Returns a rotation (3, 3) of frame F_root as seen from the frame above a branch."""
+    rotations, _, states = search.arm
+    for i in range(search.table.root, search.table.depth):
+        rotation = carried_back(rotations[i, branch % states[i]], rotation)
+        branch //= states[i]
+    return rotation
+
+
+@njit(types.void(int64, int64, DISTAL_SEARCH, I1), **UNCOUNTED)
+def write_states(branch: int, row: int, search: DistalSearch, configuration: Configuration) -> None:
+    """Writes the states of a branch and of a row of the table to `configuration` (B,)."""
+    states, depth = search.arm.states, search.table.depth
+    for i in range(search.table.root, depth):
+        configuration[i] = branch % states[i]
+        branch //= states[i]
+    for i in range(len(states) - 1, depth - 1, -1):
+        configuration[i] = row % states[i]
+        row //= states[i]
+
+
 @njit(
-    for_scenes(lambda scene: PAIR(F1, WANTED, float64, DISTAL, F2, TABLES, I1, scene)),
+    for_scenes(lambda scene: FINISHED(F1, WANTED, float64, DISTAL_SEARCH, I1, scene)),
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -214,9 +291,7 @@ def finish(
     position: Array,
     wanted: Wanted,
     most: float,
-    table: DistalTable,
-    stage_costs: Array,
-    arm: Tables,
+    search: DistalSearch,
     configuration: Configuration,
     scene: Scene | None,
 ) -> tuple[float, bool]:
@@ -229,59 +304,32 @@ def finish(
         position: position of the goal in frame F_root, shape (3,).
         wanted: rotation of the goal in frame F_0, and tolerances.
         most: squared error that a configuration must be below; otherwise nothing is found, and nothing written.
-        table: the distal table.
-        stage_costs: the secondary criterion, shape (B, Kmax).
-        arm: configuration sets.
+        search: distal table, secondary criterion as costs, and configuration sets.
         configuration: written, shape (B,); its first `root` states are decided.
         scene: obstacles, None if there are none; the first `root` modules are clear.
 
     Returns:
         the squared error, see SearchTarget, `most` if nothing is found; and whether it is within the tolerances.
     """
-    rotations, translations, states = arm
-    root, depth, weight, seen = table.root, table.depth, wanted.weight, wanted.rotation
-    branches, goal = 1, np.empty(3)
-    for i in range(depth):
-        if i >= root:
-            branches *= states[i]
-        elif weight > 0.0:
-            seen = carried_back(rotations[i, configuration[i]], seen)
-    if scene is not None:
-        for i in range(root):
+    rotations, _, states = search.arm
+    root, depth, oriented, rotation = search.table.root, search.table.depth, wanted.weight > 0.0, wanted.rotation
+    for i in range(root):
+        if oriented:
+            rotation = carried_back(rotations[i, configuration[i]], rotation)
+        if scene is not None:
             set_state(scene, i, configuration[i])
     best_row, best_branch, best_cost, best_square = -1, -1, np.inf, most
-    for branch in range(branches):
+    for branch in range(states[root:depth].prod()):
         if scene is not None:
-            rest = branch
-            for i in range(root, depth):
-                scene.states[i] = rest % states[i]
-                rest //= states[i]
-            if segment_collides(scene, root, depth):
+            if branch_collides(branch, search, scene):
                 continue
             scene.checks[0] = MOST_CHECKS
-        qx, qy, qz, base, rest, turned = position[0], position[1], position[2], 0.0, branch, seen
-        for i in range(root, depth):
-            j = rest % states[i]
-            rest //= states[i]
-            r, b = rotations[i, j], translations[i, j]
-            dx, dy, dz = qx - b[0], qy - b[1], qz - b[2]
-            qx = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
-            qy = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
-            qz = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
-            base += stage_costs[i, j]
-            if weight > 0.0:
-                turned = carried_back(r, turned)
-        goal[0], goal[1], goal[2] = qx, qy, qz
-        here = Wanted(turned, wanted.tolerance, wanted.chord, weight)
-        row, cost, square = nearest(goal, here, best_cost - base, best_square, table, stage_costs, states, scene)
+        goal, base = seen_from_branch(branch, position, search)
+        turned = turned_back(branch, rotation, search) if oriented else rotation
+        here = Wanted(turned, wanted.tolerance, wanted.chord, wanted.weight)
+        row, cost, square = nearest(goal, here, best_cost - base, best_square, search, scene)
         if row >= 0:
             best_row, best_branch, best_cost, best_square = row, branch, cost + base, square
-    if best_row < 0:
-        return best_square, False
-    for i in range(root, depth):
-        configuration[i] = best_branch % states[i]
-        best_branch //= states[i]
-    for i in range(len(states) - 1, depth - 1, -1):
-        configuration[i] = best_row % states[i]
-        best_row //= states[i]
+    if best_row >= 0:
+        write_states(best_branch, best_row, search, configuration)
     return best_square, best_cost < np.inf

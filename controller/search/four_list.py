@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells, Index
 from controller.search.frame_rows import Side, compose_all, coordinates, invert_all, motions
-from controller.search.matching import Span
+from controller.search.matching import Sides, Span
 from controller.search.segment import Segment, Sets, build_segment, room, step
 from controller.search.solution import Incumbent
 from controller.search.target import SearchTarget
 from controller.search.two_list import BAND_CELLS, TwoList, improve, middle, rows
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 ROWS = 1 << 14  # most rows of a quarter
 BINS = 512  # bins of costs, for the sizes of layers
@@ -127,7 +126,7 @@ def seen(frame: Array, side: Side) -> Side:
 
 
 @dataclass(eq=False)
-class Stream:
+class HalfStream:
     """The configurations of one half in layers of rising cost, against cheap rows of the other half (the band).
 
     Attributes:
@@ -152,7 +151,7 @@ class Stream:
         return self.done + self.floor
 
 
-class Proof:
+class FourListProof:
     """The streams for one goal. The stream with the lowest bound continues first.
 
     Attributes:
@@ -167,7 +166,7 @@ class Proof:
     def __init__(self, four: FourList, target: SearchTarget, seed: Configuration) -> None:
         self._four, self._target, self._seed = four, target, seed
         self._inner: Side
-        self._streams: list[Stream] = []
+        self._streams: list[HalfStream] = []
         self.rest = 0.0
 
     @property
@@ -188,7 +187,7 @@ class Proof:
         self._inner = seen(self._target.row, self._four.a)
         for of_upper, half, floor, start in ((False, upper, floors[1], starts[0]), (True, lower, floors[0], starts[1])):
             cells = two.bands[of_upper]
-            self._streams.append(Stream(of_upper, self._band(half, floor, most - start), floor, start, cells))
+            self._streams.append(HalfStream(of_upper, self._band(half, floor, most - start), floor, start, cells))
         self.rest = lower.unexplored + upper.unexplored
 
     def run(self, incumbent: Incumbent) -> None:
@@ -209,7 +208,7 @@ class Proof:
         side = half.side(rows=chosen)
         return seen(self._target.row, side) if half.first == 0 else side
 
-    def _advance(self, stream: Stream, incumbent: Incumbent, unexplored: float) -> bool:
+    def _advance(self, stream: HalfStream, incumbent: Incumbent, unexplored: float) -> bool:
         """Streams one layer, or looks up the band. Returns whether it finished in time."""
         four, band, target = self._four, stream.band, self._target
         count = int(np.searchsorted(band.costs, incumbent.cost - stream.done))
@@ -233,11 +232,11 @@ class Proof:
             if incumbent.late:
                 return False
             span = Span(start, min(start + at_once, len(outer.costs)), 0, len(inner.costs), low, high)
-            improve(incumbent, (outer, inner, stream.index), span, target, self._seed, nearer=False)
+            improve(incumbent, Sides(outer, inner, stream.index), span, target, self._seed, nearer=False)
         stream.done = high
         return True
 
-    def _look_up(self, stream: Stream, count: int, incumbent: Incumbent, unexplored: float) -> bool:
+    def _look_up(self, stream: HalfStream, count: int, incumbent: Incumbent, unexplored: float) -> bool:
         """Looks up all rows of the band that a better pair may have. Returns whether it finished in time."""
         four, target, band, done = self._four, self._target, stream.band, stream.done
         if stream.upper:
@@ -254,6 +253,6 @@ class Proof:
                 incumbent.prove(min(self.rest, *(s.bound for s in self._streams)))
                 return False
             span = Span(0, len(outer.costs), start, min(start + at_once, count), -np.inf, np.inf)
-            improve(incumbent, (outer, band, index), span, target, self._seed, nearer=False)
+            improve(incumbent, Sides(outer, band, index), span, target, self._seed, nearer=False)
         stream.done = unexplored
         return True

@@ -1,24 +1,16 @@
 """Frames as rows of numbers: (x, y, cos, sin) for planar arms, (x, y, z, R row by row) for spatial arms."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import float64, int32, int64, njit, types
+from numba import int64, njit
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, I1, S1, named
 from controller.manipulator.manipulator import Manipulator
 
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]
-
-# numba's types of C-contiguous arrays: F2 is float64 with two dimensions, I1 is int64 with one.
-F1, F2, F3, F4, F5 = float64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1], float64[:, :, :, :, ::1]
-I1, I2 = int64[::1], int64[:, ::1]
-
-
-def named(kind: type, *parts: Any) -> Any:
-    """Returns the numba type of a NamedTuple from the types of its fields."""
-    return types.NamedTuple(parts, kind)  # type: ignore[no-untyped-call]
 
 
 class Side(NamedTuple):
@@ -45,7 +37,7 @@ class Side(NamedTuple):
     choices: Index32
 
 
-SIDE = named(Side, F2, F1, I1, int64, int64, int32[::1], int32[::1], int32[::1])
+SIDE = named(Side, F2, F1, I1, int64, int64, S1, S1, S1)
 NO_ROWS = np.zeros(1, dtype=np.int32)
 
 

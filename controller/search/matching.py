@@ -11,13 +11,14 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float64, int64, njit, types
+from numba import float64, int32, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
 from controller.manipulator.manipulator import Configuration
 from controller.obstacles.scene import Scene, collides, for_scenes
-from controller.search.cells import INDEX, Index, write_point
-from controller.search.frame_rows import F1, F2, I1, I2, SIDE, Side, compose, named
+from controller.search.cells import GRID, INDEX, Grid, Index, corner_offsets, write_point
+from controller.search.frame_rows import SIDE, Side, compose
 from controller.search.solution import EPSILON
 from controller.search.target import QUERY, SearchQuery, reaches
 
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-class Found(NamedTuple):
+class Matches(NamedTuple):
     """The cheapest matches found so far.
 
     Attributes:
@@ -39,7 +40,22 @@ class Found(NamedTuple):
     squares: Array
 
 
-FOUND = named(Found, I2, F1, F1)
+class Sides(NamedTuple):
+    """What is matched: configurations of two segments, or the goal in place of one, with the rows of an index."""
+
+    outer: Side
+    inner: Side
+    lookup: Index
+
+
+class Pair(NamedTuple):
+    """A pair that may be a match: its rows in outer, inner and index, its cost and its squared error."""
+
+    outer: int
+    inner: int
+    row: int
+    cost: float
+    square: float
 
 
 class Span(NamedTuple):
@@ -62,10 +78,15 @@ class Span(NamedTuple):
     high: float
 
 
+MATCHES = named(Matches, I2, F1, F1)
+SIDES = named(Sides, SIDE, SIDE, INDEX)
+PAIR = named(Pair, int64, int64, int32, float64, float64)
 SPAN = named(Span, int64, int64, int64, int64, float64, float64)
+RANGE: Any = types.UniTuple(int64, 2)  # type: ignore[no-untyped-call]
+POINT: Any = types.UniTuple(float64, 3)  # type: ignore[no-untyped-call]
 
 
-@njit(types.void(I1, I1, SIDE, int64), cache=True, nogil=True)
+@njit(types.void(I1, I1, SIDE, int64), **UNCOUNTED)
 def put(states: Configuration, seed: Configuration, side: Side, n: int) -> None:
     """Writes the states of a side's row `n` to `states` (B,), for all modules of the side; see Segment."""
     for i in range(side.first, side.last):
@@ -88,134 +109,170 @@ def chord(a: Array, i: int, b: Array, j: int) -> float:
     return total
 
 
+@njit([POINT(F2, int64, F2, int64, float64)], cache=True, nogil=True, inline="always")
+def planar_point(a: Array, i: int, b: Array, j: int, scale: float) -> tuple[float, float, float]:
+    """Returns the point of the product of planar frames a[i] and b[j], see write_point."""
+    c, s = a[i, 2], a[i, 3]
+    x, y = a[i, 0] + c * b[j, 0] - s * b[j, 1], a[i, 1] + s * b[j, 0] + c * b[j, 1]
+    return x, y, scale * (s * b[j, 2] + c * b[j, 3])
+
+
+@njit([POINT(F2, int64, F2, int64)], cache=True, nogil=True, inline="always")
+def spatial_position(a: Array, i: int, b: Array, j: int) -> tuple[float, float, float]:
+    """Returns the position of the product of spatial frames a[i] and b[j]."""
+    return (
+        a[i, 0] + a[i, 3] * b[j, 0] + a[i, 4] * b[j, 1] + a[i, 5] * b[j, 2],
+        a[i, 1] + a[i, 6] * b[j, 0] + a[i, 7] * b[j, 1] + a[i, 8] * b[j, 2],
+        a[i, 2] + a[i, 9] * b[j, 0] + a[i, 10] * b[j, 1] + a[i, 11] * b[j, 2],
+    )
+
+
+@njit(int64(GRID, float64, float64, float64, F2, int64), cache=True, nogil=True, inline="always")
+def cell_at(grid: Grid, x: float, y: float, z: float, point: Array, size: int) -> int:
+    """Returns the first cell to compare with a point, -1 outside the grid; point[0] has coordinates 4 to `size`."""
+    origin, shape, strides, per = grid.origin, grid.shape, grid.strides, grid.per
+    u, v, w = (x - origin[0]) * per + 0.5, (y - origin[1]) * per + 0.5, (z - origin[2]) * per + 0.5
+    if not (0.0 <= u < shape[0] and 0.0 <= v < shape[1]):
+        return -1
+    cell = int(u) + strides[1] * int(v)
+    if size >= 3:
+        if not 0.0 <= w < shape[2]:
+            return -1
+        cell += strides[2] * int(w)
+    if size == 6:
+        for d in range(3, 6):
+            w = (point[0, d] - origin[d]) * per + 0.5
+            if not 0.0 <= w < shape[d]:
+                return -1
+            cell += strides[d] * int(w)
+    return int(cell)
+
+
+@njit([RANGE(F1, float64, SPAN, float64, float64, int64, int64)], cache=True, nogil=True, inline="always")
+def affordable(
+    costs: Array, own: float, span: Span, least: float, ceiling: float, low: int, high: int
+) -> tuple[int, int]:
+    """Returns the first inner row to match with an outer row, and the row after the last.
+
+    Args:
+        costs: costs of the inner rows.
+        own: cost of the outer row.
+        span: the rows to match.
+        least: least cost of a row of the index.
+        ceiling: greatest cost of a match.
+        low: first inner row for an outer row that is not dearer.
+        high: row after the last for this outer row.
+    """
+    while low > span.inner and own + costs[low - 1] >= span.low:
+        low -= 1
+    while high > low and not (own + costs[high - 1] < span.high and own + costs[high - 1] + least <= ceiling):
+        high -= 1
+    return low, high
+
+
+@njit([float64(MATCHES)], cache=True, nogil=True, inline="always")
+def most_cost(matches: Matches) -> float:
+    """Returns the greatest cost of a pair that may replace a match. Ties count if there is one place only."""
+    worst = matches.costs.max()
+    return float(worst * (1 + EPSILON) if len(matches.costs) == 1 else np.nextafter(worst, -np.inf))
+
+
+@njit(
+    for_scenes(lambda scene: types.boolean(PAIR, SIDES, QUERY, I1, scene, I1, MATCHES)),
+    **UNCOUNTED,
+)
+def keep(
+    pair: Pair,
+    sides: Sides,
+    query: SearchQuery,
+    seed: Configuration,
+    scene: Scene | None,
+    states: Configuration,
+    matches: Matches,
+) -> bool:
+    """Writes a pair to `matches` if it is better, within the tolerances, and clear; returns whether it was written.
+
+    If there is one place, ties of the cost are broken by distance. `states` (B,) is scratch.
+    """
+    slot = 0
+    if len(matches.costs) > 1:
+        slot = int(np.argmax(matches.costs))
+    elif pair.cost >= matches.costs[0] * (1 - EPSILON) and pair.square >= matches.squares[0]:
+        return False
+    put(states, seed, sides.outer, pair.outer)
+    put(states, seed, sides.inner, pair.inner)
+    put(states, seed, sides.lookup.side, pair.row)
+    if not reaches(query, states):
+        return False
+    if scene is not None and collides(scene, states):
+        return False
+    matches.rows[slot, 0], matches.rows[slot, 1], matches.rows[slot, 2] = pair.outer, pair.inner, pair.row
+    matches.costs[slot], matches.squares[slot] = pair.cost, pair.square
+    return True
+
+
 @cache
 def kernel(planar: bool, posed: bool) -> Callable[..., None]:
     """Returns the matching kernel for planar or spatial arms, positions or poses.
 
-    The kernel writes to Found the pairs that are within the tolerances, clear, and cheaper than the dearest found. If
-    Found has one place, ties of the cost are broken by distance. A pair is collision-checked only if it would improve
-    Found.
+    The kernel keeps the pairs of a span that are within the tolerances, clear, and cheaper than the dearest match.
     """
-    place = 2 if planar else 3
-    size = (3 if planar else 6) if posed else place
+    size = (3 if planar else 6) if posed else (2 if planar else 3)
 
     @njit(
-        for_scenes(lambda scene: types.void(SIDE, SIDE, INDEX, SPAN, QUERY, I1, scene, FOUND)),
+        for_scenes(lambda scene: types.void(SIDES, SPAN, QUERY, I1, scene, MATCHES)),
         cache=True,
         nogil=True,
         error_model="numpy",
         fastmath={"contract"},
     )
     def match(
-        outer: Side,
-        inner: Side,
-        index: Index,
-        span: Span,
-        query: SearchQuery,
-        seed: Configuration,
-        scene: Scene | None,
-        found: Found,
+        sides: Sides, span: Span, query: SearchQuery, seed: Configuration, scene: Scene | None, matches: Matches
     ) -> None:
+        outer, inner, index = sides
         a, b, points, costs, starts = outer.frames, inner.frames, index.points, index.costs, index.starts
-        near, bounds = index.near, index.bounds
-        width, room, farthest = a.shape[1], len(found.costs), query.radius * query.radius
-        worst = found.costs.max()
-        ceiling = worst * (1 + EPSILON) if room == 1 else worst
-        frame, point, states = np.empty((1, width)), np.empty((1, 6)), np.empty(len(seed), np.int64)
-        least, per, scale, origin, strides = index.least, index.per, index.rotation_scale, index.origin, index.strides
-        x0, y0, z0, nx, ny, nz = origin[0], origin[1], origin[2], index.shape[0], index.shape[1], index.shape[2]
+        near, bounds, grid, scale = index.near, index.bounds, index.grid, index.rotation_scale
+        frame, point, states = np.empty((1, a.shape[1])), np.empty((1, 6)), np.empty(len(seed), np.int64)
         # A match compares two cells along each coordinate. Along the first coordinate their points are contiguous.
-        corners = np.zeros(1 << (size - 1), np.int64)
-        for corner in range(len(corners)):
-            for d in range(1, size):
-                corners[corner] += strides[d] * ((corner >> (d - 1)) & 1)
-        low = high = span.inner_end
-        before = -np.inf
+        corners, farthest = corner_offsets(grid, 1, size), query.radius * query.radius
+        low, high, before, ceiling = span.inner_end, span.inner_end, -np.inf, most_cost(matches)
         for o in range(span.outer, span.outer_end):
             own = outer.costs[o]
             if own < before:
                 low = high = span.inner_end
             before = own
-            while low > span.inner and own + inner.costs[low - 1] >= span.low:
-                low -= 1
-            while high > low:
-                price = own + inner.costs[high - 1]
-                if price < span.high and price + least <= ceiling:
-                    break
-                high -= 1
+            low, high = affordable(inner.costs, own, span, index.least, ceiling, low, high)
             for i in range(low, high):
-                z = 0.0
                 if planar:
-                    c, s = a[o, 2], a[o, 3]
-                    x = a[o, 0] + c * b[i, 0] - s * b[i, 1]
-                    y = a[o, 1] + s * b[i, 0] + c * b[i, 1]
-                    if posed:
-                        z = scale * (s * b[i, 2] + c * b[i, 3])
+                    x, y, z = planar_point(a, o, b, i, scale)
                 elif posed:
                     compose(a, o, b, i, frame, 0)
                     write_point(frame, 0, scale, point, 0)
                     x, y, z = point[0, 0], point[0, 1], point[0, 2]
                 else:
-                    x = a[o, 0] + a[o, 3] * b[i, 0] + a[o, 4] * b[i, 1] + a[o, 5] * b[i, 2]
-                    y = a[o, 1] + a[o, 6] * b[i, 0] + a[o, 7] * b[i, 1] + a[o, 8] * b[i, 2]
-                    z = a[o, 2] + a[o, 9] * b[i, 0] + a[o, 10] * b[i, 1] + a[o, 11] * b[i, 2]
-                u, v = (x - x0) * per + 0.5, (y - y0) * per + 0.5
-                if not (0.0 <= u < nx and 0.0 <= v < ny):
-                    continue
-                price = own + inner.costs[i]
-                cell = int(u) + strides[1] * int(v)
-                if size >= 3:
-                    w = (z - z0) * per + 0.5
-                    if not 0.0 <= w < nz:
-                        continue
-                    cell += strides[2] * int(w)
-                if size == 6:
-                    inside = True
-                    for d in range(3, 6):
-                        w = (point[0, d] - origin[d]) * per + 0.5
-                        inside = inside and 0.0 <= w < index.shape[d]
-                        cell += strides[d] * int(w)
-                    if not inside:
-                        continue
-                elif price + bounds[near[cell]] > ceiling:
+                    x, y, z = spatial_position(a, o, b, i)
+                cell, price = cell_at(grid, x, y, z, point, size), own + inner.costs[i]
+                if cell < 0 or (size < 6 and price + bounds[near[cell]] > ceiling):
                     continue
                 for corner in range(len(corners)):
                     row = cell + corners[corner]
                     for k in range(starts[row], starts[row + 2]):
-                        cost = price + costs[k]
-                        if cost > ceiling:
+                        if price + costs[k] > ceiling:
                             continue
                         square = (x - points[k, 0]) ** 2 + (y - points[k, 1]) ** 2
                         if not planar:
                             square += (z - points[k, 2]) ** 2
                         if square > farthest:
                             continue
-                        n = index.order[k]
                         if posed or query.weight > 0.0:
                             compose(a, o, b, i, frame, 0)
-                            apart = chord(frame, 0, index.side.frames, n)
+                            apart = chord(frame, 0, index.side.frames, index.order[k])
                             if posed and apart > query.chord:
                                 continue
                             square += query.weight * query.weight * apart
-                        slot = 0
-                        if room == 1:
-                            if cost >= worst * (1 - EPSILON) and square >= found.squares[0]:
-                                continue
-                        else:
-                            if cost >= worst:
-                                continue
-                            slot = int(np.argmax(found.costs))
-                        put(states, seed, outer, o)
-                        put(states, seed, inner, i)
-                        put(states, seed, index.side, n)
-                        if not reaches(query, states):
-                            continue
-                        if scene is not None and collides(scene, states):
-                            continue
-                        found.rows[slot, 0], found.rows[slot, 1], found.rows[slot, 2] = o, i, n
-                        found.costs[slot], found.squares[slot] = cost, square
-                        worst = found.costs.max()
-                        ceiling = worst * (1 + EPSILON) if room == 1 else worst
+                        pair = Pair(o, i, index.order[k], price + costs[k], square)
+                        if keep(pair, sides, query, seed, scene, states, matches):
+                            ceiling = most_cost(matches)
 
     return match
 
@@ -229,6 +286,6 @@ def load(planar: bool) -> None:
         kernel(planar, posed)
 
 
-def match(outer: Side, inner: Side, index: Index, *rest: Any) -> None:
+def match(sides: Sides, *rest: Any) -> None:
     """Calls the kernel for these sides, for positions or poses by the index."""
-    kernel(outer.frames.shape[1] == 4, index.rotation_scale > 0.0)(outer, inner, index, *rest)
+    kernel(sides.outer.frames.shape[1] == 4, sides.lookup.rotation_scale > 0.0)(sides, *rest)

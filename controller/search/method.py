@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from controller.armfile.settings import MINIMUM_SWITCH as MINIMUM_SWITCH
 from controller.armfile.settings import Method as Method
 from controller.armfile.settings import PaperMethod as PaperMethod
 from controller.armfile.settings import Variant as Variant
@@ -21,7 +22,7 @@ if TYPE_CHECKING:  # importing its kernels is slow, and commands need only the n
 
 PAPER_METHODS: tuple[PaperMethod, ...] = get_args(PaperMethod)
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
-METHODS: tuple[Method, ...] = ("minimum-switch", *PAPER_METHODS, *VARIANTS)
+METHODS: tuple[Method, ...] = (MINIMUM_SWITCH, *PAPER_METHODS, *VARIANTS)
 
 StageCosts = NDArray[np.float64]
 

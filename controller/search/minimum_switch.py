@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import collides
 from controller.search.branch_and_bound import BranchAndBound
-from controller.search.four_list import FourList, Proof
+from controller.search.four_list import FourList, FourListProof
 from controller.search.frame_rows import motions
 from controller.search.matching import load, put
 from controller.search.method import distances
@@ -75,7 +75,7 @@ class MinimumSwitch:
         self._tree = BranchAndBound(manipulator, hull) if manipulator.planar else None
         self._nearest = Nearest(manipulator, self._wide)
         self._row_time = 0.0
-        self._proof: Proof | None = None
+        self._proof: FourListProof | None = None
 
     def claim(self) -> None:
         """Touches the memory, so that no search waits for page faults.
@@ -105,18 +105,19 @@ class MinimumSwitch:
 
     def improve(self, problem: Problem, incumbent: Incumbent) -> None:
         """Runs the stages until the incumbent is proven or the deadline passes."""
+        tree_search = self._quick_proof, self._branch_and_bound
         stages: tuple[Callable[[Problem, Incumbent], None], ...] = (
             self._two_lists,
             self._outside,
             self._ipop,
-            self._branch_and_bound,
+            *tree_search,
             self._far,
             self._four_lists,
             self._approach,
             self._around,
             self._four_lists,
             self._beams,
-            self._branch_and_bound,
+            *tree_search,
         )
         self._proof = None
         if self._tree is not None:
@@ -126,7 +127,7 @@ class MinimumSwitch:
                 stage(problem, incumbent)
         if incumbent.cost == np.inf and not incumbent.proven and problem.hard_deadline > incumbent.until:
             incumbent.until = problem.hard_deadline
-            for stage in (self._approach, self._around, self._branch_and_bound, self._four_lists, self._beams):
+            for stage in (self._approach, self._around, *tree_search, self._four_lists, self._beams):
                 if not incumbent.proven:
                     stage(problem, incumbent)
         if incumbent.cost == np.inf:
@@ -152,7 +153,7 @@ class MinimumSwitch:
             complete, bound = self._near.match(problem.target, incumbent)
             incumbent.prove(bound)
             if complete:
-                self._proof = Proof(self._four, problem.target, problem.seed)
+                self._proof = FourListProof(self._four, problem.target, problem.seed)
 
     def _outside(self, problem: Problem, incumbent: Incumbent) -> None:
         """Proves that a goal outside the hull of all tips is unreachable."""
@@ -172,16 +173,21 @@ class MinimumSwitch:
         square = target.square(self._m.tip(configuration)) if clear else np.inf
         incumbent.offer(configuration, cost, square)
 
+    def _quick_proof(self, problem: Problem, incumbent: Incumbent) -> None:
+        """Runs the four lists before branch and bound if its maps are not ready and the incumbent is cheap."""
+        tree = self._tree
+        if tree is None or problem.unreachable or incumbent.late or tree.map_time(problem.target, problem.costs) == 0.0:
+            return
+        if incumbent.cost <= EASY * min(self._near.lower.unexplored, self._near.upper.unexplored):
+            self._four_lists(problem, incumbent)
+
     def _branch_and_bound(self, problem: Problem, incumbent: Incumbent) -> None:
         """Runs branch and bound for a part of the remaining time; a second call runs it until the deadline."""
         tree = self._tree
         if tree is None or problem.unreachable or incumbent.late:
             return
-        waiting = tree.map_time(problem.target, problem.costs)
-        if waiting > 0.0 and incumbent.cost <= EASY * min(self._near.lower.unexplored, self._near.upper.unexplored):
-            self._four_lists(problem, incumbent)
         left = incumbent.remaining()
-        if not incumbent.proven and left > waiting:
+        if left > tree.map_time(problem.target, problem.costs):
             rest = 0.0 if tree.begun else REST_FOUND if incumbent.cost < np.inf else REST
             until = incumbent.until - rest * left
             tree.run(problem.target, problem.seed, problem.costs, incumbent, until)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import Scene
-from controller.search.descent import beam_search, descend
-from controller.search.distal_table import Wanted, build_distal_table, finish
+from controller.search.descent import Beam, DescentTables, beam_search, descend
+from controller.search.distal_table import DistalSearch, Wanted, build_distal_table, finish
 from controller.search.method import PaperMethod, StageCosts, Variant, mean_cost, stage_costs
 from controller.search.solution import Incumbent
 from controller.search.target import SearchTarget
@@ -95,9 +95,8 @@ class Paths:
     ) -> tuple[float, bool]:
         """Decides the last modules for a position (3,) in frame F_root, see distal_table.finish."""
         asked = Wanted(target.rotation, target.tolerance, target.exact_chord, target.weight)
-        found: tuple[float, bool] = finish(
-            wanted, asked, most, self.table, costs, self._arm, configuration, target.scene
-        )
+        search = DistalSearch(self.table, costs, self._arm)
+        found: tuple[float, bool] = finish(wanted, asked, most, search, configuration, target.scene)
         return found
 
     def _around(
@@ -133,10 +132,13 @@ class Paths:
             width: width of the beam.
         """
         configurations = np.zeros((width, len(self.manipulator.modules)), dtype=np.int64)
-        wanted, prices = np.zeros((width, 3)), np.zeros(width)
-        tables = self._arm, self._levels, costs, worth, self.table.root
-        count = beam_search(goal, *tables, configurations, wanted, prices, scene)
-        yield from zip(configurations[:count], wanted, prices.tolist(), strict=False)
+        beam = Beam(configurations, np.zeros((width, 3)), np.zeros(width))
+        count = beam_search(goal, self._tables(costs), worth, beam, scene)
+        yield from zip(configurations[:count], beam.wanted, beam.costs.tolist(), strict=False)
+
+    def _tables(self, costs: StageCosts) -> DescentTables:
+        """Returns what a descent to the distal table's root goes by."""
+        return DescentTables(self._arm, self._levels, costs, self.table.root)
 
     def _towards(self, goal: Vector) -> Vector:
         """Returns `goal`, or for a goal outside the box of W_0 the centre (3,) of the nearest pixel with points.
@@ -156,9 +158,9 @@ class Paths:
         If the squared error is not below `most`, `most` is returned, and the configuration is not valid.
         """
         configuration = np.zeros(len(self.manipulator.modules), dtype=np.int64)
-        towards, thresholds = self._towards(target.position), self._thresholds(target, enough)
-        given = towards, self._arm, self._levels, costs, thresholds, self.table.root
-        wanted = descend(*given, configuration, target.scene)
+        x, y, z = self._towards(target.position).tolist()
+        thresholds = self._thresholds(target, enough)
+        wanted = descend((x, y, z), self._tables(costs), thresholds, configuration, target.scene)
         if math.isnan(wanted[0]):
             return configuration, most, False
         square, within = self.finish(np.array(wanted), target, costs, configuration, most)

@@ -7,8 +7,9 @@ import numpy as np
 from numba import float64, int32, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, I1, named
 from controller.manipulator.manipulator import Configuration
-from controller.search.frame_rows import F1, F2, I1, Side, compose, invert, named
+from controller.search.frame_rows import Side, compose, invert
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -94,6 +95,30 @@ class Sets(NamedTuple):
     costs: Array
 
 
+class Ranked(NamedTuple):
+    """Scratch: for each module of a segment the states other than the seed's, nearest first.
+
+    Attributes:
+        states: shape (size, Kmax).
+        distances: distance from the seed's state, infinite after the last, shape (size, Kmax).
+        costs: additional cost, shape (size, Kmax).
+        frames: from the module's bottom to the segment's end, with all modules above at the seed, shape
+            (size * Kmax, 4 or 12).
+        nearest: least distance of a change of this module or a later one, shape (size + 1,).
+        rest: frames from each module's bottom to the segment's end at the seed, shape (size + 1, 4 or 12).
+        back: their inverses.
+    """
+
+    states: Index32
+    distances: Array
+    costs: Array
+    frames: Array
+    nearest: Array
+    rest: Array
+    back: Array
+
+
+RANKED = named(Ranked, int32[:, ::1], F2, F2, F2, F1, F2, F2)
 ROWS = named(Rows, int32[::1], int32[::1], int32[::1], F1, F1, F2)
 SETS = named(Sets, F2, I1, I1, F2, F2)
 GROWN: Any = types.Tuple((int64, float64))  # type: ignore[no-untyped-call]
@@ -159,6 +184,47 @@ def largest_budget(distances: Array, states: Index, first: int, last: int, unit:
     return BINS * unit
 
 
+@njit([float64(SETS, int64, RANKED)], cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def rank(sets: Sets, first: int, ranked: Ranked) -> float:
+    """Ranks the states of modules first+1 onward; returns the cost of the seed's states."""
+    motions, states, seed, distances, costs = sets
+    order, away, dearer, via, nearest, rest, back = ranked
+    size, most = order.shape
+    price = 0.0
+    for k in range(size - 1, -1, -1):
+        i, count = first + k, 0
+        for j in range(states[i]):
+            if j == seed[i]:
+                continue
+            at = count
+            while at > 0 and away[k, at - 1] > distances[i, j]:
+                order[k, at], away[k, at] = order[k, at - 1], away[k, at - 1]
+                at -= 1
+            order[k, at], away[k, at] = j, distances[i, j]
+            count += 1
+        for a in range(count):
+            j = order[k, a]
+            dearer[k, a] = costs[i, j] - costs[i, seed[i]]
+            compose(motions, i * most + j, rest, k + 1, via, k * most + a)
+        compose(motions, i * most + seed[i], rest, k + 1, rest, k)
+        nearest[k] = min(nearest[k + 1], away[k, 0])
+        price += costs[i, seed[i]]
+    for k in range(size + 1):
+        invert(rest, k, back, k)
+    return price
+
+
+@njit([RANKED(int64, int64, int64)], cache=True, nogil=True)
+def empty_ranks(size: int, most: int, width: int) -> Ranked:
+    """Returns memory for the ranks of `size` modules of at most `most` states; frames have `width` numbers."""
+    away, nearest = np.full((size, most), np.inf), np.full(size + 1, np.inf)
+    rest, back = np.zeros((size + 1, width)), np.empty((size + 1, width))
+    for a in range(2 if width == 4 else 3, width, 2 if width == 4 else 4):
+        rest[size, a] = 1.0
+    order, dearer = np.empty((size, most), dtype=np.int32), np.empty((size, most))
+    return Ranked(order, away, dearer, np.empty((size * most, width)), nearest, rest, back)
+
+
 @njit(
     [GROWN(SETS, int64, int64, float64, int64, ROWS)],
     cache=True,
@@ -168,41 +234,13 @@ def largest_budget(distances: Array, states: Index, first: int, last: int, unit:
 )
 def grow(sets: Sets, first: int, last: int, budget: float, most_rows: int, rows: Rows) -> tuple[int, float]:
     """Lists the configurations within a budget breadth-first; returns their number and the unexplored distance."""
-    motions, states, seed, distances, costs = sets
+    motions, states, seed, distances, _ = sets
     parents, modules, choices, lengths, prices, frames = rows
     size, most, width = last - first, distances.shape[1], frames.shape[1]
-    # Frames from each module's bottom to the segment's end and back, with all modules between at the seed.
-    rest, back = np.zeros((size + 1, width)), np.empty((size + 1, width))
-    if width == 4:
-        rest[size, 2] = 1.0
-    else:
-        rest[size, 3] = rest[size, 7] = rest[size, 11] = 1.0
-    # Each module's other states, nearest first: distance, additional cost, and frame up to the segment's end.
-    ranked, away = np.empty((size, most), dtype=np.int32), np.full((size, most), np.inf)
-    dearer, via = np.empty((size, most)), np.empty((size * most, width))
-    nearest = np.full(size + 1, np.inf)  # least distance of a change of this module or a later one
-    price = 0.0
-    for k in range(size - 1, -1, -1):
-        i, count = first + k, 0
-        for j in range(states[i]):
-            if j == seed[i]:
-                continue
-            at = count
-            while at > 0 and away[k, at - 1] > distances[i, j]:
-                ranked[k, at], away[k, at] = ranked[k, at - 1], away[k, at - 1]
-                at -= 1
-            ranked[k, at], away[k, at] = j, distances[i, j]
-            count += 1
-        for a in range(count):
-            j = ranked[k, a]
-            dearer[k, a] = costs[i, j] - costs[i, seed[i]]
-            compose(motions, i * most + j, rest, k + 1, via, k * most + a)
-        compose(motions, i * most + seed[i], rest, k + 1, rest, k)
-        nearest[k] = min(nearest[k + 1], away[k, 0])
-        price += costs[i, seed[i]]
-    for k in range(size + 1):
-        invert(rest, k, back, k)
-    parents[0], modules[0], choices[0], lengths[0], prices[0] = 0, first - 1, 0, 0.0, price
+    ranked = empty_ranks(size, most, width)
+    order, away, dearer, via, nearest, rest, back = ranked
+    parents[0], modules[0], choices[0], lengths[0] = 0, first - 1, 0, 0.0
+    prices[0] = rank(sets, first, ranked)
     for a in range(width):
         frames[0, a] = rest[0, a]
     run, now = np.empty((2, width)), 0
@@ -224,7 +262,7 @@ def grow(sets: Sets, first: int, last: int, budget: float, most_rows: int, rows:
                 if count == most_rows:
                     return count, 0.0
                 compose(run, now, via, k * most + a, frames, count)
-                parents[count], modules[count], choices[count], lengths[count] = row, i, ranked[k, a], total
+                parents[count], modules[count], choices[count], lengths[count] = row, i, order[k, a], total
                 prices[count] = prices[row] + dearer[k, a]
                 count += 1
             compose(run, now, motions, i * most + seed[i], run, 1 - now)

@@ -15,7 +15,7 @@ from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.scene import scene_of
-from controller.search.method import Method, cost_of_switches, switch_costs
+from controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
 from controller.search.minimum_switch import MinimumSwitch, Problem
 from controller.search.paths import Paths
 from controller.search.solution import EPSILON, Incumbent, Solution
@@ -134,7 +134,7 @@ class Solver:
         self,
         target: SearchTarget,
         previous: ArrayLike,
-        method: Method = "minimum-switch",
+        method: Method = MINIMUM_SWITCH,
         timeout: float = TIMEOUT,
         hard_timeout: float = HARD_TIMEOUT,
     ) -> Solution:
@@ -150,9 +150,9 @@ class Solver:
         began = time.perf_counter()
         seed = np.asarray(previous, dtype=np.int64)
         incumbent = Incumbent(seed, began + timeout)
-        if method in ("minimum-switch", "ipop-previous", "ipop-fewest-switches") and self.feasible(target, seed):
+        if method in (MINIMUM_SWITCH, "ipop-previous", "ipop-fewest-switches") and self.feasible(target, seed):
             incumbent.offer(seed.copy(), 0.0, 0.0)
-        elif method == "minimum-switch":
+        elif method == MINIMUM_SWITCH:
             costs = switch_costs(self.manipulator, seed, self.weights)
             hard_deadline = began + (max(timeout, hard_timeout) if target.hard else timeout)
             self._minimum.improve(Problem(target, seed, costs, hard_deadline, self._unreachable(target)), incumbent)

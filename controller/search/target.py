@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from controller.manipulator.frame_kernels import angle_between
 from controller.manipulator.frames import Frame
+from controller.manipulator.kernel_types import F2, F4, I1, named
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.manipulator import tip as tip_of
 from controller.obstacles.scene import Scene
-from controller.search.frame_rows import F2, F4, I1, named
 
 Array = NDArray[np.float64]
 

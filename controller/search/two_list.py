@@ -1,12 +1,14 @@
 """Two lists (meet in the middle): both halves of the arm are listed near a seed and matched for each goal."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.cells import Cells, Index
-from controller.search.frame_rows import Side, coordinates, fixed, invert_all, motions
-from controller.search.matching import Found, Span, match, put
+from controller.search.frame_rows import coordinates, fixed, invert_all, motions
+from controller.search.matching import Matches, Sides, Span, match, put
 from controller.search.segment import Segment, Sets, build_segment, room
 from controller.search.solution import Incumbent
 from controller.search.target import SearchTarget
@@ -96,13 +98,13 @@ class TwoList:
             if start > 0 and incumbent.late:
                 return False, min(unexplored, float(lower.costs[start:].min()))
             span = Span(start, min(start + AT_ONCE, len(lower.costs)), 0, 1, -np.inf, np.inf)
-            improve(incumbent, (lower, goal, index), span, target, self._seed)
+            improve(incumbent, Sides(lower, goal, index), span, target, self._seed)
         return True, unexplored
 
 
 def improve(
     incumbent: Incumbent,
-    sides: tuple[Side, Side, Index],
+    sides: Sides,
     span: Span,
     target: SearchTarget,
     seed: Configuration,
@@ -113,21 +115,25 @@ def improve(
 
     Args:
         incumbent: a match must be better.
-        sides: outer, inner and index.
+        sides: what to match.
         span: rows of outer and inner to match.
         target: the goal.
         seed: seed of all sides, shape (B,).
         nearer: whether ties of the cost are broken by distance.
     """
     square = incumbent.square if nearer else -np.inf
-    found = Found(np.full((1, 3), -1), np.array([incumbent.cost]), np.array([square]))
-    match(*sides, span, target.query, seed, target.scene, found)
-    if found.rows[0, 0] >= 0:
-        outer, inner, index = sides
+    matches = Matches(np.full((1, 3), -1), np.array([incumbent.cost]), np.array([square]))
+    match(sides, span, target.query, seed, target.scene, matches)
+    if matches.rows[0, 0] >= 0:
         configuration = seed.copy()
-        for side, row in zip((outer, inner, index.side), found.rows[0].tolist(), strict=True):
-            put(configuration, seed, side, row)
-        incumbent.offer(configuration, float(found.costs[0]), float(found.squares[0]))
+        put_match(configuration, seed, sides, matches.rows[0].tolist())
+        incumbent.offer(configuration, float(matches.costs[0]), float(matches.squares[0]))
+
+
+def put_match(states: Configuration, seed: Configuration, sides: Sides, rows: Sequence[int]) -> None:
+    """Writes the states of a match to `states` (B,), from its rows (3,) in outer, inner and lookup."""
+    for side, row in zip((sides.outer, sides.inner, sides.lookup.side), rows, strict=True):
+        put(states, seed, side, row)
 
 
 class Candidates:
@@ -151,17 +157,15 @@ class Candidates:
         """
         two = self._two
         two.list(seed, costs, costs)
-        lower, goal, index = two.lower.side(), fixed(target.row), two.index(target.radius, target.chord)
-        most = self._most
-        found = Found(np.full((most, 3), -1), np.full(most, np.inf), np.full(most, np.inf))
-        span = Span(0, len(lower.costs), 0, 1, -np.inf, np.inf)
-        match(lower, goal, index, span, target.query, seed, target.scene, found)
-        chosen = np.flatnonzero(found.rows[:, 0] >= 0)
+        sides = Sides(two.lower.side(), fixed(target.row), two.index(target.radius, target.chord))
+        matches = Matches(np.full((self._most, 3), -1), np.full(self._most, np.inf), np.full(self._most, np.inf))
+        span = Span(0, len(sides.outer.costs), 0, 1, -np.inf, np.inf)
+        match(sides, span, target.query, seed, target.scene, matches)
+        chosen = np.flatnonzero(matches.rows[:, 0] >= 0)
         configurations = np.tile(seed, (len(chosen), 1))
-        for configuration, row in zip(configurations, found.rows[chosen].tolist(), strict=True):
-            for side, n in zip((lower, goal, index.side), row, strict=True):
-                put(configuration, seed, side, n)
-        return configurations, found.costs[chosen]
+        for configuration, rows in zip(configurations, matches.rows[chosen].tolist(), strict=True):
+            put_match(configuration, seed, sides, rows)
+        return configurations, matches.costs[chosen]
 
 
 def middle(manipulator: Manipulator, first: int, last: int) -> int:

@@ -13,6 +13,7 @@ import numpy as np
 from numba import float64, int16, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, I1, I2, named
 from controller.manipulator.manipulator import Manipulator
 
 Array = NDArray[np.float64]
@@ -58,9 +59,7 @@ class Maps(NamedTuple):
     pixels: Array
 
 
-MAPS = types.NamedTuple(  # type: ignore[no-untyped-call]
-    (int64, float64, float64, int16[::1], int64[::1], int64[:, ::1], float64[:, ::1], float64[::1]), Maps
-)
+MAPS = named(Maps, int64, float64, float64, int16[::1], I1, I2, F2, F1)
 
 
 class CostToGo:

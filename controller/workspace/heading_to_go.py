@@ -11,6 +11,7 @@ import numpy as np
 from numba import int16, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import I1, named
 from controller.manipulator.manipulator import Manipulator
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ class Headings(NamedTuple):
     values: Levels
 
 
-HEADINGS = types.NamedTuple((int64[::1], int16[:, ::1]), Headings)  # type: ignore[no-untyped-call]
+HEADINGS = named(Headings, I1, int16[:, ::1])
 
 
 def parts(sine: Array, cosine: Array) -> Integers:

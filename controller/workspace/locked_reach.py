@@ -73,13 +73,72 @@ class LockedReach(NamedTuple):
         return float(np.mean([getattr(choice, figure) for choice in self.choices]))
 
 
+class LockChoices(NamedTuple):
+    """Choices of locked actuators.
+
+    Attributes:
+        actuators: number of actuators to lock, at least 1.
+        samples: most choices if more than one actuator is locked; for one all choices are tried.
+        seed: of the random choices.
+    """
+
+    actuators: int
+    samples: int
+    seed: int = 0
+
+
+class FreeArm(NamedTuple):
+    """The intermediate workspaces of the free arm, and its numbers of configurations.
+
+    Attributes:
+        levels: intermediate workspaces, base first; the first is the whole arm's.
+        most: most pixels of each level.
+        ball: ln of the pixels in a ball of the tolerance.
+        volume: of a pixel.
+        counts: ln of the number of configurations within the tolerance of each pixel, shape (z, y, x).
+    """
+
+    levels: list[Level]
+    most: int
+    ball: float
+    volume: float
+    counts: Array
+
+    def reach(self, locked: LockedStates, counts: Array) -> Reach:
+        """Returns the reach of an arm from the ln of its numbers of configurations within the tolerance."""
+        covered = self.counts >= 0
+        redundancy = float(np.median(counts[covered])) / math.log(10) if covered.any() else -math.inf
+        reach, redundant = np.isfinite(counts).sum() * self.volume, (counts >= 0).sum() * self.volume
+        return Reach(locked, float(reach), float(redundant), redundancy)
+
+    def counts_of(self, reduced: Manipulator, last: int) -> Array:
+        """Returns the counts of an arm whose last module with a locked actuator is `last`."""
+        level = self.levels[last + 1]
+        for i in reversed(range(last + 1)):
+            level = below(level, reduced, i, self.most)
+        return log_counts(level, self.levels[0]) + self.ball
+
+
+def free_arm(manipulator: Manipulator, densities: Densities, tolerance: float) -> FreeArm:
+    """Maps the free arm; for the arguments see `reach_when_locked`."""
+    low, high = densities.box(0)
+    most, dimension = PIXELS[manipulator.dimension], manipulator.dimension
+    pixel = coarsened(float(densities.pixels[0]), low, high, most, dimension)
+    levels = [tip_level(pixel)]
+    for i in reversed(range(len(manipulator.modules))):
+        levels.append(below(levels[-1], manipulator, i, 2 * most))
+    levels.reverse()
+    volume = levels[0].pixel ** dimension
+    measure = math.pi * tolerance**2 if manipulator.planar else 4 / 3 * math.pi * tolerance**3
+    ball = math.log(measure / volume)
+    return FreeArm(levels, 2 * most, ball, volume, log_counts(levels[0], levels[0]) + ball)
+
+
 def reach_when_locked(
     manipulator: Manipulator,
     densities: Densities,
-    locks: int,
     tolerance: float,
-    samples: int,
-    seed: int = 0,
+    locks: LockChoices,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> LockedReach:
     """Returns reach and redundancy over choices of locked actuators.
@@ -87,54 +146,31 @@ def reach_when_locked(
     Args:
         manipulator: the arm.
         densities: densities of the arm, for the box of its workspace.
-        locks: number of actuators to lock, at least 1.
         tolerance: greatest distance of the tip from a goal.
-        samples: most choices if `locks` is more than 1; for 1 all choices are tried.
-        seed: seed of the random choices.
+        locks: the choices.
         progress: called with the number of choices done and the number of all.
 
     Raises:
         ValueError: the arm has fewer actuators with two states.
     """
-    low, high = densities.box(0)
-    most = PIXELS[manipulator.dimension]
-    pixel = coarsened(float(densities.pixels[0]), low, high, most, manipulator.dimension)
-    levels = [tip_level(pixel)]
-    for i in reversed(range(len(manipulator.modules))):
-        levels.append(below(levels[-1], manipulator, i, 2 * most))
-    levels.reverse()
-    whole = levels[0]
-    measure = math.pi * tolerance**2 if manipulator.planar else 4 / 3 * math.pi * tolerance**3
-    volume = whole.pixel**manipulator.dimension
-    within = log_counts(whole, whole) + math.log(measure / volume)
-    covered = within >= 0
-
-    def reached(locked: LockedStates, counts: Array) -> Reach:
-        """Returns the reach of one arm from the ln of its numbers of configurations within the tolerance."""
-        redundancy = float(np.median(counts[covered])) / math.log(10) if covered.any() else -math.inf
-        return Reach(locked, float(np.isfinite(counts).sum() * volume), float((counts >= 0).sum() * volume), redundancy)
-
-    chosen, every = choices(manipulator, locks, samples, seed)
-    found, least, impossible = list[Reach](), within.copy(), 0
+    free = free_arm(manipulator, densities, tolerance)
+    chosen, every = choices(manipulator, *locks)
+    found, least, impossible = list[Reach](), free.counts.copy(), 0
     for number, locked in enumerate(chosen):
         try:
             reduced = lock_actuators(manipulator, locked)
         except ValueError:
             impossible += 1
             continue
-        level = levels[last_locked(manipulator, locked) + 1]
-        for i in reversed(range(last_locked(manipulator, locked) + 1)):
-            level = below(level, reduced, i, 2 * most)
-        counts = log_counts(level, whole) + math.log(measure / volume)
-        found.append(reached(locked, counts))
+        counts = free.counts_of(reduced, last_locked(manipulator, locked))
+        found.append(free.reach(locked, counts))
         np.minimum(least, counts, out=least)
         progress(number + 1, len(chosen))
     if not found:
-        raise ValueError(f"no choice of {locks} locked actuators leaves each module a state")
-    nothing_locked = none_locked(manipulator)
-    return LockedReach(
-        reached(nothing_locked, within), tuple(found), every, impossible, whole.pixel, whole.reference, within, least
-    )
+        raise ValueError(f"no choice of {locks.actuators} locked actuators leaves each module a state")
+    nothing_locked, whole = free.reach(none_locked(manipulator), free.counts), free.levels[0]
+    pixel, reference = whole.pixel, whole.reference
+    return LockedReach(nothing_locked, tuple(found), every, impossible, pixel, reference, free.counts, least)
 
 
 def choices(manipulator: Manipulator, locks: int, samples: int, seed: int) -> tuple[list[LockedStates], bool]:

@@ -6,6 +6,7 @@ import numpy as np
 from numba import float32, float64, int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, F3, F4, I1, I2, UNCOUNTED, named
 from controller.manipulator.manipulator import Manipulator
 from controller.workspace.densities import Densities
 
@@ -37,12 +38,9 @@ class Levels(NamedTuple):
     pixels: Array
 
 
-TABLES: Any = types.NamedTuple(  # type: ignore[no-untyped-call]
-    (float64[:, :, :, ::1], float64[:, :, ::1], int64[::1]), Tables
-)
-LEVELS: Any = types.NamedTuple(  # type: ignore[no-untyped-call]
-    (float32[::1], int64[::1], int64[:, ::1], float64[:, ::1], float64[::1]), Levels
-)
+TABLES = named(Tables, F4, F3, I1)
+POINT: Any = types.UniTuple(float64, 3)  # type: ignore[no-untyped-call]
+LEVELS = named(Levels, float32[::1], I1, I2, F2, F1)
 
 
 def tables_of(manipulator: Manipulator) -> Tables:
@@ -55,7 +53,7 @@ def levels_of(densities: Densities) -> Levels:
     return Levels(densities.values, densities.offsets, densities.shapes, densities.references, densities.pixels)
 
 
-@njit(float64(LEVELS, int64, float64, float64, float64), cache=True, nogil=True, error_model="numpy")
+@njit(float64(LEVELS, int64, float64, float64, float64), **UNCOUNTED, error_model="numpy")
 def measure(levels: Levels, i: int, x: float, y: float, z: float) -> float:
     """Returns the measure of reachability of a point (x, y, z) in intermediate workspace i.
 
@@ -74,3 +72,14 @@ def measure(levels: Levels, i: int, x: float, y: float, z: float) -> float:
         dx, dy, dz = fx - ix, fy - iy, fz - iz
         value = min(value, 0.0) - pixel * np.sqrt(dx * dx + dy * dy + dz * dz)
     return value
+
+
+@njit([POINT(F2, F1, float64, float64, float64)], **UNCOUNTED, inline="always")
+def seen_from(r: Array, b: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Returns a point (x, y, z) in a frame with rotation r (3, 3) and position b (3,)."""
+    dx, dy, dz = x - b[0], y - b[1], z - b[2]
+    return (
+        r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz,
+        r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz,
+        r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz,
+    )

@@ -14,8 +14,8 @@ class Busy(Exception):
 
 
 @dataclass(frozen=True)
-class Fault:
-    """A fault of the hardware.
+class ArmFault:
+    """A fault of the arm: of its boards, buses and actuators, or of the executor.
 
     Attributes:
         code: a short stable word. The master reports "board-missing", "board-lost", "board-rebooted", "board-stopped",
@@ -39,16 +39,16 @@ class FaultLog:
 
     def __init__(self) -> None:
         self._reported: set[tuple[str, str]] = set()
-        self._new: list[Fault] = []
+        self._new: list[ArmFault] = []
 
-    def report(self, fault: Fault) -> None:
+    def report(self, fault: ArmFault) -> None:
         """Adds a fault, unless one of its code and source was reported since `clear`."""
         key = fault.code, fault.source
         if key not in self._reported:
             self._reported.add(key)
             self._new.append(fault)
 
-    def take(self) -> list[Fault]:
+    def drain(self) -> list[ArmFault]:
         """Returns the faults that were reported since the last call."""
         new, self._new = self._new, []
         return new

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from drivers.canopen.pdo import INPUTS, Bit, Pdo, subs_of, union
 from drivers.canopen.wire import cia301
-from drivers.canopen.wiring import BoardId, Line, NodeSettings, Wiring
+from drivers.canopen.wiring import BoardId, BoardLine, NodeWiring, Wiring
 
 _PDO_BYTES = 8
 MOST_BYTES = 4 * _PDO_BYTES  # of one board and direction: four COB-IDs contain its node id
@@ -30,7 +30,7 @@ class BoardLayout:
         loss: mask of the output bits with a loss level, and these levels as the board has them in 6207h.
     """
 
-    settings: NodeSettings
+    settings: NodeWiring
     outputs: tuple[Bit, ...]
     inputs: tuple[Bit, ...]
     rpdos: tuple[Pdo, ...]
@@ -127,7 +127,7 @@ def lay_out(wiring: Wiring) -> Layout:
         sensed |= (sensed >> k & 1) << len(wiring.channels) + i
     boards: list[BoardLayout] = []
     for place in wiring.boards:
-        settings = objects.get(place, NodeSettings(place.bus, place.node))
+        settings = objects.get(place, NodeWiring(place.bus, place.node))
         out, into = tuple(outputs.get(place, ())), tuple(inputs.get(place, ()))
         group = groups.get(place, [])
         rpdos = _shared(group, place, outputs, settings.object) if len(group) > 1 else None
@@ -175,7 +175,7 @@ def _pairs(wiring: Wiring, place: BoardId) -> tuple[tuple[int, int], ...]:
     return tuple((1 << lines["output"].bit, 1 << lines["output_off"].bit) for lines in here)
 
 
-def _by_board(lines: Iterable[Line | None]) -> dict[BoardId, list[Bit]]:
+def _by_board(lines: Iterable[BoardLine | None]) -> dict[BoardId, list[Bit]]:
     found: dict[BoardId, list[Bit]] = {}
     for k, line in enumerate(lines):
         if line is not None:

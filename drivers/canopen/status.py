@@ -81,7 +81,7 @@ class BoardStatus:
 
 
 @dataclass(frozen=True)
-class Status:
+class MasterStatus:
     """All buses and boards."""
 
     buses: tuple[BusStatus, ...]

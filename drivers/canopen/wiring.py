@@ -17,7 +17,7 @@ ErrorState = Literal["off", "hold", "device"]
 
 
 @dataclass(frozen=True)
-class BusSettings:
+class BusWiring:
     """One CAN bus.
 
     Attributes:
@@ -43,7 +43,7 @@ class BoardId(NamedTuple):
         return f"{self.bus}/{self.node}"
 
 
-class Line(NamedTuple):
+class BoardLine(NamedTuple):
     """One output or input of a board.
 
     Attributes:
@@ -122,16 +122,16 @@ class Channel:
         """The actuator and its output, for messages."""
         return f"{self.actuator} ({self.bus}/{self.node} output {self.output})"
 
-    def line(self, name: str) -> Line | None:
+    def line(self, name: str) -> BoardLine | None:
         """Returns the line of "output", "input", "output_off" or "input_contracted"; None if it has none."""
         bit: int | None = getattr(self, name)
         if bit is None:
             return None
         other = {"input": self.input_board, "input_contracted": self.input_contracted_board}.get(name)
-        return Line(*(other or (self.bus, self.node)), bit, name in self.inverted)
+        return BoardLine(*(other or (self.bus, self.node)), bit, name in self.inverted)
 
     @property
-    def lines(self) -> dict[str, Line]:
+    def lines(self) -> dict[str, BoardLine]:
         """Its outputs and inputs, by the names of their fields."""
         return {name: line for name in LINES if (line := self.line(name)) is not None}
 
@@ -155,13 +155,13 @@ class Interlock:
     inverted: bool = False
 
     @property
-    def line(self) -> Line:
+    def line(self) -> BoardLine:
         """The input line."""
-        return Line(self.bus, self.node, self.input, self.inverted)
+        return BoardLine(self.bus, self.node, self.input, self.inverted)
 
 
 @dataclass(frozen=True)
-class NodeSettings:
+class NodeWiring:
     """The entry of one board in `boards.nodes` of the arm's file.
 
     Attributes:
@@ -211,12 +211,12 @@ class Wiring:
             an actuator with pulses has on_loss "contract".
     """
 
-    buses: tuple[BusSettings, ...]
+    buses: tuple[BusWiring, ...]
     channels: tuple[Channel, ...]
     on_loss: OnLoss = "hold"
     shared_rpdo: bool = False
     error_state: ErrorState | None = None
-    nodes: tuple[NodeSettings, ...] = ()
+    nodes: tuple[NodeWiring, ...] = ()
     interlocks: tuple[Interlock, ...] = ()
 
     def __post_init__(self) -> None:
@@ -260,12 +260,12 @@ class Wiring:
         return tuple(k for k, channel in enumerate(self.channels) if channel.input_contracted is not None)
 
     @cached_property
-    def output_lines(self) -> tuple[Line, ...]:
+    def output_lines(self) -> tuple[BoardLine, ...]:
         """All outputs: the `output` of each of the A actuators, then each `output_off` in the order of `paired`."""
         return tuple(line for line in (*self._of_all("output"), *self._of_all("output_off")) if line is not None)
 
     @cached_property
-    def input_lines(self) -> tuple[Line | None, ...]:
+    def input_lines(self) -> tuple[BoardLine | None, ...]:
         """All inputs: the `input` of each actuator, None without one; each `input_contracted`; the interlocks."""
         contracted = [line for line in self._of_all("input_contracted") if line is not None]
         return (*self._of_all("input"), *contracted, *(lock.line for lock in self.interlocks))
@@ -289,7 +289,7 @@ class Wiring:
             return 0
         return contracting if (channel.on_loss or self.on_loss) == "contract" else None
 
-    def _of_all(self, name: str) -> list[Line | None]:
+    def _of_all(self, name: str) -> list[BoardLine | None]:
         return [channel.line(name) for channel in self.channels]
 
 

@@ -162,11 +162,11 @@ class SimulatedBuses:
         """Ends an error of a board."""
         self.board(board).emergencies.recover(code)
 
-    def open(self, interlock: str) -> None:
+    def open_interlock(self, interlock: str) -> None:
         """Opens an interlock."""
         self._set_interlock(interlock, 0)
 
-    def close(self, interlock: str) -> None:
+    def close_interlock(self, interlock: str) -> None:
         """Closes an interlock."""
         self._set_interlock(interlock, 1)
 

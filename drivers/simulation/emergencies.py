@@ -58,7 +58,7 @@ class Emergencies:
     def clear_history(self) -> None:
         """Empties the error history, 1003h."""
         for sub in (0, *_HISTORY):
-            self._objects.put(0x1003, sub, 0)
+            self._objects.set_number(0x1003, sub, 0)
 
     def _note(self, code: int, register: int) -> None:
         self._present[code] = register
@@ -68,14 +68,14 @@ class Emergencies:
     def _log(self, newest: int) -> None:
         history = [newest, *(self._objects.number(0x1003, sub) for sub in _HISTORY[:-1])]
         for sub, entry in zip(_HISTORY, history, strict=True):
-            self._objects.put(0x1003, sub, entry)
-        self._objects.put(0x1003, 0, min(self._objects.number(0x1003) + 1, len(_HISTORY)))
+            self._objects.set_number(0x1003, sub, entry)
+        self._objects.set_number(0x1003, 0, min(self._objects.number(0x1003) + 1, len(_HISTORY)))
 
     def _set_register(self) -> int:
         register = 0
         for bits in self._present.values():
             register |= bits
-        self._objects.put(0x1001, 0, register)
+        self._objects.set_number(0x1001, 0, register)
         return register
 
     def _tell(self, code: int) -> None:

@@ -11,7 +11,7 @@ lose_tpdo can0/5 | power_cut can0/5 | power_on can0/5 | error can0/5 2320 | erro
 open door | close door"""
 
 _ACTUATOR = ("jam", "release", "lose_sensor", "cut_wires", "short_wires", "restore_sensor")
-_OTHERS = ("silence", "unsilence", "lose_tpdo", "power_cut", "power_on", "open", "close")
+_OTHERS = ("silence", "unsilence", "lose_tpdo", "power_cut", "power_on")
 
 
 def perform(boards: SimulatedBuses, *words: str | float) -> None:
@@ -38,6 +38,8 @@ def perform(boards: SimulatedBuses, *words: str | float) -> None:
                 getattr(it, verb)()
         case ["error" | "error_over" as verb, str(name), str(code)]:
             getattr(boards, verb)(name, int(code, 16) & 0xFFFF)
+        case ["open" | "close" as verb, str(name)]:
+            getattr(boards, f"{verb}_interlock")(name)
         case [str(verb), str(name)] if verb in _OTHERS:
             getattr(boards, verb)(name)
         case _:

@@ -17,7 +17,7 @@ from drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from drivers.simulation.emergencies import Emergencies
 from drivers.simulation.lss import LssSlave
 from drivers.simulation.objects import Objects
-from drivers.simulation.outputs import Outputs
+from drivers.simulation.outputs import SimulatedOutputs
 from drivers.simulation.pdos import Pdos
 from drivers.simulation.supervision import Supervision
 from drivers.simulation.variants import STANDARD, Variant
@@ -87,9 +87,9 @@ class SimulatedBoard:
         self._bus = send
         identity = [self.objects.number(0x1018, sub) for sub in range(1, 5)]
         self.lss = LssSlave(identity, node, self.send_message)
-        self._outputs = Outputs(self.objects, variant)
+        self._outputs = SimulatedOutputs(self.objects, variant)
         self._pdos = Pdos(self.objects, self._outputs, self.emergencies, self.send_message)
-        self._take_node()
+        self._read_node()
         self._requests: deque[tuple[float, bytes]] = deque()  # SDO requests, and the times of their answers
         self._boots_at = math.inf
         self._now = 0.0
@@ -98,7 +98,7 @@ class SimulatedBoard:
             if one.shared:  # another board may move it up to an arrival
                 one.actuator.observers.append(self._observe)
 
-    def _take_node(self) -> None:
+    def _read_node(self) -> None:
         """Applies the node id that LSS has stored."""
         self.node = node = self.objects.node = self.lss.node
         self._sdo = SdoServer(  # type: ignore[no-untyped-call]
@@ -195,7 +195,7 @@ class SimulatedBoard:
         """Restarts the board as after power-on: outputs off, and a boot-up message after `boot_time`."""
         self.lss.reset()
         if self.lss.node != self.node:
-            self._take_node()
+            self._read_node()
         self._forget()
         self.state = None
         self.objects.reset()
@@ -311,7 +311,7 @@ class SimulatedBoard:
             return
         changed = {sub: (before ^ self._inputs) >> 8 * (sub - 1) & 0xFF for sub in self.objects.subs(_INPUTS)}
         for sub in changed:
-            self.objects.put(_INPUTS, sub, self._inputs >> 8 * (sub - 1) & 0xFF)
+            self.objects.set_number(_INPUTS, sub, self._inputs >> 8 * (sub - 1) & 0xFF)
         if self.state is State.OPERATIONAL:
             self._pdos.publish(changed, self._now)
 

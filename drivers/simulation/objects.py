@@ -75,7 +75,7 @@ class Objects:
             return 0
         return int.from_bytes(self._value(index, sub), "little")
 
-    def put(self, index: int, sub: int, value: int) -> None:
+    def set_number(self, index: int, sub: int, value: int) -> None:
         """Sets an unsigned value from within the board."""
         self._values[index, sub] = value.to_bytes(self._find(index, sub).size, "little")
 

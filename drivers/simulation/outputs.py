@@ -12,7 +12,7 @@ from drivers.simulation.variants import Variant
 _POLARITY, _ERROR_MODE, _ERROR_VALUE = 0x6202, 0x6206, 0x6207
 
 
-class Outputs:
+class SimulatedOutputs:
     """The levels of the pins, which follow from the last command, the error state and the NMT state.
 
     The command is 6200h or the maker's object. The error state never changes the command. It begins when the board
@@ -40,12 +40,12 @@ class Outputs:
             return 0
         return int.from_bytes(bytes(self._pins(sub) for sub in self._subs), "little")
 
-    def take(self, entries: Iterable[tuple[int, int, int]], data: bytes) -> None:
+    def receive_rpdo(self, entries: Iterable[tuple[int, int, int]], data: bytes) -> None:
         """Applies the data of an RPDO; entries are index, sub-index and bits."""
         value = int.from_bytes(data, "little")
         for index, sub, bits in entries:
             if index > 7:  # 0001h to 0007h are dummy entries (CiA 301, 7.4.7)
-                self._objects.put(index, sub, value & (1 << bits) - 1)
+                self._objects.set_number(index, sub, value & (1 << bits) - 1)
                 self.written(index, sub)
             value >>= bits
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from drivers.canopen.wire import cia301
 from drivers.simulation.emergencies import Emergencies
 from drivers.simulation.objects import Objects
-from drivers.simulation.outputs import Outputs
+from drivers.simulation.outputs import SimulatedOutputs
 
 _RPDOS, _TPDOS = range(0x1400, 0x1600), range(0x1800, 0x1A00)
 _TOO_SHORT, _TOO_LONG, _SYNC_LENGTH = 0x8210, 0x8220, 0x8240
@@ -45,7 +45,7 @@ class Pdos:
     """
 
     def __init__(
-        self, objects: Objects, outputs: Outputs, emergencies: Emergencies, send: Callable[[int, bytes], None]
+        self, objects: Objects, outputs: SimulatedOutputs, emergencies: Emergencies, send: Callable[[int, bytes], None]
     ) -> None:
         self.sync_due = math.inf
         self.losing = 0
@@ -94,7 +94,7 @@ class Pdos:
                 if now <= self._window_ends:
                     self._latched[pdo.index] = data
             else:
-                self._outputs.take(pdo.entries, data)
+                self._outputs.receive_rpdo(pdo.entries, data)
                 changed = True
         return changed
 
@@ -110,7 +110,7 @@ class Pdos:
         self._emergencies.recover(_SYNC_LENGTH)
         for pdo in self._rpdos:
             if pdo.index in self._latched:
-                self._outputs.take(pdo.entries, self._latched[pdo.index])
+                self._outputs.receive_rpdo(pdo.entries, self._latched[pdo.index])
         changed = bool(self._latched)
         self._latched.clear()
         return changed

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.canopen.wire.cia301 import REMOTE, Frame
-from drivers.canopen.wiring import BusSettings, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Timing, Wiring
 from drivers.simulation import fault_commands
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.firmware import SimulatedBoard
@@ -26,27 +26,27 @@ _LONGEST_WAIT = 0.01  # [s] for a frame, so that a fault takes effect soon
 class Port:
     """The boards' connection to one bus; it is opened again after a loss of the interface."""
 
-    def __init__(self, settings: BusSettings) -> None:
-        self._settings = settings
+    def __init__(self, wiring: BusWiring) -> None:
+        self._wiring = wiring
         self._failed = False
         self._bus: can.BusABC | None = self._open()
 
-    def receive(self, patience: float) -> can.Message | None:
-        """Returns the next frame, or None if none comes within `patience` [s]."""
+    def receive_frame(self, timeout: float) -> can.Message | None:
+        """Returns the next frame, or None if none comes within `timeout` [s]."""
         try:
             if self._failed:  # the kernel reports the loss of an interface only once, also to a send
                 self.close()
                 self._failed, self._bus = False, None
             if self._bus is None:
                 self._bus = self._open()
-            return self._bus.recv(patience)
+            return self._bus.recv(timeout)
         except (can.CanError, OSError):  # the interface is down or deleted: the boards continue without frames
             self.close()
             self._bus = None
-            time.sleep(patience)
+            time.sleep(timeout)
             return None
 
-    def send(self, frame: Frame) -> None:
+    def send_frame(self, frame: Frame) -> None:
         """Sends a frame if possible; a board is not told of a failure."""
         if (bus := self._bus) is not None:
             try:
@@ -60,7 +60,7 @@ class Port:
             self._bus.shutdown()
 
     def _open(self) -> can.BusABC:
-        s = self._settings
+        s = self._wiring
         return can.Bus(interface=s.interface, channel=s.channel, bitrate=s.bitrate, ignore_config=True)
 
 
@@ -85,7 +85,7 @@ class Simulation:
         clock: Callable[[], float] = time.monotonic,
         variants: Mapping[str, Variant] | None = None,
     ) -> None:
-        self._boards = SimulatedBuses(wiring, timing, lambda bus, frame: self._ports[bus].send(frame), variants)
+        self._boards = SimulatedBuses(wiring, timing, lambda bus, frame: self._ports[bus].send_frame(frame), variants)
         self._ports = {settings.name: Port(settings) for settings in wiring.buses}
         self._lock = threading.RLock()  # for each access to the boards
         self._clock = clock
@@ -135,12 +135,12 @@ class Simulation:
     def _run(self, bus: str, port: Port) -> None:
         while not self._ending.is_set():
             wait = self._boards.next_due() - self._clock()
-            message = port.receive(min(max(wait, 0.0), _LONGEST_WAIT))
+            message = port.receive_frame(min(max(wait, 0.0), _LONGEST_WAIT))
             with self._lock:
                 while message is not None:
                     if not (message.is_error_frame or message.is_extended_id or message.is_fd):
                         remote = message.is_remote_frame
                         frame = Frame(message.arbitration_id | REMOTE * remote, b"" if remote else bytes(message.data))
                         self._boards.receive(bus, frame, self._clock())
-                    message = port.receive(0.0)
+                    message = port.receive_frame(0.0)
                 self._boards.step(self._clock())

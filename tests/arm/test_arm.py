@@ -1,4 +1,4 @@
-"""The arm's file: what it gives."""
+"""The arm that is built from a file."""
 
 import math
 from dataclasses import replace

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from controller.armfile.strict import InputFaults
 from controller.executor.core.arm import ExecutedArm, read_arm
-from drivers.canopen.wiring import BoardId, BusSettings, Channel, Interlock, Line, NodeSettings, Wiring
+from drivers.canopen.wiring import BoardId, BoardLine, BusWiring, Channel, Interlock, NodeWiring, Wiring
 from tests.arm_files import document
 
 DOUBLE = {"output_off": 8}
@@ -157,12 +157,12 @@ def test_end_stops_may_be_on_boards_without_outputs_and_on_other_buses(tmp_path:
     wiring = loaded(tmp_path, value).wiring
     first, second, *_ = wiring.channels
     assert first.lines == {
-        "output": Line("can0", 1, 0),
-        "input": Line("can0", 9, 3, inverted=True),
-        "input_contracted": Line("spare", 1, 40),
+        "output": BoardLine("can0", 1, 0),
+        "input": BoardLine("can0", 9, 3, inverted=True),
+        "input_contracted": BoardLine("spare", 1, 40),
     }
     assert (first.input_board, first.input_contracted_board) == (BoardId("can0", 9), BoardId("spare", 1))
-    assert (second.line("input"), second.input_board) == (Line("can0", 1, 1), None)
+    assert (second.line("input"), second.input_board) == (BoardLine("can0", 1, 1), None)
     assert [str(board) for board in wiring.boards] == ["can0/1", "can0/2", "can0/9", "spare/1"]
 
 
@@ -209,7 +209,7 @@ def test_all_that_can_be_said_of_an_actuator(tmp_path: Path) -> None:
     assert first == Channel("1.left", "can0", 1, 0, 0, 8, 9, inverted, 0.05, (0.2, 0.1), 0.5)
     assert second == Channel("1.diagonal", "can0", 1, 1, 1, travel=(0.3, 0.3), on_loss="contract")
     assert third == Channel("1.right", "can0", 1, 2, 2, travel=(0.05, 0.05))
-    assert arm.wiring.nodes == (NodeSettings("can0", 1, object=0x2201, vendor=0x21),)
+    assert arm.wiring.nodes == (NodeWiring("can0", 1, object=0x2201, vendor=0x21),)
     assert arm.wiring.interlocks == (Interlock("door", "can0", 9, 3, inverted=True),)
     assert (arm.contract_on_stop, arm.timing.travel_time) == (True, 0.3)
 
@@ -226,7 +226,7 @@ def test_an_old_file_means_what_it_did(tmp_path: Path) -> None:
 
 def test_lines_are_those_of_the_extending_side_then_the_others_then_interlocks() -> None:
     wiring = Wiring(
-        buses=(BusSettings("can0", "virtual", "x"),),
+        buses=(BusWiring("can0", "virtual", "x"),),
         channels=(
             Channel("a", "can0", 1, 0, None, 1, 5, frozenset({"output_off"})),
             Channel("b", "can0", 1, 2, 3),
@@ -237,10 +237,16 @@ def test_lines_are_those_of_the_extending_side_then_the_others_then_interlocks()
     )
     one, other = ("can0", 1), ("can0", 2)
     assert wiring.output_lines == (
-        *(Line(*one, 0), Line(*one, 2), Line(*other, 7)),
-        *(Line(*one, 1, inverted=True), Line(*other, 6)),
+        *(BoardLine(*one, 0), BoardLine(*one, 2), BoardLine(*other, 7)),
+        *(BoardLine(*one, 1, inverted=True), BoardLine(*other, 6)),
     )
-    assert wiring.input_lines == (None, Line(*one, 3), Line(*other, 0), Line(*one, 5), Line("can0", 9, 4, True))
+    assert wiring.input_lines == (
+        None,
+        BoardLine(*one, 3),
+        BoardLine(*other, 0),
+        BoardLine(*one, 5),
+        BoardLine("can0", 9, 4, True),
+    )
     assert wiring.loss_levels == (0, 0, 0, 1, 0)
     assert (wiring.paired, wiring.ended) == ((0, 2), (0,))
 

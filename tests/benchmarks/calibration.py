@@ -28,7 +28,7 @@ def main() -> None:
         found = calibrated(arm, samples, each=each)
         seconds = time.perf_counter() - began
         print(f"{'every leg by itself' if each else 'as in the file'}: {len(found.changes)} numbers, {seconds:.1f} s")
-        for name, misfit in (
+        for name, residuals in (
             ("before", found.before),
             ("base only", found.base_only),
             ("after", found.after),
@@ -37,7 +37,7 @@ def main() -> None:
         ):
             values = ", ".join(
                 f"{kind} {r.rms:.3g} / {r.most:.3g} / {r.worst:.3g}"
-                for kind, r in (("position", misfit.position), ("orientation", misfit.orientation))
+                for kind, r in (("position", residuals.position), ("orientation", residuals.orientation))
                 if r is not None
             )
             print(f"  {name}: {values}")

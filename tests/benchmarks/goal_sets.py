@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.arm.arm import Arm
-from controller.bench.goal_sets import COLUMNS, FOLDER, SETS, Task, goal_frame, load_arm, read
+from controller.bench.goal_sets import FOLDER, SETS, Task, goal_frame, load_arm, read
 from controller.manipulator.frames import angle
 from controller.manipulator.manipulator import Configuration
 from controller.manipulator.notation import format_configuration
@@ -26,6 +26,7 @@ from tests.benchmarks.proof import Proof, prove
 Drawn = tuple[Configuration, tuple[float, ...], float | None, float, float, Configuration]
 Draw = Callable[[Arm, np.random.Generator], Drawn]
 
+COLUMNS = ("arm", "start", "goal", "tolerance", "angle_tolerance", "bound", "best")
 POSE = 0.005, 0.03  # tolerances of poses
 ROUNDING = 1e-9  # differences of positions and angles between processors; goals of two seeds differ by far more
 

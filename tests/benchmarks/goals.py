@@ -11,7 +11,7 @@ from controller.workspace.densities import Densities
 
 Goals = NDArray[np.float64]
 
-# Configurations within the tolerance of a goal: so few at the most on the edge, so many at the least where it is dense.
+# Configurations within a goal's tolerance: at most so many at the workspace's edge, at least so many where it is dense.
 FEW, MANY = 10.0, 1_000.0
 
 

@@ -44,7 +44,7 @@ class Grown:
 
 
 def growth(number: int, tolerance: float) -> list[Grown]:
-    """Measures the arms of MODULES modules on so many random goals each."""
+    """Measures the arms of MODULES modules, each on `number` random goals."""
     return [grown(modules, number, tolerance) for modules in MODULES]
 
 
@@ -69,7 +69,7 @@ def grown(modules: int, number: int, tolerance: float) -> Grown:
 
 
 def bounded(result: Grown, problem: product.Problem, arm: Arm, goals: Goals) -> Grown:
-    """Adds the figures of the lower bounds; each goal starts from the configuration reached for the one before."""
+    """Adds the figures of the lower bounds; each goal starts from the previous goal's configuration."""
     own, found = arm.home, []
     for goal in goals:
         found.append(product.solution(problem, goal, own, arm.tolerance))

@@ -33,7 +33,7 @@ LINES = {
 
 
 def greedy(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np.ndarray]:
-    """Returns the configurations that switch least from the one before, point by point; what serves is held."""
+    """Returns for each point a configuration that switches least from the previous one; holds if that suffices."""
     chosen = [start]
     for goal, tolerance in zip(trajectory.positions[1:], trajectory.tolerances[1:], strict=True):
         chosen.append(solver.solve(solver.target(goal, float(tolerance)), chosen[-1], timeout=10.0).configuration)

@@ -67,7 +67,7 @@ def prepared(method: Method, arm: Arm) -> tuple[Any, float, int]:
 
 
 def traced(method: Method, problem: Any, arm: Arm, goals: Goals, previous: NDArray[np.int64] | None = None) -> Trace:
-    """Solves goals in sequence, each from the configuration reached for the one before or from those given (n, B)."""
+    """Solves goals in sequence, each from the previous goal's configuration, or from given ones (n, B)."""
     for goal in goals[:WARM]:
         method.solve(problem, goal, arm.home, arm.tolerance)
     own, switches, errors, seconds = arm.home, [], [], []

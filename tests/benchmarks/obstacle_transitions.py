@@ -22,12 +22,13 @@ from rich.table import Table
 
 from controller.manipulator.frames import spatial
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.codes import Refusal
 from controller.motion.plans.point_by_point import PointByPoint
 from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 from controller.search.method import Method
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
@@ -125,7 +126,7 @@ def measured(run: Run, count: int, minutes: float) -> Tally:
             try:
                 found = PointByPoint(TransitionPlanner(own, trajectory, pace), run.method).plan(previous)
             except Refusal as refusal:
-                tally.barred += "no way" in str(refusal)
+                tally.barred += refusal.reason is Reason.NO_CLEAR_PATH
                 continue
             if tally.goals % COMPARED == 0:
                 tally.among.append(time.thread_time() - began)

@@ -78,7 +78,7 @@ def traced(
     turn: float,
     before: list[Configuration],
 ) -> Trace:
-    """Solves goals from the configurations given, from there on from what was found for the one before."""
+    """Solves goals, each from a given configuration, or from the configuration found for the previous goal."""
     before = list(before)
     for goal in goals[:WARM]:
         solver.solve(solver.target(goal, tolerance, turn), before[0], method)

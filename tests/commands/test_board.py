@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from controller.executor.core.arm import read_arm
-from controller.program import Goodbye, Welcome, encode
+from controller.program import VERSION, Goodbye, Welcome, encode
 from drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM
 
@@ -58,7 +58,7 @@ def test_errors_are_read(board, boards):
 
 def test_a_reset_is_asked_for_and_waits_for_the_boot_up_message(board, boards, monkeypatch):
     with boards.board("can0/5") as it:
-        it.objects.put(0x1017, 0, 777)
+        it.objects.set_number(0x1017, 0, 777)
     monkeypatch.setattr("typer.confirm", lambda question, err: "its actuators may move" in question and False)
     code, _, err = board("can0/5", "reset")
     assert (code, "nothing was reset" in err) == (1, True)
@@ -89,7 +89,7 @@ def test_a_missing_file_is_unusable_input(board, words, sentence):
 
 
 @pytest.mark.parametrize("action", ["errors", "reset"])
-@pytest.mark.parametrize("answer", [Welcome(1, "planar16", "", 1, (), 0), Goodbye("of another version")])
+@pytest.mark.parametrize("answer", [Welcome(VERSION, "planar16", "", 1, (), 0), Goodbye("of another version")])
 def test_the_command_refuses_while_the_executor_runs(board, arm, tmp_path, action, answer):
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as server:
         server.bind(str(tmp_path / "planar16.sock"))
@@ -108,7 +108,7 @@ def test_the_command_refuses_while_the_executor_runs(board, arm, tmp_path, actio
 
 def test_a_stopped_board_is_said_to_be_stopped(board, boards):
     with boards.board("can0/5") as it:
-        it.objects.put(0x1017, 0, 100)
+        it.objects.set_number(0x1017, 0, 100)
         it.receive(0, bytes([0x80, 5]), it._now)
         it._supervision.begin(it._now)
         it.receive(0, bytes([0x02, 5]), it._now)

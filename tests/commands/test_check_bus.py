@@ -14,7 +14,7 @@ import yaml
 
 from controller.commands.configure.check import summary
 from controller.executor.core.arm import read_arm
-from controller.program import Welcome, encode
+from controller.program import VERSION, Welcome, encode
 from drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM
 
@@ -53,7 +53,7 @@ def test_each_kind_of_answer_is_counted(check, boards):
     boards.fault("error", "can0/1", "2320")
     with boards.board("can0/2") as it:
         it.receive(0, bytes([2, 2]), it._now)
-        it.objects.put(0x1017, 0, 100)
+        it.objects.set_number(0x1017, 0, 100)
         it._supervision.begin(it._now)
     with boards.board("can0/3") as it:
         it.silent = True
@@ -97,7 +97,7 @@ def test_an_executor_that_answers_at_its_socket_is_refused(check, tmp_path):
             client, _ = server.accept()
             with client:
                 client.recv(65_536)
-                client.send(encode(Welcome(1, NAME, "", 1, (), 0)))
+                client.send(encode(Welcome(VERSION, NAME, "", 1, (), 0)))
 
         threading.Thread(target=serve, daemon=True).start()
         code, _, err = check()

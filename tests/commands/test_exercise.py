@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from controller.commands.configure import exercise
-from controller.commands.configure.exercise import Travel, proposal
+from controller.commands.configure.exercise import MeasuredTravel, proposal
 from tests.commands.conftest import ARM
 
 LABELS = ["1.left", "1.right"]
@@ -147,26 +147,32 @@ def test_an_unknown_actuator_is_unusable_input(hyperbit, daemon):
 
 
 def test_a_direction_that_was_not_measured_gets_no_time():
-    assert proposal([Travel("a", "extended", 0.08), Travel("a", "contracted", None)], ["a"]) == [
+    assert proposal([MeasuredTravel("a", "extended", 0.08), MeasuredTravel("a", "contracted", None)], ["a"]) == [
         "travel_time: {extend: 0.1, contract: ...}",
         "# contract of a was not measured: keep the present time for it",
     ]
-    both = [Travel(label, "extended", 0.08) for label in "ab"] + [Travel(label, "contracted", None) for label in "ab"]
+    both = [MeasuredTravel(label, "extended", 0.08) for label in "ab"] + [
+        MeasuredTravel(label, "contracted", None) for label in "ab"
+    ]
     assert proposal(both, ["a", "b"]) == [
         "travel_time: {extend: 0.1, contract: ...}",
         "# contract of any actuator was not measured: keep the present time for it",
     ]
-    assert proposal([Travel("a", "extended", None)], ["a"]) == []
+    assert proposal([MeasuredTravel("a", "extended", None)], ["a"]) == []
 
 
 def test_one_actuator_gives_the_arm_no_time():
-    measured = [Travel("a", "extended", 0.02), Travel("a", "contracted", 0.03)]
+    measured = [MeasuredTravel("a", "extended", 0.02), MeasuredTravel("a", "contracted", 0.03)]
     assert proposal(measured, ["a", "b"]) == ["# actuator a:  travel_time: {extend: 0.025, contract: 0.038}"]
 
 
 def test_much_faster_actuators_get_times_of_their_own():
-    travels = [Travel("a", "extended", 0.12), Travel("a", "contracted", 0.1), Travel("b", "extended", 0.04)]
-    assert proposal([*travels, Travel("b", "contracted", 0.04)], ["a", "b"]) == [
+    travels = [
+        MeasuredTravel("a", "extended", 0.12),
+        MeasuredTravel("a", "contracted", 0.1),
+        MeasuredTravel("b", "extended", 0.04),
+    ]
+    assert proposal([*travels, MeasuredTravel("b", "contracted", 0.04)], ["a", "b"]) == [
         "travel_time: {extend: 0.15, contract: 0.125}",
         "# actuator b:  travel_time: {extend: 0.05, contract: 0.05}",
     ]

@@ -12,7 +12,7 @@ import can
 import pytest
 
 from drivers.canopen.tools.lss import Lss
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.simulation import Simulation
 from drivers.simulation.variants import Variant
 from tests.waiting import eventually
@@ -27,7 +27,7 @@ def run() -> Iterator[Callable[..., Simulation]]:
     running: list[Simulation] = []
 
     def start(*nodes: int) -> Simulation:
-        settings = BusSettings("can0", "virtual", CHANNEL)
+        settings = BusWiring("can0", "virtual", CHANNEL)
         channels = tuple(Channel(str(node), "can0", node, 0, 0) for node in nodes)
         variants = {f"can0/{node}": Variant("numbered", stored={(0x1018, 4): 100 + node}) for node in nodes}
         running.append(Simulation(Wiring((settings,), channels), Timing(), variants=variants))

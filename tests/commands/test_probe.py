@@ -7,7 +7,7 @@ import json
 import can
 import pytest
 
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.simulation import Simulation
 from drivers.simulation.variants import VARIANTS
 
@@ -17,7 +17,7 @@ CHANNEL = "test_commands_probe"
 @pytest.fixture
 def boards():
     """Runs boards 5 and 9; board 9 differs from the standard."""
-    settings = BusSettings("can0", "virtual", CHANNEL)
+    settings = BusWiring("can0", "virtual", CHANNEL)
     channels = (Channel("a", "can0", 5, 0, 0), Channel("b", "can0", 9, 0, 0))
     simulation = Simulation(Wiring((settings,), channels), Timing(), variants={"can0/9": VARIANTS["guarding-only"]})
     simulation.start()

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 import controller.commands.operate.run as run_module
-from controller.commands.common import Failed
+from controller.commands.common import CommandFailed
 from controller.gateway import daemon
 
 MEASURE = """
@@ -57,5 +57,6 @@ def test_a_daemon_whose_thread_has_died_ends_the_process_in_words(
     monkeypatch.setattr(run_module, "SIGNALS", ())
     file = tmp_path / "a.yaml"
     file.write_text("")
-    with pytest.raises(Failed, match="thread for goals has ended: MemoryError\\(\\): the log has details"):
-        run_module.serve(file, tmp_path / "a.sock", lambda: None, "tcp/127.0.0.1:0", None, tmp_path / "l.sqlite")
+    executor = run_module.RunningExecutor(tmp_path / "a.sock", lambda: None)
+    with pytest.raises(CommandFailed, match="thread for goals has ended: MemoryError\\(\\): the log has details"):
+        run_module.serve(file, executor, "tcp/127.0.0.1:0", None, tmp_path / "l.sqlite")

@@ -32,7 +32,7 @@ def test_send_takes_an_angle_and_reports_its_error(hyperbit, endpoint):
     assert result["orientation_error"] == pytest.approx(abs(result["orientation"] - 0.3))
     code, _, err = hyperbit("send", "planar16", "--to", "0.55,2.9,1,0,0,0,1", "--connect", endpoint)
     assert code == 1
-    assert "waypoints[0].position: 3 coordinates, this arm's goals have 2" in err
+    assert "waypoints[0].position: 3 coordinates, this arm's positions have 2" in err
 
 
 def test_send_of_a_file_prints_json_lines_with_the_result_last(hyperbit, endpoint, tmp_path):

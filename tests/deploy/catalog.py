@@ -2,6 +2,7 @@
 
 from controller.host.journal import message_id
 from controller.panel.faults import ADVICE
+from controller.refusals.reasons import Reason
 from tests.keys import DEPLOY
 
 PATH = DEPLOY / "hyperbit.catalog"
@@ -38,6 +39,11 @@ def text() -> str:
     for kind, explanation in OTHERS.items():
         what, _, word = kind.partition("-")
         entries[kind] = (f"{what.capitalize()}: {word}", explanation)
+    for reason in Reason:
+        advice = reason.advice.replace("{arm}", "@HYPERBIT_ARM@")
+        told = f"Advice: {advice}." if advice else "The message says what would be right."
+        explanation = f"The goal @HYPERBIT_GOAL@ of the arm @HYPERBIT_ARM@ was refused, code @HYPERBIT_CODE@.\n{told}"
+        entries[f"refused-{reason.value}"] = (f"Goal refused: {reason.value}", explanation)
     return "\n".join(
         f"-- {message_id(kind)}\nSubject: {subject}\nDefined-By: hyperbit\nSupport: {SUPPORT}\n\n{action}\n"
         for kind, (subject, action) in entries.items()

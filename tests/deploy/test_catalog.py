@@ -10,6 +10,7 @@ import pytest
 from controller.executor.core import modes
 from controller.host.journal import message_id
 from controller.panel.faults import ADVICE
+from controller.refusals.reasons import Reason
 from tests.deploy.catalog import OTHERS, PATH, text
 from tests.keys import DEPLOY
 
@@ -20,7 +21,7 @@ def test_the_file_is_up_to_date() -> None:
 
 def test_every_kind_has_one_entry() -> None:
     ids = re.findall(r"^-- ([0-9a-f]{32})$", PATH.read_text(), re.MULTILINE)
-    assert len(ids) == len(set(ids)) == len(ADVICE) + len(OTHERS)
+    assert len(ids) == len(set(ids)) == len(ADVICE) + len(OTHERS) + len(Reason)
     words = Path(modes.__file__).parents[2] / "program" / "parts.py"
     for mode in re.findall(r"Mode = Literal\[([^\]]+)\]", words.read_text())[0].replace('"', "").split(", "):
         assert message_id(f"mode-{mode}") in ids
@@ -47,4 +48,4 @@ def test_systemd_takes_it(tmp_path: Path) -> None:
     told = journalctl("--dump-catalog", message_id("board-lost"))
     assert "Fault board-lost" in told
     assert "supply" in told
-    assert len(journalctl("--list-catalog").splitlines()) == len(ADVICE) + len(OTHERS)
+    assert len(journalctl("--list-catalog").splitlines()) == len(ADVICE) + len(OTHERS) + len(Reason)

@@ -12,10 +12,11 @@ import hyperbit
 from controller import cli
 from controller.armfile import settings
 from controller.gateway import outbox
-from controller.motion import codes
 from controller.motion.decoding import goal, requests, setpoint
 from controller.motion.tracking import bias
 from controller.program.parts import Mode
+from controller.refusals import codes
+from controller.refusals.reasons import Reason
 from drivers.simulation.variants import VARIANTS
 from tests.documents.page import ROOT
 from tests.documents.payloads import payloads
@@ -71,6 +72,12 @@ def result_codes() -> set[str]:
     return {str(value) for name, value in vars(codes).items() if name.isupper()}
 
 
+def reasons() -> list[str]:
+    """Returns the rows of the table of reasons: name, code, sentence and advice."""
+    cells = ((f"`{it.value}`", str(it.code), it.sentence, it.advice.replace("{arm}", "ARM")) for it in Reason)
+    return [f"| {' | '.join(row)} |" for row in cells]
+
+
 def rooms() -> set[str]:
     """Returns the packages of the controller and of the drivers."""
     found = [path.parent for folder in ("controller", "drivers") for path in (ROOT / folder).glob("*/__init__.py")]
@@ -100,6 +107,7 @@ TABLES: dict[str, Callable[[], set[str]]] = {
     "keys": keys,
     "faults": faults,
     "result codes": result_codes,
+    "reasons": lambda: {reason.value for reason in Reason},
     "modes": lambda: set(get_args(Mode)),
     "methods": lambda: set(get_args(settings.Method)),
     "module types": lambda: {str(kind.__struct_config__.tag) for kind in get_args(settings.ModuleSettings)},

@@ -1,4 +1,4 @@
-"""Parses the pages for their tests: examples, tables, links and commands of each README.md.
+"""Parses the pages for their tests: examples, tables, links and commands of each Markdown file.
 
 A mark is an HTML comment on the line before an example or a table. Fenced blocks are examples:
 
@@ -86,7 +86,7 @@ class Page(NamedTuple):
 def find() -> list[Path]:
     """Returns the paths of all pages, except in `build`, whose files may change during a test."""
     folders = [path for path in ROOT.iterdir() if path.is_dir() and not re.match(r"\.|build$", path.name)]
-    return sorted([*ROOT.glob("README.md"), *(path for folder in folders for path in folder.rglob("README.md"))])
+    return sorted([*ROOT.glob("*.md"), *(path for folder in folders for path in folder.rglob("*.md"))])
 
 
 def read(path: Path) -> Page:

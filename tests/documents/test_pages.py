@@ -112,6 +112,11 @@ def test_each_fault_that_the_code_makes_is_known():
     assert facts.faults_of_the_code() <= facts.faults()
 
 
+def test_each_row_of_the_reasons_of_refusals_is_that_of_the_code():
+    lines = (page.ROOT / "controller" / "refusals" / "README.md").read_text().splitlines()
+    assert [line for line in lines if line.startswith("| `")] == facts.reasons()
+
+
 def test_the_front_page_names_each_page():
     front = page.read(FRONT)
     linked = {(FRONT.parent / target).resolve() for target in page.links(front)}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from drivers.canopen.faults import Busy, Fault
-from drivers.canopen.status import Status
+from drivers.canopen.faults import ArmFault, Busy
+from drivers.canopen.status import MasterStatus
 from drivers.canopen.wiring import Timing, Wiring
 
 
@@ -31,7 +31,7 @@ class FakeMaster:
         self.booting = self.committing = self.collecting = self.boots_long = False
         self.boots = (0,) * len(nodes)
         self.booted = 0
-        self.boot_faults: list[Fault] = []
+        self.boot_faults: list[ArmFault] = []
         self.commit_failed: str | None = None
         self.commits: list[tuple[float, int]] = []
         self.questions: list[tuple[int, float]] = []
@@ -40,19 +40,19 @@ class FakeMaster:
         self.releasing = False
         self.stuck = self.partly = 0  # masks of stuck actuators, and of lines that a SYNC does not switch
         self.halfway = 0  # mask of actuators that stop halfway
-        self.halt: Fault | None = None
+        self.halt: ArmFault | None = None
         self.broken: set[str] = set()
         self.ticks: list[float] = []
         self.left: list[tuple[float, int]] = []  # when which lines were switched
         self._targets = 0  # states that the actuators go to
         self._target = 0
         self._arrivals: list[tuple[float, int, int]] = []
-        self._faults: list[Fault] = []
+        self._faults: list[ArmFault] = []
         self._switched: list[tuple[int, float]] = []
         self._asked: set[int] = set()
 
-    def take(self, event: Any, now: float) -> None:
-        self._break("take")
+    def receive_event(self, event: Any, now: float) -> None:
+        self._break("receive_event")
 
     def tick(self, now: float) -> None:
         self.ticks.append(now)
@@ -106,7 +106,7 @@ class FakeMaster:
             line = self._size + self._wiring.ended.index(k)
         self.inputs = self.inputs & ~(1 << line) | level << line
 
-    def halted(self, now: float) -> Fault | None:
+    def halted(self, now: float) -> ArmFault | None:
         halt, self.halt = self.halt, None
         return halt
 
@@ -164,23 +164,23 @@ class FakeMaster:
     def inputs_known(self) -> int:
         return (1 << len(self._wiring.input_lines)) - 1 if self.known else 0
 
-    def fail(self, fault: Fault, lost: int = 0) -> None:
+    def fail(self, fault: ArmFault, lost: int = 0) -> None:
         self._faults.append(fault)
         self.known &= ~lost
 
-    def take_faults(self) -> list[Fault]:
+    def drain_faults(self) -> list[ArmFault]:
         faults, self._faults = self._faults, []
         return faults
 
-    def take_switched(self) -> list[tuple[int, float]]:
+    def drain_switched(self) -> list[tuple[int, float]]:
         switched, self._switched = self._switched, []
         return switched
 
-    def warnings(self) -> tuple[Fault, ...]:
+    def warnings(self) -> tuple[ArmFault, ...]:
         return ()
 
-    def status(self) -> Status:
-        return Status((), ())
+    def status(self) -> MasterStatus:
+        return MasterStatus((), ())
 
     def _break(self, verb: str) -> None:
         if verb in self.broken:

@@ -10,10 +10,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Client, ClientGone, FromClient, Log, Notify, Tick, ToClient
+from controller.executor.core.core import Executor
+from controller.executor.core.events import TICK, ClientGone, ClientId, ExecutorTick, FromClient, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
+from controller.host.process import Log, Notify
 from controller.program import (
+    VERSION,
     Alive,
     Diagnostics,
     Ended,
@@ -26,18 +28,18 @@ from controller.program import (
     pack,
     unpack,
 )
-from drivers.canopen.faults import Fault
-from drivers.canopen.wire.events import Ignored
-from drivers.canopen.wiring import BoardId, BusSettings, Channel, Interlock, Timing, Wiring
+from drivers.canopen.faults import ArmFault
+from drivers.canopen.wire.events import FrameIgnored
+from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, Timing, Wiring
 from tests.executor.fake_master import FakeMaster
 from tests.simulation.agenda import Agenda
 
 SIZE = 6
 TRAVEL, MARGIN = 0.05, 0.03
-PLANNER, OTHER, OPERATOR = Client(1, 4001), Client(2, 4002), Client(3, 4003)
+PLANNER, OTHER, OPERATOR = ClientId(1, 4001), ClientId(2, 4002), ClientId(3, 4003)
 LABELS = tuple(f"{module}.{name}" for module in (1, 2) for name in ("left", "diagonal", "right"))
-LOST = Fault("board-lost", "can0/1", "board can0/1: no heartbeat")
-CAN = Ignored("can0", 100)  # an event of a bus without effect
+LOST = ArmFault("board-lost", "can0/1", "board can0/1: no heartbeat")
+CAN = FrameIgnored("can0", 100)  # an event of a bus without effect
 
 T = TypeVar("T")
 
@@ -72,7 +74,7 @@ def small_arm(
         for k, label in enumerate(LABELS)
     )
     names = dict.fromkeys(["can0", *([input_board.bus] if input_board else [])])
-    buses = tuple(BusSettings(name, "virtual", name) for name in names)
+    buses = tuple(BusWiring(name, "virtual", name) for name in names)
     wiring = Wiring(buses, channels, on_loss=on_loss, interlocks=interlocks)
     timing = Timing(travel_time=TRAVEL, settle_margin=margin)
     return ExecutedArm("small", LABELS, wiring, timing, digest="d" * 64, **fields)
@@ -87,7 +89,7 @@ class Rig:
         self.journal = MemoryJournal(SIZE)
         self.core = Executor(self.arm, self.journal, instance=7, watchdog=0.4, build_master=FakeMaster)
         self.master: FakeMaster = self.core._master
-        self.heard: list[tuple[Client, Any]] = []
+        self.heard: list[tuple[ClientId, Any]] = []
         self.notified: list[str] = []
         self.logged: list[tuple[int, str]] = []
         self.fields: list[Mapping[str, str]] = []  # of the same lines, for the journal
@@ -109,29 +111,29 @@ class Rig:
                     self.logged.append((action.level, action.text))
                     self.fields.append(action.fields)
 
-    def send(self, message: Any, client: Client = PLANNER) -> None:
+    def send(self, message: Any, client: ClientId = PLANNER) -> None:
         self.do(FromClient(client, message))
 
-    def connect(self, client: Client = PLANNER, role: str = "planner") -> None:
-        self.send(Hello(1, role, "small"), client)
+    def connect(self, client: ClientId = PLANNER, role: str = "planner") -> None:
+        self.send(Hello(VERSION, role, "small"), client)
         self.alive |= client == PLANNER
 
-    def gone(self, client: Client = PLANNER) -> None:
+    def gone(self, client: ClientId = PLANNER) -> None:
         self.alive = False
         self.do(ClientGone(client))
 
-    def go(self, seconds: float = PERIOD) -> None:
-        for _ in range(max(round(seconds / PERIOD), 1)):
-            self.agenda.run(PERIOD)
+    def go(self, seconds: float = TICK) -> None:
+        for _ in range(max(round(seconds / TICK), 1)):
+            self.agenda.run(TICK)
             if self.alive:
                 self.send(Alive())
-            self.do(Tick())
+            self.do(ExecutorTick())
 
     def program(self, *states: int, step: float = 0.2, final: bool = True, **fields: Any) -> Program:
         """Sends a program whose stages each have a mark."""
         self._programs += 1
         stages = tuple(
-            Stage(pack(bits, SIZE), at=step * k, mark=k, settled=step * k + TRAVEL + PERIOD)
+            Stage(pack(bits, SIZE), at=step * k, mark=k, settled=step * k + TRAVEL + TICK)
             for k, bits in enumerate(states)
         )
         given = {"number": self._programs, "epoch": self.snapshot.epoch, "start": self.states, "begin": 0.0}
@@ -168,10 +170,10 @@ class Rig:
             )
         )
 
-    def of(self, kind: type[T], client: Client = PLANNER) -> list[T]:
+    def of(self, kind: type[T], client: ClientId = PLANNER) -> list[T]:
         return [message for receiver, message in self.heard if isinstance(message, kind) and receiver == client]
 
-    def last(self, kind: type[T], client: Client = PLANNER) -> T:
+    def last(self, kind: type[T], client: ClientId = PLANNER) -> T:
         return self.of(kind, client)[-1]
 
     @property
@@ -216,7 +218,7 @@ def ready(**fields: Any) -> Rig:
     """Returns a ready rig with a planner; switches of a previous executor would have settled."""
     rig = Rig(**fields)
     rig.connect()
-    rig.go(3 * PERIOD)
+    rig.go(3 * TICK)
     assert rig.mode == "ready", rig.reason
     rig.go(TRAVEL)
     return rig

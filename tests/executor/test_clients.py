@@ -2,9 +2,10 @@
 
 import pytest
 
-from controller.executor.core.events import Quit
+from controller.host.process import Quit
 from controller.program import (
     MOST_BYTES,
+    VERSION,
     Acknowledge,
     Alive,
     Answer,
@@ -13,14 +14,14 @@ from controller.program import (
     Declined,
     Ended,
     Goodbye,
-    Halt,
     Hello,
     Reset,
     Snapshot,
+    Stop,
     Welcome,
     encode,
 )
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from tests.executor.rig import OPERATOR, OTHER, SIZE, Rig, ready
 
 A, B = 0b000111, 0b011100
@@ -37,7 +38,7 @@ def answer(rig: Rig) -> tuple[bool, str]:
 
 
 def test_a_planner_is_greeted_and_a_second_hears_who_is_there(rig: Rig) -> None:
-    assert rig.last(Welcome) == Welcome(1, "small", "d" * 64, 7, (0,) * SIZE, 0)
+    assert rig.last(Welcome) == Welcome(VERSION, "small", "d" * 64, 7, (0,) * SIZE, 0)
     rig.connect(OTHER)
     assert rig.last(Goodbye, OTHER).reason == "a planner is connected already, process 4001; only one may drive the arm"
     rig.gone()
@@ -45,7 +46,9 @@ def test_a_planner_is_greeted_and_a_second_hears_who_is_there(rig: Rig) -> None:
     assert rig.of(Welcome, OTHER)
 
 
-@pytest.mark.parametrize("hello", [Hello(2, "planner", "small"), Hello(1, "planner", "other"), Alive(), Halt(1)])
+@pytest.mark.parametrize(
+    "hello", [Hello(VERSION + 1, "planner", "small"), Hello(VERSION, "planner", "other"), Alive(), Stop(1)]
+)
 def test_who_does_not_belong_here_hears_why(rig: Rig, hello: object) -> None:
     rig.send(hello, OTHER)
     assert rig.last(Goodbye, OTHER).reason
@@ -55,11 +58,11 @@ def test_who_does_not_belong_here_hears_why(rig: Rig, hello: object) -> None:
 def test_an_operator_may_halt_and_nothing_else(rig: Rig) -> None:
     rig.run(A, B)
     rig.connect(OPERATOR, "operator")
-    rig.send(Halt(5), OPERATOR)
-    assert rig.last(Answer, OPERATOR) == Answer(5, True, "stopped; the arm holds until reset")
+    rig.send(Stop(5), OPERATOR)
+    assert rig.last(Answer, OPERATOR) == Answer(5, "stopped; the arm holds until reset")
     assert (rig.mode, rig.results) == ("stopped", [(1, "aborted")])
     rig.send(Reset(6), OPERATOR)
-    assert rig.last(Goodbye, OPERATOR).reason == "an operator may only halt"
+    assert rig.last(Goodbye, OPERATOR).reason == "an operator may only stop the arm"
     assert rig.mode == "stopped"
 
 
@@ -104,7 +107,7 @@ def test_what_a_planner_sent_before_it_fell_silent_moves_nothing(rig: Rig, dies:
         rig.go(1.5)
     rig.run(A, epoch=before)
     rig.follow(2, A, epoch=before)
-    assert rig.last(Declined).cause == "epoch"
+    assert rig.last(Declined).refused.reason.value == "overtaken"
     rig.go()
     assert (rig.switched, rig.mode, rig.snapshot.epoch) == ([], "ready", before + 1)
     rig.run(A)
@@ -152,13 +155,13 @@ def test_snapshots_come_20_times_a_second_and_on_change_and_diagnostics_every_se
     assert 19 <= len(rig.of(Snapshot)) <= 21
     assert len(rig.diagnostics) == 1
     rig.heard.clear()
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     assert [type(message) for _, message in rig.heard] == [Answer, Snapshot]
 
 
 def test_a_snapshot_fits_a_message_whatever_is_wrong(rig: Rig) -> None:
     for k in range(1000):
-        rig.master.fail(Fault("emergency", f"can0/{k}", "é" * 2000))
+        rig.master.fail(ArmFault("emergency", f"can0/{k}", "é" * 2000))
     rig.go()
     assert len(rig.snapshot.faults) == 50
     assert len(encode(rig.snapshot)) < MOST_BYTES

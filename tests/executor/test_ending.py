@@ -7,10 +7,10 @@ import logging
 
 import pytest
 
-from controller.executor.core.core import PERIOD
-from controller.executor.core.events import Quit
-from controller.program import Halt, Lock, unpack
-from drivers.canopen.faults import Fault
+from controller.executor.core.events import TICK
+from controller.host.process import Quit
+from controller.program import Lock, Stop, unpack
+from drivers.canopen.faults import ArmFault
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 
 ALL = (1 << SIZE) - 1
@@ -51,7 +51,7 @@ def test_the_arm_contracts_in_stages_before_the_end(inrush: int | None) -> None:
     begun = len(rig.master.left)
     rig.do(Quit())
     assert (rig.mode, rig.core.ended) == ("executing", False)
-    assert rig.core.ending.patience > 3 * TRAVEL
+    assert rig.core.ending.timeout > 3 * TRAVEL
     rig.go(1.0)
     assert rig.core.ended
     assert (rig.mode, rig.states, rig.core.motion.moving) == ("ready", 0, False)
@@ -71,7 +71,7 @@ def test_a_locked_actuator_is_not_contracted() -> None:
 
 def test_an_arm_that_is_stopped_does_not_contract() -> None:
     rig = extended(contract_on_stop=True)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.do(Quit())
     assert (rig.core.ended, rig.states) == (True, ALL)
     assert "the arm does not contract before the end (on_stop): it is stopped" in warnings(rig)
@@ -81,7 +81,7 @@ def test_a_fault_or_a_halt_ends_the_contraction() -> None:
     rig = extended(contract_on_stop=True, inrush=1)
     rig.do(Quit())
     rig.go(TRAVEL)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.go(0.1)
     assert rig.core.ended
     assert 0 < rig.states.bit_count() < SIZE
@@ -96,7 +96,7 @@ def test_a_contracted_arm_ends_at_once() -> None:
 def test_actuators_of_unknown_state_are_contracted_too() -> None:
     rig = ready(contract_on_stop=True, channel={"output_off": True, "pulse": 0.05}, sensed=0)
     rig.do(Quit())
-    rig.go(PERIOD)
+    rig.go(TICK)
     assert not rig.core.ended
     rig.go(0.5)
     assert (rig.core.ended, rig.switched) == (True, [ALL << SIZE])
@@ -130,7 +130,7 @@ def test_a_fault_ends_the_contraction_in_words() -> None:
     rig = extended(contract_on_stop=True, inrush=1)
     rig.do(Quit())
     rig.go(TRAVEL)
-    rig.master.fail(Fault("emergency", "can0/1", "short circuit"))
+    rig.master.fail(ArmFault("emergency", "can0/1", "short circuit"))
     rig.go(0.1)
     assert rig.core.ended
     text = "the arm is not contracted before the end (on_stop): it is fault: short circuit"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core.core import PERIOD
-from controller.program import Answer, Halt, Lock, Reset
+from controller.executor.core.events import TICK
+from controller.program import Answer, Lock, Reset, Stop
 from drivers.canopen.wiring import Interlock
 from tests.executor.rig import CAN, LOST, SIZE, Rig, ready
 
@@ -24,7 +24,7 @@ def codes(rig: Rig) -> list[tuple[str, str]]:
 
 def test_motion_ends_at_once_when_one_opens(rig: Rig) -> None:
     rig.run(1, 0, 1, 0)
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     rig.master.inputs &= ~(1 << SIZE)
     rig.do(CAN)
     assert (rig.mode, rig.reason) == ("fault", OPEN)
@@ -60,7 +60,7 @@ def test_an_interlock_that_is_open_at_the_start_is_a_fault() -> None:
 
 
 def test_an_interlock_that_opens_while_the_arm_is_stopped_keeps_it_stopped(rig: Rig) -> None:
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.master.inputs &= ~(1 << SIZE)
     rig.go()
     assert (rig.mode, codes(rig)) == ("stopped", [("interlock", "stop (can0/9 input 0)")])

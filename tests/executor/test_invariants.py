@@ -6,8 +6,8 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.executor.core.events import Quit
-from controller.program import Accepted, Answer, Cancel, Declined, Ended, Halt, Lock, Replacement, Reset, Stage, pack
+from controller.host.process import Quit
+from controller.program import Accepted, Answer, Cancel, Declined, Ended, Lock, Replacement, Reset, Stage, Stop, pack
 from tests.executor.rig import LOST, SIZE, TRAVEL, Rig, ready
 
 LEGAL = {
@@ -45,7 +45,7 @@ def act(rig: Rig, name: str, argument: object) -> None:
         case "cancel":
             rig.send(Cancel(1, None, ""))
         case "halt" | "reset":
-            rig.send(Halt(1) if name == "halt" else Reset(1))
+            rig.send(Stop(1) if name == "halt" else Reset(1))
         case "fault":
             rig.master.fail(LOST)
         case "missing":

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.executor.core.kinds import Ends, Kinds
-from drivers.canopen.wiring import BusSettings, Channel, Interlock, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, Interlock, Timing, Wiring
 
-CAN0 = BusSettings("can0", "virtual", "x")
+CAN0 = BusWiring("can0", "virtual", "x")
 
 
 def kinds(*channels: Channel, interlocks: tuple[Interlock, ...] = ()) -> Kinds:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core.core import PERIOD
-from controller.executor.core.events import Quit
+from controller.executor.core.events import TICK
+from controller.host.process import Quit
 from controller.program import Answer, Ended, Reset, Snapshot, unpack
 from drivers.canopen.wiring import Interlock
 from tests.executor.rig import SIZE
@@ -42,7 +42,7 @@ def test_programs_move_actuators_of_every_kind(kind: str, sensed: int) -> None:
     assert not any(world.boards.both_on())
     if "pulse" in channel:
         assert before == world.boards.coils() == [(0, 0)] * SIZE
-        assert all(PULSE - 0.005 < length <= PULSE + PERIOD for length in world.boards.longest_pulses() if length)
+        assert all(PULSE - 0.005 < length <= PULSE + TICK for length in world.boards.longest_pulses() if length)
 
 
 def test_a_pulse_ends_though_its_board_is_not_heard_any_more() -> None:
@@ -90,7 +90,7 @@ def test_the_door_stops_the_arm_within_a_period_and_reset_waits_for_it() -> None
     world.run(1, A, B, step=0.3)
     world.go(0.25)
     world.fault("open", "door")
-    world.go(PERIOD)
+    world.go(TICK)
     assert world.mode == "fault"
     assert world.last(Ended).message == "interlock door (can0/9 input 5) is open: close it, then reset"
     world.send(Reset(1))

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from controller.executor.core.core import PERIOD
+from controller.executor.core.events import TICK
 from controller.executor.core.modes import RETRY
 from controller.program import Answer, Declined, Ended, Lock, Replaced, Replacement, Settled, unpack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
@@ -28,7 +28,7 @@ def test_a_locked_actuator_is_switched_by_no_program(rig: Rig) -> None:
     assert (unpack(rig.snapshot.locked), rig.snapshot.locks) == (1, 1)
     assert [fault.code for fault in rig.snapshot.faults] == ["degraded"]
     rig.run(A)
-    assert rig.last(Declined).cause == "locked"
+    assert rig.last(Declined).refused.reason.value == "program-locked"
     rig.follow(9, A)
     rig.run(A & ~1)
     rig.go(0.3)
@@ -96,7 +96,7 @@ def test_outputs_of_locked_actuators_are_set_within_the_bounds_on_inrush_and_res
 def test_a_set_point_with_stages_sets_the_outputs_of_locked_actuators() -> None:
     rig = at_odds()
     rig.follow(1)
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert rig.switched == []
     rig.follow(1, 0b1100)
     rig.go(0.2)

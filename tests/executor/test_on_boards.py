@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core.core import PERIOD
-from controller.executor.core.events import FromClient, Quit
-from controller.program import Accepted, Begun, Diagnostics, Ended, Halt, Reset, Settled, Snapshot, unpack
+from controller.executor.core.events import TICK, FromClient
+from controller.host.process import Quit
+from controller.program import Accepted, Begun, Diagnostics, Ended, Reset, Settled, Snapshot, Stop, unpack
 from tests.executor.rig import PLANNER, SIZE, TRAVEL
 from tests.executor.world import STEP, A, B, World, ready
 
@@ -53,7 +53,7 @@ def test_one_toggled_at_every_transition_that_sticks_is_found(world: World) -> N
     while world.mode != "fault" and number < 30:
         number += 1
         world.run(number, unpack(world.last(Snapshot).outputs) ^ 1)
-        world.go(TRAVEL + PERIOD)
+        world.go(TRAVEL + TICK)
     assert number < 10
     assert "missed 3 commands" in world.core.modes.reason
 
@@ -97,7 +97,7 @@ def test_frames_that_waited_during_a_stall_are_no_fault_after_a_reset(world: Wor
 
 def test_halt_and_end(world: World) -> None:
     world.run(1, A, B)
-    world.send(Halt(1))
+    world.send(Stop(1))
     assert world.mode == "stopped"
     world.post(Quit())
     assert world.ended

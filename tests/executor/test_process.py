@@ -18,6 +18,7 @@ import pytest
 from controller.commands.operate.demo import patient
 from controller.program import (
     MOST_BYTES,
+    VERSION,
     Acknowledge,
     Ended,
     Goodbye,
@@ -33,13 +34,7 @@ from controller.program import (
 from tests.keys import DEPLOY
 
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
-ROOMS = {
-    "controller." + name
-    for name in (
-        *("actuators", "error_states", "executor", "flight_recorder", "journal", "notify", "program"),
-        *("scheduling", "settings", "sockets", "strict", "terminals"),
-    )
-}
+ROOMS = {f"controller.{name}" for name in ("armfile", "executor", "flight_recorder", "host", "program")}
 MOST_RESIDENT = 80 * 1024  # [kB]
 SIMULATION = {"canopen", "drivers.simulation"}  # a real arm's process loads neither
 SIZE = 48
@@ -83,7 +78,7 @@ class Planner:
                 self.socket.connect(str(path))
                 break
             time.sleep(0.05)
-        self.send(Hello(1, "planner", "planar16"))
+        self.send(Hello(VERSION, "planner", "planar16"))
 
     def send(self, message: Any) -> None:
         self.socket.send(encode(message))

@@ -4,20 +4,22 @@ from itertools import pairwise
 
 import pytest
 
-from controller.executor.core.core import PERIOD
+from controller.executor.core.events import TICK
 from controller.program import (
     Accepted,
     Begun,
     Declined,
     Ended,
-    Halt,
     Replaced,
     Replacement,
     Reset,
     Settled,
     Stage,
+    Stop,
     pack,
 )
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refused
 from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
 
 A, B, C = 0b000111, 0b011100, 0b110000
@@ -32,11 +34,11 @@ def test_a_program_is_run_to_its_end(rig: Rig) -> None:
     program = rig.run(A, B, context=b"x")
     assert rig.last(Accepted) == Accepted(program.program, rig.now)
     assert rig.switched == [A], "the first stage does not wait for the tick"
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert (rig.mode, rig.reason) == ("executing", "goal 1")
     rig.go(0.5)
     assert rig.switched == [A, B]
-    assert [(b.stage, b.switches) for b in rig.of(Begun)] == [(0, 3), (1, 7)]
+    assert [b.stage for b in rig.of(Begun)] == [0, 1]
     assert [(s.mark, s.switches, s.stages, s.planned) for s in rig.of(Settled)] == [(0, 3, 1, True), (1, 7, 1, True)]
     (ended,) = rig.of(Ended)
     assert (ended.status, ended.context, ended.mark, ended.switches) == ("done", b"x", 1, 7)
@@ -56,10 +58,10 @@ def test_marks_settle_at_their_time_and_not_before_the_end_stop(rig: Rig) -> Non
 def test_no_mark_settles_while_an_actuator_moves(rig: Rig) -> None:
     rig.master.stuck = 1
     rig.run(A)
-    rig.go(TRAVEL + MARGIN - PERIOD)
+    rig.go(TRAVEL + MARGIN - TICK)
     assert rig.marks == []
     rig.master.inputs |= 1
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert rig.marks == [0]
 
 
@@ -95,19 +97,19 @@ def test_a_new_program_replaces_the_running_one(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fields", "cause"),
+    ("fields", "reason"),
     [
-        ({"epoch": 0}, "epoch"),
-        ({"start": 1}, "moved"),
-        ({"number": 0}, "malformed"),
-        ({"stages": (Stage(b"", 0.0),)}, "malformed"),
-        ({"stages": (Stage(b"\xff", 0.0),)}, "malformed"),
-        ({"stages": (Stage(pack(A, SIZE), 1.0), Stage(pack(B, SIZE), 0.5))}, "malformed"),
+        ({"epoch": 0}, "overtaken"),
+        ({"start": 1}, "moved-since-planned"),
+        ({"number": 0}, "program-malformed"),
+        ({"stages": (Stage(b"", 0.0),)}, "program-malformed"),
+        ({"stages": (Stage(b"\xff", 0.0),)}, "program-malformed"),
+        ({"stages": (Stage(pack(A, SIZE), 1.0), Stage(pack(B, SIZE), 0.5))}, "program-malformed"),
     ],
 )
-def test_a_program_that_does_not_fit_is_declined(rig: Rig, fields: dict, cause: str) -> None:
+def test_a_program_that_does_not_fit_is_declined(rig: Rig, fields: dict, reason: str) -> None:
     rig.run(A, **fields)
-    assert rig.last(Declined).cause == cause
+    assert rig.last(Declined).refused.reason.value == reason
     rig.go(0.2)
     assert (rig.mode, rig.switched, rig.results) == ("ready", [], [])
 
@@ -115,16 +117,16 @@ def test_a_program_that_does_not_fit_is_declined(rig: Rig, fields: dict, cause: 
 def test_a_program_during_a_switch_is_declined_with_this_reason(rig: Rig) -> None:
     rig.master.slow_sync = True
     rig.run(A)
-    rig.go(PERIOD)
+    rig.go(TICK)
     rig.run(B, start=0)
     declined = rig.last(Declined)
-    assert (declined.cause, declined.reason) == ("moved", "the boards have not confirmed the last switch yet")
+    assert declined.refused == Refused(Reason.SWITCH_NOT_CONFIRMED)
 
 
 def test_stages_over_the_inrush_limit_are_declined_and_others_wait_for_the_previous_stage() -> None:
     rig = ready(inrush=2)
     rig.run(A)
-    assert rig.last(Declined).cause == "malformed"
+    assert rig.last(Declined).refused.reason.value == "program-malformed"
     rig.run(0b000011, 0b001111, 0b111111, step=0.0)
     rig.go(1)
     times = [at for at, _ in rig.master.commits]
@@ -156,18 +158,18 @@ def test_all_actuators_rest_after_a_start_and_those_whose_outputs_fell_after_a_b
     began = rig.now
     rig.run(A)
     rig.go(1)
-    assert rig.master.commits[0][0] - began >= 0.3 - 3 * PERIOD
+    assert rig.master.commits[0][0] - began >= 0.3 - 3 * TICK
     assert rig.results == [(1, "done")]
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.master.outputs = rig.master.inputs = A & 1  # a board has lost its supply
     rig.send(Reset(2))
-    rig.go(3 * PERIOD)
+    rig.go(3 * TICK)
     booted = rig.now
     rig.run(1 | 0b100000, A)
     rig.go(1)
     at_once, rested = (at for at, _ in rig.master.commits[-2:])
     assert at_once - booted < 0.02
-    assert rested - booted >= TRAVEL + 0.3 - 4 * PERIOD
+    assert rested - booted >= TRAVEL + 0.3 - 4 * TICK
 
 
 def test_a_program_comes_in_parts_and_holds_until_more_comes(rig: Rig) -> None:
@@ -220,7 +222,7 @@ def test_the_result_waits_for_the_stage_under_way_and_counts_it(rig: Rig) -> Non
     rig.gone()
     assert rig.of(Ended) == []
     rig.master.slow_sync = False
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     rig.connect()
     (ended,) = rig.of(Ended)
     assert (ended.status, ended.switches, ended.message) == ("aborted", 3, "the planner is gone; the arm holds")
@@ -232,4 +234,4 @@ def test_while_a_stage_is_switched_a_program_is_asked_to_plan_anew(rig: Rig) -> 
     rig.master.slow_sync = True
     rig.run(A, B)
     rig.run(C)
-    assert rig.last(Declined).cause == "moved"
+    assert rig.last(Declined).refused.reason.value == "switch-not-confirmed"

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.executor.core.core import PERIOD
-from controller.executor.core.events import Quit
-from controller.program import Cancel, Halt, Reset, unpack
+from controller.executor.core.events import TICK
+from controller.host.process import Quit
+from controller.program import Cancel, Reset, Stop, unpack
 from tests.executor.rig import LOST, SIZE, TRAVEL, Rig, ready
 
 ALL = (1 << SIZE) - 1
@@ -105,11 +105,11 @@ def test_a_pulse_ends_after_its_time() -> None:
     assert pulses(rig) == [PULSE] * 3
 
 
-@pytest.mark.parametrize("event", [Cancel(1, None, ""), Halt(1), Quit()])
+@pytest.mark.parametrize("event", [Cancel(1, None, ""), Stop(1), Quit()])
 def test_a_pulse_ends_after_its_time_whatever_is_asked_meanwhile(event: Any) -> None:
     rig = ready(channel=BISTABLE)
     rig.run(1)
-    rig.go(PERIOD)
+    rig.go(TICK)
     rig.do(event) if isinstance(event, Quit) else rig.send(event)
     assert not rig.core.ended
     rig.go(0.2)
@@ -121,7 +121,7 @@ def test_a_pulse_ends_after_its_time_whatever_is_asked_meanwhile(event: Any) -> 
 def test_a_pulse_ends_after_its_time_though_a_board_is_lost_which_may_still_hear(lost: int) -> None:
     rig = ready(channel=BISTABLE)
     rig.run(1)
-    rig.go(PERIOD)
+    rig.go(TICK)
     rig.master.fail(LOST, lost=lost)
     rig.go(0.2)
     assert rig.mode == "fault"
@@ -131,11 +131,11 @@ def test_a_pulse_ends_after_its_time_though_a_board_is_lost_which_may_still_hear
 def test_boards_are_booted_only_when_no_pulse_is_on() -> None:
     rig = ready(channel=BISTABLE)
     rig.run(1)
-    rig.go(PERIOD)
-    rig.send(Halt(1))
+    rig.go(TICK)
+    rig.send(Stop(1))
     rig.send(Reset(2))
     boots = rig.master.booted
-    rig.go(PERIOD)
+    rig.go(TICK)
     assert (rig.mode, rig.master.booted) == ("starting", boots)
     rig.go(0.2)
     assert (rig.mode, rig.master.booted, pulses(rig)) == ("ready", boots + 1, [PULSE])
@@ -145,7 +145,7 @@ def test_a_pulse_that_a_start_finds_is_ended_at_once() -> None:
     rig = Rig(channel=BISTABLE, sensed=0)
     rig.master.outputs = lines(0b1, 0b10)
     rig.connect()
-    rig.go(3 * PERIOD)
+    rig.go(3 * TICK)
     assert (rig.mode, rig.master.outputs, rig.states) == ("ready", 0, 1)
     assert unpack(rig.snapshot.homing) == ALL & ~0b11, "which output was on told the state"
 
@@ -154,22 +154,22 @@ def test_all_actuators_rest_after_a_start_that_ended_a_pulse_while_boards_booted
     rig = Rig(channel=BISTABLE, sensed=0, rest=0.3)
     rig.master.outputs, rig.master.boots_long = lines(0b1, 0), True
     rig.connect()
-    rig.go(3 * PERIOD)
+    rig.go(3 * TICK)
     assert (rig.mode, rig.master.outputs) == ("starting", 0)
     rig.master.boots_long = False
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     began = rig.now
     rig.run(0b10, homed=0b10)
     rig.go(1.0)
     assert rig.results == [(1, "done")]
-    assert rig.master.commits[0][0] - began >= TRAVEL + 0.3 - 3 * PERIOD
+    assert rig.master.commits[0][0] - began >= TRAVEL + 0.3 - 3 * TICK
 
 
 def test_two_outputs_that_are_both_on_go_off_and_tell_nothing() -> None:
     rig = Rig(channel=DOUBLE, sensed=0)
     rig.master.outputs = lines(0b11, 0b10)
     rig.connect()
-    rig.go(3 * PERIOD)
+    rig.go(3 * TICK)
     assert (rig.mode, rig.master.outputs) == ("ready", lines(0b01, 0))
     assert unpack(rig.snapshot.homing) == ALL & ~1
 
@@ -178,7 +178,7 @@ def test_a_boot_keeps_known_states_but_not_those_of_a_board_that_started_anew() 
     rig = ready(channel=BISTABLE, sensed=0)
     rig.run(0b010010)
     rig.go(0.5)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.master.boots = (0, 1)
     rig.send(Reset(2))
     rig.go(0.2)
@@ -191,10 +191,10 @@ def test_a_pulse_with_an_unknown_sync_leaves_the_state_unknown() -> None:
     rig.go(0.5)
     rig.master.slow_sync = True
     rig.run(1)
-    rig.go(PERIOD)
+    rig.go(TICK)
     rig.master.fail(LOST, lost=ALL)
     rig.master.committing = False
-    rig.go(PERIOD)
+    rig.go(TICK)
     rig.master.back, rig.master.slow_sync = True, False
     rig.go(1.5)
     assert (rig.mode, unpack(rig.snapshot.homing)) == ("ready", 1)
@@ -222,14 +222,14 @@ def test_whatever_is_asked_no_pulse_is_longer_than_asked_by_a_period(
             case "cancel":
                 rig.send(Cancel(request, None, ""))
             case "halt":
-                rig.send(Halt(request))
+                rig.send(Stop(request))
             case "reset":
                 rig.send(Reset(request))
             case "lost":
                 rig.master.fail(LOST)
             case "busy":
                 rig.run(data.draw(st.integers(0, ALL)))
-        rig.go(data.draw(st.sampled_from([PERIOD, 0.03, 0.1])))
+        rig.go(data.draw(st.sampled_from([TICK, 0.03, 0.1])))
     rig.go(0.3)
     assert rig.master.outputs == 0
     on: dict[int, float] = {}
@@ -240,13 +240,13 @@ def test_whatever_is_asked_no_pulse_is_longer_than_asked_by_a_period(
                 if began is None:
                     on[line] = at
                 else:
-                    assert at - began <= pulse + PERIOD + 1e-9
+                    assert at - began <= pulse + TICK + 1e-9
 
 
 def test_the_end_of_a_pulse_that_the_bus_carries_late_is_told() -> None:
     rig = ready(channel=BISTABLE)
     rig.run(1)
-    rig.go(PERIOD)
+    rig.go(TICK)
     rig.master.busy = True
     rig.go(0.3)
     assert rig.mode == "fault"

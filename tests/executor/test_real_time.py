@@ -1,5 +1,7 @@
 """Real time, from the unit or the arm's file, with and without permission."""
 
+import contextlib
+import ctypes
 import os
 import resource
 import threading
@@ -10,12 +12,12 @@ import pytest
 
 from controller.armfile.settings import RealTimeSettings
 from controller.executor.process import real_time
-from controller.executor.process.real_time import enter_real_time, leave_real_time
+from controller.executor.process.real_time import enter_real_time
 from controller.host.scheduling import shorten_slice
 
 
 def in_thread(work: Callable[[], None]) -> None:
-    """Does it in a thread of its own, whose policy is not the test's."""
+    """Runs a function in a new thread, so that the test's thread keeps its scheduling policy."""
     failures: list[BaseException] = []
 
     def guarded() -> None:
@@ -39,6 +41,13 @@ def locked() -> int:
     """Locked memory [kB]."""
     (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmLck"))
     return int(line.split()[1])
+
+
+def leave_real_time() -> None:
+    """Returns to normal scheduling and unlocks the memory."""
+    ctypes.CDLL(None).munlockall()
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def test_nothing_is_asked_by_default() -> None:

@@ -9,14 +9,15 @@ from typing import Any
 
 import pytest
 
-from controller.executor.core.core import DEFECT, PERIOD, Executor
-from controller.executor.core.events import Defect, Tick, ToClient
+from controller.executor.core.core import DEFECT, Executor
+from controller.executor.core.events import TICK, Defect, ExecutorTick, ToClient
 from controller.executor.process.run import CLOSE, EventLoop
-from controller.executor.process.server import Server
+from controller.executor.process.server import ExecutorServer
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.host.notify import Notifier
 from controller.program import (
     MOST_BYTES,
+    VERSION,
     Accepted,
     Diagnostics,
     Ended,
@@ -48,7 +49,7 @@ class NoBuses:
             raise RuntimeError("the bus is broken")
         return []
 
-    def send(self, bus: str, frame: Any, now: float) -> None:
+    def send_frame(self, bus: str, frame: Any, now: float) -> None:
         pass
 
     def close(self) -> None:
@@ -59,15 +60,15 @@ class Bench:
     """An event loop whose rounds the test runs; each takes one period."""
 
     def __init__(self, path: Path, **fields: Any) -> None:
-        self.now, self.step = 10.0, PERIOD
+        self.now, self.step = 10.0, TICK
         self.core = Executor(small_arm(**fields), MemoryJournal(SIZE), 1, build_master=FakeMaster)
-        self.buses, self.server = NoBuses(), Server(path, lambda: self.now)
+        self.buses, self.server = NoBuses(), ExecutorServer(path, lambda: self.now)
         self.loop = EventLoop(self.core, self.buses, self.server, Notifier(), clock=lambda: self.now)
-        self.loop._time.start(self.now + PERIOD)
+        self.loop._time.start(self.now + TICK)
         self.client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.client.settimeout(10)
         self.client.connect(str(path))
-        self.send(Hello(1, "planner", "small"))
+        self.send(Hello(VERSION, "planner", "small"))
 
     def send(self, message: Any) -> None:
         self.client.send(encode(message))
@@ -106,7 +107,7 @@ def test_a_program_is_acted_on_without_a_tick(bench: Bench) -> None:
     bench.run()
     ticks = len(bench.core._master.ticks)
     bench.step = 0.0
-    bench.now += 0.1 * PERIOD
+    bench.now += 0.1 * TICK
     bench.loop._round()
     assert (bench.core._master.outputs, len(bench.core._master.ticks)) == (1, ticks)
 
@@ -132,7 +133,7 @@ def test_messages_wait_for_the_echo_of_rpdos_until_the_next_tick(bench: Bench) -
     bench.core._master.slow_rpdos, bench.step = True, 0.0
     bench.go(20)
     assert len(answers()) == 1
-    bench.step = PERIOD
+    bench.step = TICK
     bench.go(1)
     assert answers() == []
     assert bench.wait(Accepted)
@@ -178,7 +179,7 @@ def test_an_event_whose_step_fails_is_recorded_before_the_defect(bench: Bench) -
     bench.loop._recorder = Recorder()
     bench.core.step = fail
     bench.go(2)
-    assert recorded[0] == (Tick(), True)
+    assert recorded[0] == (ExecutorTick(), True)
     assert isinstance(recorded[1][0], Defect)
     assert bench.core.modes.mode == "fault"
 

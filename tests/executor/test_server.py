@@ -8,19 +8,20 @@ from pathlib import Path
 
 import pytest
 
-from controller.executor.core.events import Client, ClientGone, FromClient
-from controller.executor.process.connections import HELLO_TIMEOUT, PLACES, Connection, superfluous
-from controller.executor.process.server import MOST_QUEUED, Server, SocketInUse
+from controller.executor.core.events import ClientGone, ClientId, FromClient
+from controller.executor.process.connections import HELLO_TIMEOUT, PLACES, ClientConnection, superfluous
+from controller.executor.process.server import MOST_QUEUED, ExecutorServer, SocketInUse
 from controller.host.sockets import default_socket, found_sockets, socket_path
 from controller.program import (
     MOST_BYTES,
+    VERSION,
     Alive,
     Answer,
     Diagnostics,
     Ended,
     Goodbye,
-    Halt,
     Hello,
+    Stop,
     decode_up,
     encode,
 )
@@ -34,8 +35,8 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def server(path: Path) -> Iterator[Server]:
-    server = Server(path)
+def server(path: Path) -> Iterator[ExecutorServer]:
+    server = ExecutorServer(path)
     yield server
     server.close()
 
@@ -47,21 +48,23 @@ def connected(path: Path) -> socket.socket:
     return client
 
 
-def test_messages_come_in_with_their_process_and_answers_go_out(server: Server, path: Path) -> None:
+def test_messages_come_in_with_their_process_and_answers_go_out(server: ExecutorServer, path: Path) -> None:
     with connected(path) as client:
         client.send(encode(Alive()))
-        client.send(encode(Halt(3)))
+        client.send(encode(Stop(3)))
         events = server.poll()
-        assert [event.message for event in events] == [Alive(), Halt(3)]
+        assert [event.message for event in events] == [Alive(), Stop(3)]
         assert events[0].client.pid == os.getpid()
-        server.send(events[0].client, Answer(3, True, "stopped"))
-        assert decode_up(client.recv(MOST_BYTES)) == Answer(3, True, "stopped")
+        server.send_message(events[0].client, Answer(3, "stopped"))
+        assert decode_up(client.recv(MOST_BYTES)) == Answer(3, "stopped")
     assert server.poll() == [ClientGone(events[0].client)]
-    server.send(events[0].client, Answer(3, True, "nobody"))
+    server.send_message(events[0].client, Answer(3, "nobody"))
 
 
 @pytest.mark.parametrize("packet", [b"nonsense", b"\x91\xa3abc", encode(Alive()) + b"\0", b"\0" * (MOST_BYTES + 1)])
-def test_a_malformed_message_ends_the_connection_with_a_reason(server: Server, path: Path, packet: bytes) -> None:
+def test_a_malformed_message_ends_the_connection_with_a_reason(
+    server: ExecutorServer, path: Path, packet: bytes
+) -> None:
     with connected(path) as client:
         client.send(packet)
         (event,) = server.poll()
@@ -70,27 +73,27 @@ def test_a_malformed_message_ends_the_connection_with_a_reason(server: Server, p
         assert client.recv(1) == b""
 
 
-def test_a_client_is_closed_after_a_goodbye(server: Server, path: Path) -> None:
+def test_a_client_is_closed_after_a_goodbye(server: ExecutorServer, path: Path) -> None:
     with connected(path) as client:
         client.send(encode(Alive()))
         (event,) = server.poll()
-        server.send(event.client, Goodbye("no"))
+        server.send_message(event.client, Goodbye("no"))
         assert decode_up(client.recv(MOST_BYTES)) == Goodbye("no")
         assert client.recv(1) == b""
     assert server.poll() == [ClientGone(event.client)]
 
 
-def test_telemetry_is_dropped_for_who_does_not_read_and_results_wait(server: Server, path: Path) -> None:
+def test_telemetry_is_dropped_for_who_does_not_read_and_results_wait(server: ExecutorServer, path: Path) -> None:
     with connected(path) as client:
         client.send(encode(Alive()))
         (event,) = server.poll()
         while not server.waiting:
-            server.send(event.client, TELEMETRY)
+            server.send_message(event.client, TELEMETRY)
         assert server.writable()
-        server.send(event.client, TELEMETRY)
+        server.send_message(event.client, TELEMETRY)
         assert server.dropped == 1
         result = Ended(1, 1, b"", "done", "", 0, 0, b"", b"")
-        server.send(event.client, result)
+        server.send_message(event.client, result)
         heard = []
         while not heard or not isinstance(heard[-1], Ended):
             heard.append(decode_up(client.recv(MOST_BYTES)))
@@ -99,18 +102,18 @@ def test_telemetry_is_dropped_for_who_does_not_read_and_results_wait(server: Ser
         assert not server.waiting
 
 
-def test_who_never_reads_is_disconnected_at_last(server: Server, path: Path) -> None:
+def test_who_never_reads_is_disconnected_at_last(server: ExecutorServer, path: Path) -> None:
     with connected(path) as client:
         client.send(encode(Alive()))
         (event,) = server.poll()
         while not server.waiting:
-            server.send(event.client, TELEMETRY)
+            server.send_message(event.client, TELEMETRY)
         for _ in range(MOST_QUEUED + 1):
-            server.send(event.client, Answer(1, True, ""))
+            server.send_message(event.client, Answer(1, ""))
         assert server.poll() == [ClientGone(event.client)]
 
 
-def test_a_flood_does_not_stop_the_caller(server: Server, path: Path) -> None:
+def test_a_flood_does_not_stop_the_caller(server: ExecutorServer, path: Path) -> None:
     with connected(path) as client:
         client.setblocking(False)
         sent = 0
@@ -142,8 +145,8 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def timed(path: Path, clock: Clock) -> Iterator[Server]:
-    server = Server(path, clock)
+def timed(path: Path, clock: Clock) -> Iterator[ExecutorServer]:
+    server = ExecutorServer(path, clock)
     yield server
     server.close()
 
@@ -156,16 +159,16 @@ def is_open(client: socket.socket) -> bool:
         return True
 
 
-def halted(server: Server, path: Path, role: str = "operator") -> bool:
+def halted(server: ExecutorServer, path: Path, role: str = "operator") -> bool:
     """Whether a new client of a role is heard."""
     with connected(path) as client:
         server.poll()
-        client.send(encode(Hello(1, role, "")))
-        client.send(encode(Halt(1)))
-        return [e.message for e in server.poll() if isinstance(e, FromClient)] == [Hello(1, role, ""), Halt(1)]
+        client.send(encode(Hello(VERSION, role, "")))
+        client.send(encode(Stop(1)))
+        return [e.message for e in server.poll() if isinstance(e, FromClient)] == [Hello(VERSION, role, ""), Stop(1)]
 
 
-def test_silent_connections_keep_nobody_out(timed: Server, path: Path) -> None:
+def test_silent_connections_keep_nobody_out(timed: ExecutorServer, path: Path) -> None:
     silent = []
     for _ in range(100):
         silent.append(connected(path))
@@ -175,11 +178,11 @@ def test_silent_connections_keep_nobody_out(timed: Server, path: Path) -> None:
     assert halted(timed, path, "planner")
 
 
-def test_operators_keep_neither_operators_nor_the_planner_out(timed: Server, path: Path) -> None:
+def test_operators_keep_neither_operators_nor_the_planner_out(timed: ExecutorServer, path: Path) -> None:
     operators = []
     for _ in range(100):
         operators.append(connected(path))
-        operators[-1].send(encode(Hello(1, "operator", "")))
+        operators[-1].send(encode(Hello(VERSION, "operator", "")))
         timed.poll()
     assert sum(map(is_open, operators)) == PLACES["operator"]
     assert is_open(operators[-1])
@@ -187,10 +190,10 @@ def test_operators_keep_neither_operators_nor_the_planner_out(timed: Server, pat
     assert halted(timed, path, "planner")
 
 
-def test_who_says_nothing_in_time_is_closed(timed: Server, path: Path, clock: Clock) -> None:
+def test_who_says_nothing_in_time_is_closed(timed: ExecutorServer, path: Path, clock: Clock) -> None:
     with connected(path) as silent, connected(path) as wrong, connected(path) as client:
         wrong.send(encode(Alive()))
-        client.send(encode(Hello(1, "operator", "")))
+        client.send(encode(Hello(VERSION, "operator", "")))
         timed.poll()
         clock.now += 0.9 * HELLO_TIMEOUT
         timed.poll([])
@@ -200,23 +203,23 @@ def test_who_says_nothing_in_time_is_closed(timed: Server, path: Path, clock: Cl
         assert [is_open(it) for it in (silent, wrong, client)] == [False, False, True]
 
 
-def test_a_loop_that_was_late_hears_a_hello_before_it_judges(timed: Server, path: Path, clock: Clock) -> None:
+def test_a_loop_that_was_late_hears_a_hello_before_it_judges(timed: ExecutorServer, path: Path, clock: Clock) -> None:
     with connected(path) as client:
         timed.poll()
-        client.send(encode(Hello(1, "operator", "")))
+        client.send(encode(Hello(VERSION, "operator", "")))
         clock.now += 60.0
         (event,) = timed.poll([])
         assert isinstance(event, FromClient)
         assert is_open(client)
 
 
-def test_who_does_not_read_its_goodbye_is_closed_in_time(timed: Server, path: Path, clock: Clock) -> None:
+def test_who_does_not_read_its_goodbye_is_closed_in_time(timed: ExecutorServer, path: Path, clock: Clock) -> None:
     with connected(path) as client:
-        client.send(encode(Hello(1, "planner", "")))
+        client.send(encode(Hello(VERSION, "planner", "")))
         (event,) = timed.poll()
         while not timed.waiting:
-            timed.send(event.client, TELEMETRY)
-        timed.send(event.client, Goodbye("no"))
+            timed.send_message(event.client, TELEMETRY)
+        timed.send_message(event.client, Goodbye("no"))
         clock.now += HELLO_TIMEOUT
         assert timed.poll([]) == [ClientGone(event.client)]
 
@@ -224,14 +227,14 @@ def test_who_does_not_read_its_goodbye_is_closed_in_time(timed: Server, path: Pa
 def test_the_process_with_the_most_connections_gives_way() -> None:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
-        connections = [Connection(k, ours, 0.0) for k in range(PLACES["silent"] + 2)]
+        connections = [ClientConnection(k, ours, 0.0) for k in range(PLACES["silent"] + 2)]
         for k, connection in enumerate(connections):
-            connection.client = Client(k, 4000 + (k > 0))
+            connection.client = ClientId(k, 4000 + (k > 0))
         assert list(superfluous(connections)) == connections[1:3]
 
 
 def test_a_flood_of_connections_writes_few_lines(
-    timed: Server, path: Path, clock: Clock, caplog: pytest.LogCaptureFixture
+    timed: ExecutorServer, path: Path, clock: Clock, caplog: pytest.LogCaptureFixture
 ) -> None:
     for k in range(200):
         with connected(path) as client:
@@ -242,16 +245,16 @@ def test_a_flood_of_connections_writes_few_lines(
     assert "warnings like this were not written" in caplog.text
 
 
-def test_a_second_executor_hears_who_the_first_is(server: Server, path: Path) -> None:
+def test_a_second_executor_hears_who_the_first_is(server: ExecutorServer, path: Path) -> None:
     with pytest.raises(SocketInUse, match=f"running on {path}, process {os.getpid()}"):
-        Server(path)
+        ExecutorServer(path)
 
 
 def test_a_stale_socket_is_replaced(path: Path) -> None:
     path.parent.mkdir()
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as old:
         old.bind(str(path))
-    server = Server(path)
+    server = ExecutorServer(path)
     assert stat.S_IMODE(path.stat().st_mode) == 0o660
     server.close()
     assert not path.exists()
@@ -269,7 +272,7 @@ def test_where_sockets_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
     assert default_socket("a") == tmp_path / "own/a.sock"
     assert socket_path(tmp_path, "a") == tmp_path / "a.sock"
     assert socket_path(tmp_path / "b.sock", "a") == tmp_path / "b.sock"
-    server = Server(tmp_path / "run" / "b.sock")
+    server = ExecutorServer(tmp_path / "run" / "b.sock")
     (tmp_path / "run" / "c.sock").touch()
     assert found_sockets() == [tmp_path / "run" / "b.sock"]
     server.close()
@@ -283,7 +286,7 @@ def test_sockets_of_instances_are_found(monkeypatch: pytest.MonkeyPatch, tmp_pat
     paths = [tmp_path / "arms" / instance / f"{instance}-arm.sock" for instance in ("left", "right")]
     for path in paths:
         path.parent.mkdir(parents=True)
-    servers = [Server(path) for path in paths]
+    servers = [ExecutorServer(path) for path in paths]
     assert found_sockets() == paths
     assert [default_socket("left-arm"), default_socket("right-arm")] == paths
     assert default_socket("third") == tmp_path / "user/hyperbit/third.sock"

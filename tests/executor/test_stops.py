@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core.core import PERIOD
-from controller.executor.core.events import Quit
+from controller.executor.core.events import TICK
 from controller.executor.motion.actuation import BUSY_FOR
-from controller.program import Answer, Cancel, Ended, Halt, Reset
+from controller.host.process import Quit
+from controller.program import Answer, Cancel, Ended, Reset, Stop
 from tests.executor.rig import CAN, TRAVEL, Rig, ready
 
 A, B = 0b000111, 0b011100
@@ -23,14 +23,14 @@ def answers(rig: Rig) -> list[str]:
     return [answer.message for answer in rig.of(Answer)]
 
 
-@pytest.mark.parametrize(("request_", "answer"), [(Halt(1), STOPPED), (Cancel(1, None, ""), CANCELED)])
-def test_a_commit_whose_rpdos_wait_is_given_up_at_once(rig: Rig, request_: Halt | Cancel, answer: str) -> None:
+@pytest.mark.parametrize(("request_", "answer"), [(Stop(1), STOPPED), (Cancel(1, None, ""), CANCELED)])
+def test_a_commit_whose_rpdos_wait_is_given_up_at_once(rig: Rig, request_: Stop | Cancel, answer: str) -> None:
     rig.master.slow_rpdos = True
     rig.run(A)
     rig.send(request_)
     assert (answers(rig), rig.results, rig.last(Ended).switches) == (
         [answer],
-        [(1, "aborted" if isinstance(request_, Halt) else "canceled")],
+        [(1, "aborted" if isinstance(request_, Stop) else "canceled")],
         0,
     )
     rig.master.slow_rpdos = False
@@ -41,16 +41,16 @@ def test_a_commit_whose_rpdos_wait_is_given_up_at_once(rig: Rig, request_: Halt 
 @pytest.mark.parametrize(
     ("request_", "answer"),
     [
-        (Halt(1), "stopped; 3 switches were under way; the arm holds until reset"),
+        (Stop(1), "stopped; 3 switches were under way; the arm holds until reset"),
         (Cancel(1, None, ""), "canceled; 3 switches were under way"),
     ],
 )
-def test_the_answer_waits_for_a_sync_that_was_handed_out(rig: Rig, request_: Halt | Cancel, answer: str) -> None:
+def test_the_answer_waits_for_a_sync_that_was_handed_out(rig: Rig, request_: Stop | Cancel, answer: str) -> None:
     rig.master.slow_sync = True
     rig.run(A)
     rig.send(request_)
-    assert (answers(rig), rig.mode) == ([], "stopped" if isinstance(request_, Halt) else "ready")
-    rig.go(3 * PERIOD)
+    assert (answers(rig), rig.mode) == ([], "stopped" if isinstance(request_, Stop) else "ready")
+    rig.go(3 * TICK)
     assert (answers(rig), rig.results) == ([], [])
     rig.master.leave(rig.now)
     rig.do(CAN)
@@ -60,7 +60,7 @@ def test_the_answer_waits_for_a_sync_that_was_handed_out(rig: Rig, request_: Hal
 def test_a_bus_that_stands_still_does_not_delay_the_answer_for_ever(rig: Rig) -> None:
     rig.master.slow_sync = True
     rig.run(A)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     asked = rig.now
     while not answers(rig):
         rig.go()
@@ -72,8 +72,8 @@ def test_a_bus_that_stands_still_does_not_delay_the_answer_for_ever(rig: Rig) ->
 def test_each_stop_is_answered_once(rig: Rig) -> None:
     rig.master.slow_sync = True
     rig.run(A)
-    rig.send(Halt(1))
-    rig.send(Halt(2))
+    rig.send(Stop(1))
+    rig.send(Stop(2))
     rig.master.slow_sync = False
     rig.go(0.5)
     assert [answer.request for answer in rig.of(Answer)] == [1, 2]
@@ -82,7 +82,7 @@ def test_each_stop_is_answered_once(rig: Rig) -> None:
 def test_a_stop_is_answered_before_the_executor_ends(rig: Rig) -> None:
     rig.master.slow_sync = True
     rig.run(A)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     rig.do(Quit())
     rig.do(Quit())
     assert len(answers(rig)) == 1
@@ -92,13 +92,13 @@ def test_a_reset_boots_when_nothing_is_under_way_any_more() -> None:
     rig = ready(sensed=0)
     rig.master.slow_sync = True
     rig.run(A)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     booted = rig.master.booted
     rig.send(Reset(2))
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert (rig.master.booted, rig.mode) == (booted, "starting")
     rig.master.slow_sync = False
-    rig.go(4 * PERIOD)
+    rig.go(4 * TICK)
     assert (rig.master.booted, rig.mode) == (booted + 1, "ready")
     rig.go(TRAVEL)
     rig.run(B)
@@ -114,7 +114,7 @@ def test_a_commit_given_up_is_no_sign_of_a_busy_bus(rig: Rig) -> None:
     rig.go(2 * BUSY_FOR)
     rig.master.busy = True
     rig.run(B)
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert rig.mode == "executing"
     rig.master.busy = False
     rig.go(0.3)
@@ -123,7 +123,7 @@ def test_a_commit_given_up_is_no_sign_of_a_busy_bus(rig: Rig) -> None:
 
 def test_no_sentence_promises_the_safety_of_an_emergency_stop(rig: Rig) -> None:
     rig.run(A, B)
-    rig.send(Halt(1))
+    rig.send(Stop(1))
     assert (rig.last(Ended).message, rig.reason) == (
         "stopped; the arm holds",
         "a stop was requested; the arm holds until reset",
@@ -137,7 +137,7 @@ def test_cancels_of_one_program_may_share_a_number_and_bar_nothing_else(rig: Rig
     for program in (2, 1, 1):
         rig.send(Cancel(0, program, "off its path"))
     rig.master.slow_sync = False
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert {answer.request for answer in rig.of(Answer)} == {0}
     assert answers(rig) == [
         "program 2 is not running",
@@ -150,11 +150,11 @@ def test_cancels_of_one_program_may_share_a_number_and_bar_nothing_else(rig: Rig
 def test_requests_of_number_zero_that_wait_are_all_answered(rig: Rig) -> None:
     rig.master.slow_sync = True
     rig.run(A)
-    for request in (Cancel(0, 1, ""), Cancel(0, None, ""), Halt(0)):
+    for request in (Cancel(0, 1, ""), Cancel(0, None, ""), Stop(0)):
         rig.send(request)
     assert answers(rig) == []
     rig.master.slow_sync = False
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert [answer.request for answer in rig.of(Answer)] == [0, 0, 0]
     rig.send(Reset(0))
     assert rig.last(Answer).message == "resetting; the mode will be ready, or fault with the reason"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core.events import Quit
-from controller.program import Accepted, Answer, Cancel, Ended, Halt, Reset, Snapshot, unpack
+from controller.host.process import Quit
+from controller.program import Accepted, Answer, Cancel, Ended, Reset, Snapshot, Stop, unpack
 from drivers.canopen.wire import cia301
 from drivers.canopen.wiring import Interlock
 from drivers.simulation.variants import VARIANTS
@@ -76,7 +76,7 @@ def finish(world: World) -> None:
     assert world.journal.counts == world.boards.switches()
 
 
-REQUESTS = {"stop": Halt(9), "cancel": Cancel(9, None, "")}
+REQUESTS = {"stop": Stop(9), "cancel": Cancel(9, None, "")}
 
 
 @pytest.mark.parametrize("sent", range(FRAMES))
@@ -157,7 +157,7 @@ def test_a_pulse_that_ends_moves_nothing_of_what_boards_have_latched(late: float
     world.run(2, A ^ 1, A ^ 1 ^ C, step=late)
     world.go(late)
     slow_down(world)
-    world.send(Halt(9))
+    world.send(Stop(9))
     world.go(0.1)
     driven = world.driven
     world.go(0.5)

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from controller.executor.core.core import PERIOD
+from controller.executor.core.events import TICK
 from controller.executor.motion.clearance import ANSWER_WITHIN
 from controller.program import Clearance, Ended, Question, Replaced, Replacement, Stage, pack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
@@ -128,7 +128,7 @@ def test_a_set_point_is_followed_stage_by_stage(rig: Rig) -> None:
     rig.follow(1, A)
     assert (rig.switched, rig.mode, rig.reason) == ([A], "executing", "following a setpoint")
     rig.follow(1, B)
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert rig.switched == [A], "the last has not settled"
     rig.go(0.1)
     assert rig.switched == [A, B]

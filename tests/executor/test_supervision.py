@@ -2,7 +2,7 @@
 
 import pytest
 
-from controller.executor.core.core import PERIOD
+from controller.executor.core.events import TICK
 from controller.program import Ended, Reset
 from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
 
@@ -21,9 +21,9 @@ def codes(rig: Rig) -> list[tuple[str, str]]:
 def test_an_actuator_that_does_not_arrive_is_stuck_after_its_board_has_answered(rig: Rig) -> None:
     rig.master.stuck = 1
     rig.run(0b000111)
-    rig.go(TRAVEL + MARGIN - PERIOD)
+    rig.go(TRAVEL + MARGIN - TICK)
     assert rig.mode != "fault"
-    rig.go(4 * PERIOD)
+    rig.go(4 * TICK)
     assert (rig.mode, rig.results) == ("fault", [(1, "aborted")])
     assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
     assert "did not become extended within 0.08 s; its end-stop does not read extended" in rig.last(Ended).message
@@ -33,7 +33,7 @@ def test_an_actuator_that_does_not_arrive_is_stuck_after_its_board_has_answered(
 def test_a_lost_message_of_an_end_stop_is_made_up_for_by_the_question(rig: Rig) -> None:
     rig.master.stuck, rig.master.answers = 1, False
     rig.run(1)
-    rig.go(TRAVEL + MARGIN + 2 * PERIOD)
+    rig.go(TRAVEL + MARGIN + 2 * TICK)
     assert (rig.mode, rig.master.questioning(0)) == ("executing", True)
     rig.master.inputs |= 1  # the answer tells
     rig.master.answers = True
@@ -47,16 +47,16 @@ def test_an_actuator_is_stuck_also_after_a_question_that_times_out(rig: Rig) -> 
     rig.go(0.2)
     assert rig.mode != "fault"
     rig.master.answers = True
-    rig.go(3 * PERIOD)
+    rig.go(3 * TICK)
     assert rig.mode == "fault"
 
 
 def test_a_stall_of_the_executor_is_no_delay_of_an_actuator(rig: Rig) -> None:
     rig.master.stuck = 1
     rig.run(1)
-    rig.go(PERIOD)
+    rig.go(TICK)
     rig.agenda.run(0.3)
-    rig.go(PERIOD)
+    rig.go(TICK)
     assert rig.mode != "fault"
     rig.master.inputs |= 1
     rig.go(0.1)
@@ -83,7 +83,7 @@ def test_an_actuator_toggled_at_every_transition_that_never_arrives_is_found(rig
     while rig.mode != "fault" and commands < 20:
         commands += 1
         rig.run(rig.master.outputs ^ 1, step=1)
-        rig.go(TRAVEL + PERIOD)
+        rig.go(TRAVEL + TICK)
     assert 5 <= commands <= 8, "after the third that was missed: every other one is"
     assert "missed 3 commands" in rig.reason
 
@@ -91,7 +91,7 @@ def test_an_actuator_toggled_at_every_transition_that_never_arrives_is_found(rig
 def test_an_actuator_toggled_as_fast_that_arrives_is_not_stuck(rig: Rig) -> None:
     for _ in range(20):
         rig.run(rig.master.outputs ^ 1, step=1)
-        rig.go(TRAVEL + PERIOD)
+        rig.go(TRAVEL + TICK)
     assert rig.mode != "fault"
 
 
@@ -118,7 +118,7 @@ def test_a_contact_that_bounces_is_no_fault(rig: Rig) -> None:
         rig.master.inputs ^= 0b000010
         rig.go()
         rig.master.inputs ^= 0b000010
-        rig.go(2 * PERIOD)
+        rig.go(2 * TICK)
     assert (rig.mode, codes(rig)) == ("ready", [])
     rig.run(ALL)
     rig.go(0.3)
@@ -129,7 +129,7 @@ def test_without_end_stops_only_the_travel_time_tells() -> None:
     rig = ready(sensed=0)
     rig.run(ALL)
     assert rig.core.motion.moving
-    rig.go(TRAVEL + PERIOD)
+    rig.go(TRAVEL + TICK)
     assert not rig.core.motion.moving
     rig.go(0.2)
     assert (rig.mode, rig.results, rig.master.questions) == ("ready", [(1, "done")], [])
@@ -138,7 +138,7 @@ def test_without_end_stops_only_the_travel_time_tells() -> None:
 def test_a_lost_board_ends_the_motions_of_its_actuators(rig: Rig) -> None:
     rig.master.stuck = 1
     rig.run(1)
-    rig.go(PERIOD)
+    rig.go(TICK)
     rig.master.known = 0b111000
     rig.go(0.2)
     assert not rig.core.motion.moving
@@ -198,7 +198,7 @@ def test_a_retraction_takes_its_travel_time_though_its_end_stop_has_opened(rig: 
     rig.run(1)
     rig.go(0.2)
     rig.run(0)
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert rig.master.inputs & 1 == 0
     assert rig.core.motion.moving
     rig.go(TRAVEL)
@@ -220,9 +220,9 @@ def test_each_direction_has_its_own_time() -> None:
     rig.go(0.4)  # what an executor before has switched would have settled
     for states, time in ((1, 0.1), (0, 0.4)):
         rig.run(states)
-        rig.go(time - PERIOD)
+        rig.go(time - TICK)
         assert rig.core.motion.moving
-        rig.go(2 * PERIOD)
+        rig.go(2 * TICK)
         assert not rig.core.motion.moving
         rig.go(0.1)
     assert rig.results == [(1, "done"), (2, "done")]
@@ -233,13 +233,13 @@ def test_both_end_stops_at_once_are_a_fault_of_their_own_after_the_board_was_ask
     rig = ready(channel=BOTH)
     if moving:
         rig.run(1)
-        rig.go(PERIOD)
+        rig.go(TICK)
     rig.master.answers = False
     rig.master.inputs |= 1 | far(0)
-    rig.go(4 * PERIOD)
+    rig.go(4 * TICK)
     assert rig.mode != "fault"
     rig.master.answers = True
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert (rig.mode, codes(rig)) == ("fault", [("end-stops", "1.left (can0/1 output 0)")])
     rig.send(Reset(1))
     rig.go(0.2)
@@ -254,7 +254,7 @@ def test_both_end_stops_for_an_instant_are_none() -> None:
     rig = ready(channel=BOTH)
     rig.master.answers = False
     rig.master.inputs |= 1
-    rig.go(PERIOD)
+    rig.go(TICK)
     rig.master.inputs &= ~1
     rig.master.answers = True
     rig.go(0.2)
@@ -265,7 +265,7 @@ def test_both_end_stops_for_an_instant_are_none() -> None:
 def test_leaving_an_end_unasked_is_a_fault(lines: int, words: str) -> None:
     rig = ready(channel=BOTH)
     rig.master.inputs = rig.master.inputs & ~far(0) | lines
-    rig.go(2 * PERIOD)
+    rig.go(2 * TICK)
     assert codes(rig) == [("unexpected-motion", "1.left (can0/1 output 0)")]
     assert words in rig.reason
 
@@ -274,7 +274,7 @@ def test_a_single_end_stop_at_the_contracted_end_is_used() -> None:
     rig = ready(channel=BOTH, sensed=0)
     rig.run(1)
     rig.go(0.2)
-    assert (rig.results, rig.core.motion.measured) == ([(1, "done")], 1)
+    assert (rig.results, rig.core.motion.readings.measured) == ([(1, "done")], 1)
     rig.master.stuck = 1
     rig.run(0)
     rig.go(0.2)

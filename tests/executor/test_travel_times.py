@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 
 from controller.executor.core.core import Executor
-from controller.executor.core.events import FromClient, Send, Tick, ToClient
+from controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
 from controller.executor.core.kinds import Ends
 from controller.executor.motion.travel_times import TravelTimes
 from controller.executor.process.embedded_boards import EmbeddedBoards
 from controller.executor.process.switch_journal import MemoryJournal
-from controller.program import Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
+from controller.program import VERSION, Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
 from drivers.simulation.buses import _LEAST_PULSE
 from tests.executor.rig import PLANNER, SIZE, small_arm
 from tests.executor.world import STEP, World, ready
@@ -70,18 +70,18 @@ def test_boards_inside_an_executor_that_stalls_give_their_own_times(lateness: fl
 
     def do(event: Any) -> None:
         for action in core.step(event, now):
-            if isinstance(action, Send):
-                boards.send(action.bus, action.frame, now)
+            if isinstance(action, SendFrame):
+                boards.send_frame(action.bus, action.frame, now)
             elif isinstance(action, ToClient):
                 heard.append(action.message)
 
-    do(FromClient(PLANNER, Hello(1, "planner", "small")))
+    do(FromClient(PLANNER, Hello(VERSION, "planner", "small")))
     for k in range(1000):
         now += 0.003 if k % 10 else 0.003 + lateness
         for event in boards.poll(now):
             do(event)
         do(FromClient(PLANNER, Alive()))
-        do(Tick())
+        do(ExecutorTick())
         snapshot = next(message for message in reversed(heard) if isinstance(message, Snapshot))
         if k == 500:
             assert snapshot.mode == "ready", snapshot.reason

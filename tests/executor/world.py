@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from random import Random
 from typing import Any
 
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Client, ClientGone, Event, FromClient
-from controller.program import Alive, Hello, Program, Snapshot, Stage, Up, pack
+from controller.executor.core.core import Executor
+from controller.executor.core.events import TICK, ClientGone, ClientId, Event, FromClient
+from controller.program import VERSION, Alive, Hello, Program, Snapshot, Stage, Up, pack
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.simulation.variants import Variant
@@ -50,7 +50,7 @@ class World(Hardware, Witness):
 
     def connect(self) -> None:
         """Connects the planner, which then keeps itself alive."""
-        self.send(Hello(1, "planner", "small"))
+        self.send(Hello(VERSION, "planner", "small"))
 
     def leave(self) -> None:
         """Closes the planner's connection."""
@@ -83,7 +83,7 @@ class World(Hardware, Witness):
     def _keep_alive(self) -> None:
         if self.has_planner:
             self.executor.hear(PLANNER, FromClient(PLANNER, Alive()))
-        self.agenda.after(PERIOD, self._keep_alive)
+        self.agenda.after(TICK, self._keep_alive)
 
     # --- what comes out
 
@@ -126,7 +126,7 @@ class World(Hardware, Witness):
     def logs(self, level: int, text: str) -> None:
         self.logged.append(text)
 
-    def _hear(self, client: Client, message: Up) -> None:
+    def _hear(self, client: ClientId, message: Up) -> None:
         self.heard.append((self.now, message))
 
     def _to_executor(self, event: Event) -> None:

@@ -8,13 +8,13 @@ import can
 
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.events import Event
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 
 class Decoder(CanBus):
     """Makes events of python-can's messages as the executor's bus does."""
 
-    def __init__(self, settings: BusSettings) -> None:
+    def __init__(self, settings: BusWiring) -> None:
         super().__init__(settings)
         self._message: can.Message | None = None
         self.open()

@@ -8,7 +8,7 @@ import struct
 import can
 from hypothesis import strategies as st
 
-from controller.program import Cancel, Halt, Reset
+from controller.program import Cancel, Reset, Stop
 from drivers.canopen.wire.cia301 import Frame
 from drivers.simulation.actuator import Actuator
 from drivers.simulation.firmware import SimulatedBoard, Wired
@@ -67,7 +67,7 @@ class Boards:
                     world.program(*(body[k] & 0x3F for k in range(1 + length % 4)))
                     world.go(1)
                 case 0xF6:
-                    world.send(Halt(1) if number % 2 else Cancel(1, None, "canceled"))
+                    world.send(Stop(1) if number % 2 else Cancel(1, None, "canceled"))
                     world.go(1)
                 case 0xF7 | 0xF8:
                     world.send(Reset(1))

@@ -10,6 +10,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from controller.arm.arm import load
+from controller.armfile.settings import MOST_OBSTACLES
 from controller.armfile.strict import InputFaults
 from controller.commands.common import parse_goal
 from controller.executor.core.arm import read_arm
@@ -17,14 +18,14 @@ from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.decoding import goal, requests, setpoint
 from controller.motion.stages.pacing import Pace
 from controller.motion.tracking import bias
-from controller.obstacles.notation import MOST
+from controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
+from controller.refusals.refusal import LONGEST_SENTENCE, Refusal
 from tests.fuzz.requests import NOW
 
-LONGEST = 2 * goal.LONGEST_SENTENCE + 100  # characters of a refusal; half pairs of surrogates take six to write
+LONGEST = 2 * LONGEST_SENTENCE + 100  # characters of a refusal; half pairs of surrogates take six to write
 
 
 def told(sentence: str) -> None:
@@ -111,14 +112,14 @@ def read_obstacles(data: bytes) -> int:
         except Refusal as error:
             told(str(error))
             continue
-        assert len(it) == len(it.kinds) == len(it.axes) == len(it.centres) == len(it.sizes) <= MOST
+        assert len(it) == len(it.kinds) == len(it.axes) == len(it.centres) == len(it.sizes) <= MOST_OBSTACLES
         assert np.isfinite(it.depths([[0.0, 0.0, 0.0], [0.5, -3.0, 0.0]])).all()
         assert all(it.names)
     return 2
 
 
 def arm_of(*states: int) -> Manipulator:
-    """An arm whose modules have so many states."""
+    """An arm with one module for each number of states."""
     return Manipulator([transforms([frames.planar(k, 1) for k in range(n)], planar=True) for n in states])
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from controller.executor.core.events import Log
+from controller.host.process import Log
 from controller.program import Setpoint, pack
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame

@@ -11,14 +11,14 @@ from typing import Literal
 
 import can
 
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Client, ClientGone, Event, FromClient
-from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Halt, Hello, Lock, Program, Reset, Stage, Up, pack
+from controller.executor.core.core import Executor
+from controller.executor.core.events import TICK, ClientGone, ClientId, Event, FromClient
+from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Hello, Lock, Program, Reset, Stage, Stop, Up, pack
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Ignored, Received
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wire.events import FrameIgnored, FrameReceived
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.executor.rig import LABELS, SIZE, small_arm
 from tests.fuzz.decoder import Decoder
 from tests.fuzz.judge import Judge, Moved, Wedged
@@ -29,7 +29,7 @@ from tests.simulation.process import WAKE_UP, ExecutorProcess, Witness
 NODES = (5, 9)
 TRAVEL = 0.02
 TIMING = Timing(heartbeat=0.02, heartbeat_timeout=0.07, boot_timeout=0.1, travel_time=TRAVEL)
-BUS = BusSettings("can0", "virtual", "fuzz")
+BUS = BusWiring("can0", "virtual", "fuzz")
 CHANNELS = tuple(
     Channel(label, "can0", NODES[k // 3], k % 3, None if k == 5 else k % 3) for k, label in enumerate(LABELS)
 )
@@ -37,7 +37,7 @@ RPDOS = tuple(cia301.RPDO1 + node for node in NODES)
 TPDOS = tuple(cia301.TPDO1 + node for node in NODES)
 # What boards obey, whoever sends it.
 COMMANDS = {cia301.NMT, cia301.SYNC, *RPDOS, *(cia301.SDO_REQUEST + node for node in NODES)}
-PLANNER, OPERATOR = Client(1, 4001), Client(2, 4002)
+PLANNER, OPERATOR = ClientId(1, 4001), ClientId(2, 4002)
 
 
 HEARD_WITHIN = cia301.wire_bits(8) / BUS.bitrate + WAKE_UP  # [s], from a frame on the free bus to its end
@@ -64,7 +64,7 @@ class World(Hardware, Witness):
         self._answers: list[tuple[int, int, bytes]] = []
         self._booting = False
         self._event: Event | None = None
-        self._turned_away: list[Client] = []
+        self._turned_away: list[ClientId] = []
         self.executor = ExecutorProcess(self.arm, self.agenda, self._random, self.buses, self)
         self.executor.connect(self._hear, lambda: None)
         self.executor.start()
@@ -86,7 +86,7 @@ class World(Hardware, Witness):
 
     def told(self, event: Event) -> None:
         self._end_event()
-        self._event, self._before = event, (self.master._network.measured, self.master.known)
+        self._event, self._before = event, (self.core.motion.readings.read, self.master.known)
         self.judge.begin()
         if isinstance(event, FromClient) and event.client == PLANNER:
             self.judge.proposed(event.message)
@@ -96,10 +96,10 @@ class World(Hardware, Witness):
         event, self._event = self._event, None
         if event is None:
             return
-        measured, known = self.master._network.measured, self.master.known
-        if isinstance(event, Ignored) and (measured, known) != self._before:
+        measured, known = self.core.motion.readings.read, self.master.known
+        if isinstance(event, FrameIgnored) and (measured, known) != self._before:
             raise AssertionError(f"taken for the state of a board: {event}")
-        wrong_length = isinstance(event, Received) and event.frame.id in TPDOS and len(event.frame.data) != 1
+        wrong_length = isinstance(event, FrameReceived) and event.frame.id in TPDOS and len(event.frame.data) != 1
         if wrong_length and measured != self._before[0]:
             raise AssertionError(f"taken for inputs: {event}")
         self.boots += self.master.booting and not self._booting
@@ -114,7 +114,7 @@ class World(Hardware, Witness):
         self.last = text
         assert "internal error" not in text, text
 
-    def _hear(self, client: Client, message: Up) -> None:
+    def _hear(self, client: ClientId, message: Up) -> None:
         if isinstance(message, Goodbye):
             self._turned_away.append(client)
         elif client == PLANNER:
@@ -124,20 +124,20 @@ class World(Hardware, Witness):
 
     def go(self, ticks: int = 1) -> None:
         """Advances the time of all parts by a number of periods."""
-        self.agenda.run(ticks * PERIOD)
+        self.agenda.run(ticks * TICK)
         self._end_event()
 
     def _keep_alive(self) -> None:
         self.executor.hear(PLANNER, FromClient(PLANNER, Alive()))
-        self.agenda.after(PERIOD, self._keep_alive)
+        self.agenda.after(TICK, self._keep_alive)
 
     # --- the planner
 
-    def _greet(self, client: Client) -> None:
+    def _greet(self, client: ClientId) -> None:
         role: Literal["planner", "operator"] = "planner" if client == PLANNER else "operator"
         self.executor.hear(client, FromClient(client, Hello(VERSION, role, self.arm.name)))
 
-    def send(self, message: Down, client: Client = PLANNER) -> None:
+    def send(self, message: Down, client: ClientId = PLANNER) -> None:
         """Sends a message of a client, which connects again after a refusal. An operator may send no program."""
         self.executor.hear(client, FromClient(client, message))
         self.agenda.run(WAKE_UP)
@@ -161,10 +161,10 @@ class World(Hardware, Witness):
         """Sends a frame of the intruder to the executor and to the boards."""
         standard = not (it.is_extended_id or it.is_remote_frame or it.is_error_frame or it.is_fd)
         events = self._decoder.decode(it)
-        if standard != any(isinstance(event, Received) for event in events):
+        if standard != any(isinstance(event, FrameReceived) for event in events):
             raise AssertionError(f"taken for {events}: {it}")
         for event in events:
-            if isinstance(event, Received):
+            if isinstance(event, FrameReceived):
                 self.dirty |= event.frame.id in COMMANDS
                 self.buses["can0"].from_other(event.frame)
             else:
@@ -229,7 +229,7 @@ class World(Hardware, Witness):
         for k in range(SIZE):
             self.send(Lock(2, k, -1))
         if self.core.modes.mode != "ready":
-            self.send(Halt(3))
+            self.send(Stop(3))
             self.send(Reset(4))
             self.go(15)
         self.judge.clear()

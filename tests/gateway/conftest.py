@@ -13,12 +13,13 @@ import zenoh
 from controller.gateway.arrivals import RepeatedGoals, Reply
 from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import Server
-from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.decoding.goal import GoalMessage, parse
 from controller.network import session
 from controller.network.client import Client
 from controller.planning.core.events import LockMessage, Message, Payload, SetpointArrived, TipArrived, done, refused
 from controller.planning.planner import decode_cancel
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 from tests.waiting import PATIENCE, eventually
 
 ARM = "a"
@@ -57,7 +58,7 @@ class FakePlanner:
             case "jog" if payload == b'"a defect"':
                 raise RuntimeError("a defect")
             case "degrade" if payload == b"":
-                raise Refusal(INVALID_GOAL, "degrade is not JSON")
+                raise Refusal(Reason.NOT_JSON, what="degrade", error="nothing")
             case _:
                 return None
 
@@ -74,11 +75,11 @@ class FakePlanner:
             case "arm", _:
                 return {"limits": [], "running": None}
             case "goal", GoalMessage(id="far"):
-                return refused(-5, "out of reach", "far")
+                return refused(Refusal(Reason.OUT_OF_REACH), "far")
             case "goal", GoalMessage(id=known):
                 return {**done("accepted"), "id": known or "made-up"}
             case "degrade", _:
-                return refused(INVALID_GOAL, "no such actuator")
+                return refused(Refusal(Reason.UNKNOWN_ACTUATOR))
             case _:
                 return done(key)
 

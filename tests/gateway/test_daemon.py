@@ -21,14 +21,14 @@ from tests.waiting import PATIENCE, eventually
 RUN = """
 import sys
 import typer
-from controller.commands.common import Failed
+from controller.commands.common import CommandFailed
 from controller.commands.operate.run import run
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 app.command()(run)
 try:
     app()
-except Failed as error:
+except CommandFailed as error:
     sys.exit(f"failed: {error}")
 """
 EXECUTOR = "from controller.cli import main; main()"

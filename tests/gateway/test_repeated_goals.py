@@ -7,6 +7,8 @@ import pytest
 
 from controller.gateway.arrivals import MOST, REMEMBERED, RepeatedGoals, Reply
 from controller.planning.core.events import Payload, done, refused
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 GOAL = b'{"id": "a", "waypoints": []}'
 ANONYMOUS = b'{"waypoints": []}'
@@ -77,7 +79,7 @@ def test_a_goal_that_has_ended_may_be_sent_again_but_not_repeated(bench: Bench) 
 
 def test_a_refused_goal_may_be_sent_again(bench: Bench) -> None:
     bench.send(GOAL, b"7")
-    bench.planned[0][1](refused(-1, "busy", "a"))
+    bench.planned[0][1](refused(Refusal(Reason.BUSY), "a"))
     bench.send(GOAL, b"7")
     assert [answer["accepted"] for answer in bench.answers] == [False, False]
     bench.send(GOAL, b"8")

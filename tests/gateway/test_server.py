@@ -9,7 +9,9 @@ import zenoh
 
 from controller.gateway.arrivals import Rate
 from controller.gateway.server import MOST_REFUSALS, MOST_UNANSWERED, content
-from controller.planning.core.events import CancelMessage
+from controller.planning.core.events import CancelMessage, refused
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually
 
@@ -41,7 +43,7 @@ def test_a_put_that_names_its_key_is_carried_out_and_only_refusals_are_published
     if key == "degrade":
         eventually(lambda: results)
     gateway.reached()
-    refusal = {"id": None, "status": "refused", "accepted": False, "code": -1, "message": "no such actuator"}
+    refusal = {"id": None, "status": "refused", **refused(Refusal(Reason.UNKNOWN_ACTUATOR))}
     assert results == ([refusal] if key == "degrade" else [])
 
 

@@ -9,7 +9,7 @@ from controller.host import kernels
 
 WITHOUT = (  # what the planner's core and clients use
     *("controller.manipulator.frames", "controller.manipulator.locked", "controller.manipulator.notation"),
-    *("controller.motion.codes", "controller.motion.targets", "controller.motion.trajectory"),
+    *("controller.motion.targets", "controller.motion.trajectory"),
     *("controller.motion.decoding.goal", "controller.motion.decoding.setpoint"),
     *(f"controller.motion.stages.{name}" for name in ("feed", "program", "restaging")),
     *("controller.motion.tracking.bias", "controller.motion.tracking.tracking"),

@@ -21,12 +21,12 @@ def systemd(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.
 
 
 def test_an_assignment_goes_out_in_a_datagram(systemd: socket.socket) -> None:
-    Notifier().send("STATUS=ready: grün")
+    Notifier().notify("STATUS=ready: grün")
     assert systemd.recv(4096).decode() == "STATUS=ready: grün"
 
 
 def test_a_line_break_begins_no_assignment(systemd: socket.socket) -> None:
-    Notifier().send("STATUS=goal a\nMAINPID=1\r\udc80")
+    Notifier().notify("STATUS=goal a\nMAINPID=1\r\udc80")
     assert systemd.recv(4096) == b"STATUS=goal a MAINPID=1 ?"
 
 
@@ -41,18 +41,18 @@ def test_the_watchdogs_time_is_read(systemd: socket.socket, monkeypatch: pytest.
 
 def test_nobody_there_is_no_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
-    Notifier().send("READY=1")
+    Notifier().notify("READY=1")
     monkeypatch.delenv("NOTIFY_SOCKET")
     monkeypatch.setenv("WATCHDOG_USEC", "2000000")
     notifier = Notifier()
-    notifier.send("READY=1")
+    notifier.notify("READY=1")
     assert notifier.watchdog is None
 
 
 def test_a_full_socket_does_not_wait(systemd: socket.socket) -> None:
     notifier = Notifier()
     for _ in range(1000):
-        notifier.send("WATCHDOG=1")
+        notifier.notify("WATCHDOG=1")
     assert systemd.recv(4096) == b"WATCHDOG=1"
 
 

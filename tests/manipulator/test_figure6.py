@@ -5,7 +5,8 @@ import pytest
 from controller.manipulator import frames
 from controller.manipulator.notation import parse_configuration
 
-# Octal digits base first, then x, y and orientation as printed; but IPOP-previous, third target: a misprint, 0.039.
+# Octal digits base first, then x, y and orientation as printed. The printed error of IPOP-previous at the third
+# target, 0.039, is a misprint.
 FIGURE_6 = [
     ("4646676700771206", 3.000, 0.700, -1.621),
     ("0000045252516521", 0.550, 2.898, 0.039),

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from controller.motion.codes import Refusal
 from controller.motion.tracking.bias import AGREEING, TipBias, Tracker, decode
+from controller.refusals.refusal import Refusal
 
 TRACKER = Tracker(noise=1e-4, clamp=0.01, drift=1e-5, hold=60.0)
 SEEDS = st.integers(0, 2**32 - 1)
@@ -103,7 +103,7 @@ def test_a_message_is_read():
         ("[]", "measured tip: an object with `position` and `stamp` is needed"),
         ('{"position": [1, 2]}', "stamp: required, but missing"),
         ('{"stamp": 1}', "position: required, but missing"),
-        ('{"stamp": 1, "position": [1, 2, 3]}', "position: 3 coordinates, this arm's tip has 2"),
+        ('{"stamp": 1, "position": [1, 2, 3]}', "position: 3 coordinates, this arm's positions have 2"),
         ('{"stamp": 1, "position": [1, NaN]}', "position[1]: nan is not a finite number"),
         ('{"stamp": 1, "position": [1, 1e7]}', "position[1]"),
         ('{"stamp": 1, "position": [1, 2], "orientation": NaN}', "orientation"),

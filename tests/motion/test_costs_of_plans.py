@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.codes import Refusal
 from controller.motion.plans import point_by_point
 from controller.motion.plans.plan import TrajectoryPlan
 from controller.motion.plans.point_by_point import PointByPoint
@@ -20,6 +19,7 @@ from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import Trajectory, through
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.obstacles import NONE, sphere
+from controller.refusals.refusal import Refusal
 from controller.search.solution import EPSILON
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities

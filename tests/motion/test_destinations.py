@@ -10,7 +10,6 @@ from controller.arm.arm import Arm
 from controller.manipulator.locked import lock_actuators
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.motion.codes import Refusal
 from controller.motion.decoding.goal import GoalRules, parse, schedule
 from controller.motion.plans.lookahead import LookAhead
 from controller.motion.plans.point_by_point import PointByPoint
@@ -18,6 +17,7 @@ from controller.motion.plans.points import TrajectoryPoints
 from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import Trajectory
+from controller.refusals.refusal import Refusal
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 

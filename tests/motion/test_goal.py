@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from controller.manipulator import frames
-from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.decoding import goal as module
-from controller.motion.decoding.goal import LONGEST_SENTENCE, GoalRules, parse, parse_quickly, parse_strictly, schedule
+from controller.motion.decoding.goal import GoalRules, parse, parse_quickly, parse_strictly, schedule
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory
+from controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
+from controller.refusals.refusal import LONGEST_SENTENCE, Refusal
 from tests.motion.requests import json_values
 
 NOW = 1_800_000_000.0
@@ -64,7 +65,7 @@ REFUSED = {
     "unknown in the tolerance": (goal(tolerance={"angle": 1}), r"tolerance\.angle: unknown field; known are"),
     "three unknown": (goal(a=1, b=1, c=1, d=1, e=1), r"a: unknown.*; b: unknown.*; c: unknown.*\(and 2 more faults\)"),
     "field with no UTF-8": (b'{"\\ud800": 1}', r"\\ud800: unknown field"),
-    "long field": (goal(**{"x" * 100_000: 1}), r"^x{1000}\.\.\.$"),
+    "long field": (goal(**{"x" * 100_000: 1}), r"^x{997}\.\.\.$"),
     "field twice": (b'{"id": "a", "waypoints": [], "id": "b"}', "goal is not JSON: 'id' occurs twice in one object"),
     "text for a number": (one(t="1"), r"waypoints\[0\]\.t: Expected `float`, got `str` \(given: '1'\)"),
     "truth for a number": (one(t=True), r"waypoints\[0\]\.t: Expected `float`, got `bool`"),
@@ -96,7 +97,7 @@ REFUSED = {
     "enormous integer": (raw(b"1" + b"0" * 5000), "goal is not JSON: Exceeds the limit"),
     "one coordinate": (one(position=[1]), r"waypoints\[0\]\.position: Expected `array` of length >= 2"),
     "four coordinates": (one(position=[1, 2, 3, 4]), r"waypoints\[0\]\.position: Expected `array` of length <= 3"),
-    "spatial": (one(position=[1, 2, 3]), r"waypoints\[0\]\.position: 3 coordinates, this arm's goals have 2"),
+    "spatial": (one(position=[1, 2, 3]), r"waypoints\[0\]\.position: 3 coordinates, this arm's positions have 2"),
     "quaternion in the plane": (one(orientation=[0, 0, 0, 1]), r"\[0\]\.orientation: a planar arm's orientation is an"),
     "text for an orientation": (one(orientation="up"), r"\[0\]\.orientation: Expected `float \| array \| null`"),
     "orientation beyond all bounds": (one(orientation=1e9), r"\[0\]\.orientation: Expected `float` <= 1000000"),

@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.plans.point_by_point import PointByPoint
 from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import MOST_STAGES, Infeasible, Pace, Stager
 from controller.motion.stages.transition import build_transition
 from controller.motion.trajectory import through
+from controller.refusals.codes import INVALID_GOAL
+from controller.refusals.refusal import Refusal
 from tests.arms import paper_arm
 
 LEAD = 0.06

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.motion.codes import INVALID_GOAL, Refusal
-from controller.motion.decoding.goal import LONGEST_SENTENCE
 from controller.motion.decoding.setpoint import MOST_BYTES, TrackedSetpoint, decode
+from controller.refusals.codes import INVALID_GOAL
+from controller.refusals.refusal import LONGEST_SENTENCE, Refusal
 from tests.motion.requests import json_values
 
 
@@ -39,7 +39,7 @@ REFUSED = {
     "field twice": (b'{"position": [1, 2], "position": [3, 4]}', "setpoint is not JSON: 'position' occurs twice"),
     "field with no UTF-8": (b'{"\\ud800": 1}', r"\\ud800: unknown field"),
     "number with no UTF-8": (b'{"position": [1, "\\ud800"]}', r"position\[1\]: a lone surrogate is no text"),
-    "long field": (setpoint(**{"x" * 5_000: 1}), r"^x{1000}\.\.\.$"),
+    "long field": (setpoint(**{"x" * 5_000: 1}), r"^x{997}\.\.\.$"),
     "text for a number": (setpoint(position=["1", 2]), r"position\[0\]: Expected `float`, got `str` \(given: '1'\)"),
     "truth for a number": (setpoint(position=[1, True]), r"position\[1\]: Expected `float`, got `bool`"),
     "null for a number": (setpoint(stamp=None), "stamp: Expected `float`, got `null`"),
@@ -59,7 +59,7 @@ REFUSED = {
     "enormous integer": (b'{"position": [1, 1%s]}' % (b"0" * 5_000), "setpoint is not JSON: Exceeds the limit"),
     "one coordinate": (setpoint(position=[1]), "position: Expected `array` of length >= 2"),
     "four coordinates": (setpoint(position=[1, 2, 3, 4]), "position: Expected `array` of length <= 3"),
-    "spatial": (setpoint(position=[1, 2, 3]), "position: 3 coordinates, this arm's goals have 2"),
+    "spatial": (setpoint(position=[1, 2, 3]), "position: 3 coordinates, this arm's positions have 2"),
     "too large": (setpoint(x="x" * MOST_BYTES), r"setpoint of 100\d\d bytes, at most 10000 are accepted"),
     "deeply nested": (b"[" * 5_000 + b"]" * 5_000, "setpoint is not JSON: maximum recursion depth"),
 }  # fmt: skip
@@ -82,7 +82,7 @@ def test_nesting_of_any_depth_is_refused_by_a_sentence(field: bytes, depth: int)
 
 def test_an_arm_in_space_takes_three_coordinates() -> None:
     assert decode(setpoint(position=[1, 2, 3]), dimension=3, tolerance=0.002).position.tolist() == [1, 2, 3]
-    with pytest.raises(Refusal, match="position: 2 coordinates, this arm's goals have 3"):
+    with pytest.raises(Refusal, match="position: 2 coordinates, this arm's positions have 3"):
         decode(setpoint(), dimension=3, tolerance=0.002)
 
 

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.plans.point_by_point import PointByPoint
 from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages import stage_sequencer
@@ -18,6 +17,8 @@ from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.obstacles import box, sphere, together
 from controller.obstacles.sweep import Sweep
+from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
+from controller.refusals.refusal import Refusal
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, planar_frames

@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.tracking.goal_motion import tracking_of
 from controller.motion.tracking.tracking import GoalTracker, Tracking
+from controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
+from controller.refusals.refusal import Refusal
 from controller.search.solver import Solver
 
 NOW = 1_800_000_000.0
@@ -243,7 +244,7 @@ def test_what_is_not_finite_never_reaches_the_filter(value):
 
 @pytest.mark.parametrize("position", [(1,), (1, 2, 3), 1, [[1, 2]]])
 def test_a_wrong_dimension_is_refused(position):
-    assert "this arm's goals have shape (2,)" in refused(GoalTracker(2), None, NOW, position)[1]
+    assert "this arm's positions have 2" in refused(GoalTracker(2), None, NOW, position)[1]
 
 
 def test_wrong_parameters_are_refused_by_name():

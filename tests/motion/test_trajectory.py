@@ -8,13 +8,14 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.plans.lookahead import LookAhead
 from controller.motion.plans.point_by_point import PointByPoint
 from controller.motion.plans.points import TrajectoryPoints
 from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import MOST_STAGES, Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through, upwards
+from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
+from controller.refusals.refusal import Refusal
 
 PACE = Pace(0.06)
 STAGED = Pace(0.06, inrush=2, rest=0.1)

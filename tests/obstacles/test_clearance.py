@@ -92,10 +92,10 @@ def test_bodies_in_regions_are_found_and_others_are_not(case, radius, data):
     for i, frame in enumerate(arm.chain(configuration)[:-1]):
         r, b = np.ascontiguousarray(frame[:3, :3]), np.ascontiguousarray(frame[:3, 3])
         body = clearance.bodies[i, configuration[i], : clearance.lines[i]]
-        ball, own = clearance.balls[i, configuration[i]], clearance.obstacles
-        obstacle = first_obstacle(r, b, body, ball, own.kinds, own.axes, own.centres, own.sizes, clearance.margin)
+        ball = clearance.balls[i, configuration[i]]
+        obstacle = first_obstacle(r, b, body, ball, clearance.surroundings, clearance.margin)
         if obstacle >= 0:
-            found = f"module {i + 1} is in {own.names[obstacle]}"
+            found = f"module {i + 1} is in {clearance.obstacles.names[obstacle]}"
             break
     assert (clearance.where(configuration), blocked) == (found, found is not None)
 

@@ -16,8 +16,8 @@ from controller.arm.arm import load
 from controller.arm.description import description, drawing
 from controller.manipulator.notation import format_configuration, pose
 from controller.network import session
-from controller.panel.access import Access, Listed, digest_of
-from controller.panel.app import Panel
+from controller.panel.access import Access, PersonEntry, digest_of
+from controller.panel.app import PanelServer
 from controller.panel.serve import zenoh_configuration
 from tests.keys import DEPLOY
 from tests.waiting import eventually
@@ -28,10 +28,10 @@ ARM = "planar16"
 ORIGIN, SOCKETS = "http://127.0.0.1:7480", "ws://127.0.0.1:7480"
 OPERATOR, OTHER, VIEWER = "operator's token", "another operator's token", "viewer's token"
 PEOPLE = (
-    Listed("anna", "operator", digest_of(OPERATOR)),
-    Listed("bert", "operator", digest_of(OTHER)),
-    Listed("hall", "viewer", digest_of(VIEWER)),
-    Listed("carl", "operator"),  # by certificate only
+    PersonEntry("anna", "operator", digest_of(OPERATOR)),
+    PersonEntry("bert", "operator", digest_of(OTHER)),
+    PersonEntry("hall", "viewer", digest_of(VIEWER)),
+    PersonEntry("carl", "operator"),  # by certificate only
 )
 PATIENCE = 60.0  # [s]
 
@@ -160,7 +160,7 @@ class Site:
         self.daemon = PlayedDaemon(endpoint)
         closing.callback(self.daemon.close)
         config = zenoh_configuration([endpoint], None)
-        self.panel = Panel(lambda: zenoh.open(config), Access(PEOPLE, b"k" * 32))
+        self.panel = PanelServer(lambda: zenoh.open(config), Access(PEOPLE, b"k" * 32))
         self.browser = closing.enter_context(TestClient(self.panel.app, base_url=ORIGIN))
         self._closing = closing
         eventually(lambda: ARM in self.panel.arms.views and self.panel.arms.views[ARM].drawing)

@@ -119,6 +119,16 @@ def test_a_file_is_read_strictly(site: Site) -> None:
     assert "may have" in page.ask("file", text=" " * 60_000 + "{")["message"]
 
 
+def test_a_refusal_is_shown_with_its_advice(site: Site) -> None:
+    page, refused = site.open(), {"accepted": False, "code": -1, "message": "the arm is stopped: because"}
+    site.daemon.answer = {**refused, "reason": "arm-stopped"}
+    assert page.ask("reset")["advice"] == f"leave the stop by: hyperbit reset {ARM}"
+    site.daemon.answer = {**refused, "reason": "of-a-newer-daemon"}
+    assert page.ask("reset")["advice"] == ""
+    site.daemon.answer = refused  # of an older daemon
+    assert "advice" not in page.ask("reset")
+
+
 @pytest.mark.parametrize(("do", "fields"), COMMANDS)
 def test_a_viewer_commands_nothing(site: Site, do: str, fields: dict[str, object]) -> None:
     page = site.open(VIEWER)

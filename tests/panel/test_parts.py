@@ -14,14 +14,14 @@ from controller.arm.arm import load
 from controller.arm.description import density, description, drawing
 from controller.armfile.strict import InputFaults
 from controller.commands.operate.run import reachable, run
-from controller.panel.access import Access, Listed, Person, TooManyWrong, digest_of, read_people
+from controller.panel.access import Access, Person, PersonEntry, TooManyWrong, digest_of, read_people
 from controller.panel.drawing import Drawing, cloud, picture
-from controller.panel.pages import Allowance, Page
+from controller.panel.pages import Page, RateLimit
 from controller.panel.serve import parse_address, serve, zenoh_configuration
 from controller.workspace.mapping import map_densities
 from tests.keys import DEPLOY
 
-ANNA = Listed("anna", "operator", digest_of("a"))
+ANNA = PersonEntry("anna", "operator", digest_of("a"))
 
 
 class Clock:
@@ -41,8 +41,9 @@ def test_old_and_changed_cookies_are_invalid() -> None:
     name, until, signature = cookie.split(".")
     for forged in (f"bert.{until}.{signature}", f"{name}.{int(until) + 1}.{signature}", f"{name}.{until}.{'0' * 64}"):
         assert access.person(forged) is None
-    assert Access([Listed("anna", "viewer", ANNA.token)], b"key", clock).person(cookie) is None, "another role"
-    assert Access([Listed("anna", "operator", digest_of("b"))], b"key", clock).person(cookie) is None, "another token"
+    assert Access([PersonEntry("anna", "viewer", ANNA.token)], b"key", clock).person(cookie) is None, "another role"
+    other_token = PersonEntry("anna", "operator", digest_of("b"))
+    assert Access([other_token], b"key", clock).person(cookie) is None, "another token"
     assert Access([ANNA], b"another", clock).person(cookie) is None
     clock.now += 13 * 3600
     assert access.person(cookie) is None
@@ -50,7 +51,7 @@ def test_old_and_changed_cookies_are_invalid() -> None:
 
 def test_tokens_are_not_guessed() -> None:
     clock = Clock()
-    access = Access([ANNA, Listed("carl", "operator")], b"key", clock)
+    access = Access([ANNA, PersonEntry("carl", "operator")], b"key", clock)
     for guess in range(10):
         assert access.enter(str(guess)) is None
     with pytest.raises(TooManyWrong):
@@ -64,7 +65,7 @@ def test_tokens_are_not_guessed() -> None:
 def test_the_file_of_people_is_read_strictly(tmp_path: Path) -> None:
     path = tmp_path / "people.yaml"
     path.write_text(f"people: [{{name: anna, role: operator, token: {digest_of('a')}}}, {{name: carl, role: viewer}}]")
-    assert read_people(path) == [ANNA, Listed("carl", "viewer")]
+    assert read_people(path) == [ANNA, PersonEntry("carl", "viewer")]
     for text, fault in (
         ("people: []", "people"),
         ("people: [{name: anna, role: king}]", "people[0].role"),
@@ -79,11 +80,11 @@ def test_the_file_of_people_is_read_strictly(tmp_path: Path) -> None:
 
 def test_an_allowance_fills_again() -> None:
     clock = Clock()
-    allowance = Allowance(2.0, 3.0, clock)
-    assert [allowance.take() for _ in range(5)] == [True, True, True, False, False]
-    assert allowance.refused == 2
+    limit = RateLimit(2.0, 3.0, clock)
+    assert [limit.take_token() for _ in range(5)] == [True, True, True, False, False]
+    assert limit.refused == 2
     clock.now += 1.0
-    assert [allowance.take() for _ in range(3)] == [True, True, False]
+    assert [limit.take_token() for _ in range(3)] == [True, True, False]
 
 
 def test_a_slow_page_gets_the_latest_only() -> None:
@@ -94,7 +95,7 @@ def test_a_slow_page_gets_the_latest_only() -> None:
             sent.append(data)
             await room.wait()
 
-        sender = asyncio.create_task(page.send(send))
+        sender = asyncio.create_task(page.send_updates(send))
         page.offer("state", b'{"k": 0}')
         while not sent:
             await asyncio.sleep(0)
@@ -120,7 +121,7 @@ def test_a_page_that_reads_no_answer_is_closed() -> None:
 
         for k in range(100):
             page.reply(b"%d" % k)
-        await page.send(send)  # returns
+        await page.send_updates(send)  # returns
 
     asyncio.run(play())
 

@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from controller.commands.operate.demo import Watched
-from controller.pictures.animation import END, FRAME, PAUSE, SHARES, animate, body_of, tip_of
-from controller.pictures.plots import Panel
+from controller.pictures.animation import END, FRAME, PAUSE, SHARES, Movement, animate, body_of, tip_of
+from controller.pictures.plots import Subplot
 from controller.workspace.mapping import map_densities
 from tests.arms import spatial_arm
 
@@ -17,7 +17,7 @@ def test_an_animation_has_a_frame_for_each_part_of_a_stroke(manipulator, densiti
     file = tmp_path / f"arm.{suffix}"
     states = np.zeros((3, len(manipulator.actuators)), dtype=int)
     states[1, :6], states[2, :12] = 1, 1
-    animate(file, manipulator, densities, states, [2], Panel("arm", targets=[(0.55, 2.9)]))
+    animate(file, manipulator, densities, Movement(states, [2]), Subplot("arm", targets=[(0.55, 2.9)]))
     with Image.open(file) as image:
         assert image.n_frames == 1 + 2 * len(SHARES)
         if suffix == "gif":
@@ -33,7 +33,7 @@ def test_a_spatial_arm_is_drawn(tmp_path):
     arm = spatial_arm(4)
     densities = map_densities(arm, arm.length / 20, 1000)
     states = [arm.actuator_states(np.full(len(arm.modules), k)) for k in (0, 1)]
-    animate(tmp_path / "arm.gif", arm, densities, states, [], Panel("arm"))
+    animate(tmp_path / "arm.gif", arm, densities, Movement(states), Subplot("arm"))
     assert (tmp_path / "arm.gif").stat().st_size > 1000
 
 
@@ -47,6 +47,6 @@ def test_at_the_ends_of_a_stroke_the_arm_is_drawn_as_its_configuration(manipulat
 def test_states_are_noted_as_they_change():
     watched = Watched()
     for commanded in (None, [0, 0], [0, 0], [0, 1], None, [0, 0]):
-        watched.take({"commanded": commanded})
+        watched.receive_state({"commanded": commanded})
     assert watched == [[0, 0], [0, 1], [0, 0]]
     assert watched.find([0, 0]) == 2

@@ -12,7 +12,7 @@ from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.notation import parse_configuration
 from controller.obstacles.obstacles import box, half_space, sphere, together
 from controller.pictures import figure5
-from controller.pictures.plots import COLOURS, Panel, figure, save
+from controller.pictures.plots import COLOURS, Subplot, figure, save
 from controller.search.method import PAPER_METHODS
 from controller.workspace.mapping import map_densities
 from tests.arms import spatial_arm
@@ -31,8 +31,8 @@ def rows(arm, densities):
 @pytest.mark.parametrize("base", [np.eye(4), frames.planar(5, -2, 1)], ids=["origin", "moved"])
 def test_everything_is_inside_the_axes(manipulator, densities, base):
     moved = Manipulator(manipulator.modules, base)
-    panel = Panel("both", {"straight": STRAIGHT, "bent": BENT}, FAR, CURVE)
-    (axes,) = [a for a in figure(moved, densities, [panel]).axes if a.get_title() == "both"]
+    subplot = Subplot("both", {"straight": STRAIGHT, "bent": BENT}, FAR, CURVE)
+    (axes,) = [a for a in figure(moved, densities, [subplot]).axes if a.get_title() == "both"]
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     bodies = [moved.body(c)[:, :, :2].reshape(-1, 2) for c in (STRAIGHT, BENT)]
     for points in (*bodies, FAR, CURVE):
@@ -46,7 +46,7 @@ def test_everything_is_inside_the_axes(manipulator, densities, base):
 
 def test_the_density_lies_where_the_base_puts_it(manipulator, densities):
     moved = Manipulator(manipulator.modules, frames.planar(5, -2, 1))
-    axes = figure(moved, densities, [Panel()]).axes[0]
+    axes = figure(moved, densities, [Subplot()]).axes[0]
     (image,) = axes.images
     # From the image's own coordinates, those of F_0, to the world.
     to_world = (image.get_transform() - axes.transData).transform
@@ -56,7 +56,7 @@ def test_the_density_lies_where_the_base_puts_it(manipulator, densities):
 
 
 def test_high_densities_share_the_darkest_gray(manipulator, densities):
-    (image,) = figure(manipulator, densities, [Panel()]).axes[0].images
+    (image,) = figure(manipulator, densities, [Subplot()]).axes[0].images
     values = densities.level(0)[0]
     gray = image.to_rgba(image.get_array())
     assert len(np.unique(gray[values > values.max() - np.log(100)], axis=0)) == 1
@@ -65,8 +65,8 @@ def test_high_densities_share_the_darkest_gray(manipulator, densities):
 
 def test_panels_and_colours_stand_side_by_side(manipulator, densities):
     names = [str(k) for k in range(len(COLOURS))]
-    panels = [Panel(str(k), dict.fromkeys(names, BENT)) for k in range(3)]
-    axes = figure(manipulator, densities, panels).axes
+    subplots = [Subplot(str(k), dict.fromkeys(names, BENT)) for k in range(3)]
+    axes = figure(manipulator, densities, subplots).axes
     assert [a.get_title() for a in axes] == ["0", "1", "2", ""]  # the last is the colour bar
     assert [line.get_color() for line in axes[0].get_legend().get_lines()] == list(COLOURS)
 
@@ -74,7 +74,7 @@ def test_panels_and_colours_stand_side_by_side(manipulator, densities):
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
 def test_pictures_are_written_by_their_suffix(tmp_path, manipulator, densities, suffix):
     path = tmp_path / f"arm.{suffix}"
-    save(path, manipulator, densities, [Panel("", {"bent": BENT})])
+    save(path, manipulator, densities, [Subplot("", {"bent": BENT})])
     beginnings = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
     assert path.read_bytes().startswith(beginnings[suffix])
 
@@ -82,14 +82,14 @@ def test_pictures_are_written_by_their_suffix(tmp_path, manipulator, densities, 
 def test_a_spatial_arm_is_drawn_in_space(tmp_path):
     manipulator = spatial_arm(4)
     densities = map_densities(manipulator, 0.1, 10_000)
-    panel = Panel("space", {"up": [4] * 4, "bent": [0] * 4}, [(0.3, 0.2, 0.9)], [(0, 0, 1.2), (0.1, 0, 1.2)])
-    axes = figure(manipulator, densities, [panel]).axes[0]
+    subplot = Subplot("space", {"up": [4] * 4, "bent": [0] * 4}, [(0.3, 0.2, 0.9)], [(0, 0, 1.2), (0.1, 0, 1.2)])
+    axes = figure(manipulator, densities, [subplot]).axes[0]
     limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
-    points = np.concatenate([manipulator.body(c).reshape(-1, 3) for c in panel.configurations.values()])
+    points = np.concatenate([manipulator.body(c).reshape(-1, 3) for c in subplot.configurations.values()])
     assert (limits[:, 0] < points).all()
     assert (points < limits[:, 1]).all()
     assert axes.get_zlabel() == "z [m]"
-    save(tmp_path / "arm.png", manipulator, densities, [panel, panel])
+    save(tmp_path / "arm.png", manipulator, densities, [subplot, subplot])
     assert (tmp_path / "arm.png").stat().st_size > 10_000
 
 
@@ -124,7 +124,7 @@ def test_figure_5_is_one_picture(tmp_path, arm, densities, rows):
 def test_regions_are_drawn_where_they_are(manipulator, densities):
     floor = half_space("floor", [0, -0.5], [0, 1])
     obstacles = together([sphere("disc", [1, 2], 0.3), box("box", [-1, 1], [0.8, 0.2], TURNED), floor])
-    axes = figure(manipulator, densities, [Panel("", {"bent": BENT})], obstacles=obstacles).axes[0]
+    axes = figure(manipulator, densities, [Subplot("", {"bent": BENT})], obstacles=obstacles).axes[0]
     drawn = [patch.get_transform().transform_path(patch.get_path()).vertices for patch in axes.patches]
     disc, turned, below = ((axes.transData.inverted().transform(path)) for path in drawn)
     assert_allclose(np.linalg.norm(disc - [1, 2], axis=1).min(), 0.3, atol=0.01)
@@ -135,7 +135,7 @@ def test_regions_are_drawn_where_they_are(manipulator, densities):
 
 def test_a_half_plane_beyond_the_picture_is_not_drawn(manipulator, densities):
     far = half_space("floor", [0, -50], [0, 1])
-    assert len(figure(manipulator, densities, [Panel()], obstacles=far).axes[0].patches) == 0
+    assert len(figure(manipulator, densities, [Subplot()], obstacles=far).axes[0].patches) == 0
 
 
 def test_regions_in_space_are_drawn_translucent(tmp_path):
@@ -143,7 +143,7 @@ def test_regions_in_space_are_drawn_translucent(tmp_path):
     shapes = [sphere("s", [0, 0.3, 0.5], 0.1), box("b", [0.3, 0, 0.5], [0.1, 0.2, 0.3])]
     obstacles = together([*shapes, half_space("h", [0, 0, 0.1], [0, 0.1, 1]), half_space("far", [0, 0, -9], [0, 0, 1])])
     densities = map_densities(arm, 0.1, 4000)
-    (axes,) = figure(arm, densities, [Panel("", {"bent": np.zeros(4, int)})], obstacles=obstacles).axes
+    (axes,) = figure(arm, densities, [Subplot("", {"bent": np.zeros(4, int)})], obstacles=obstacles).axes
     balls, boxes, plane = axes.collections[1:]
     assert all(shape.get_alpha() is None and shape.get_facecolor()[0][3] < 0.3 for shape in (balls, boxes, plane))
     assert_allclose(np.unique(abs(np.concatenate(boxes._faces) - [0.3, 0, 0.5]).round(9), axis=0), [[0.05, 0.1, 0.15]])

@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Client, ClientGone, FromClient, Tick, ToClient
+from controller.executor.core.core import Executor
+from controller.executor.core.events import TICK, ClientGone, ClientId, ExecutorTick, FromClient, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import decode_down, encode
 from tests.executor.rig import SIZE, FakeMaster, small_arm
@@ -34,7 +34,7 @@ class CoreExecutor:
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._server.bind(str(path))
         self._server.listen()
-        self._clients: dict[Client, socket.socket] = {}
+        self._clients: dict[ClientId, socket.socket] = {}
         self._accepted = 0
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -50,12 +50,12 @@ class CoreExecutor:
         due = time.monotonic()
         while not self.closed.is_set():
             if self.frozen.is_set():
-                time.sleep(PERIOD)
+                time.sleep(TICK)
                 continue
             self._listen(max(due - time.monotonic(), 0.0))
             if time.monotonic() >= due:
-                due = time.monotonic() + PERIOD
-                self._do(Tick())
+                due = time.monotonic() + TICK
+                self._do(ExecutorTick())
 
     def _listen(self, timeout: float) -> None:
         sockets = [self._server, *self._clients.values()]
@@ -63,7 +63,7 @@ class CoreExecutor:
         if self._server in readable:
             connection, _ = self._server.accept()
             self._accepted += 1
-            self._clients[Client(self._accepted, 1)] = connection
+            self._clients[ClientId(self._accepted, 1)] = connection
         for client, connection in list(self._clients.items()):
             if connection in readable:
                 if data := connection.recv(70_000):

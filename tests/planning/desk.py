@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from controller.arm.arm import Arm
-from controller.motion.codes import Refusal
+from controller.host.process import Log, Quit
 from controller.motion.stages.pacing import pace_of
 from controller.obstacles.obstacles import NONE
 from controller.planning.core.core import Beginning, Core
@@ -25,11 +25,9 @@ from controller.planning.core.events import (
     Fail,
     FromExecutor,
     LinkDown,
-    Log,
     Publish,
     Published,
     PublishResult,
-    Quit,
     Record,
     RecordCounts,
     Recorded,
@@ -47,11 +45,11 @@ from controller.planning.core.tasks import (
     BuildTables,
     Done,
     Failed,
-    Refused,
     Task,
 )
 from controller.planning.planner import RequestDecoder
-from controller.program import Alive, Cancel, Counts, Down, Halt, Up, Welcome, pack, unpack
+from controller.program import VERSION, Alive, Cancel, Counts, Down, Stop, Up, Welcome, pack, unpack
+from controller.refusals.refusal import Refusal
 from controller.workspace.densities import Densities
 from tests.planning.played_executor import PlayedExecutor
 from tests.planning.prompt_workers import PromptWorkers
@@ -72,7 +70,7 @@ class DeskExecutor(PlayedExecutor):
 
     def greet(self, greatest: int = 0) -> None:
         """Accepts the planner, and shows the arm."""
-        self.send(Welcome(1, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest))
+        self.send(Welcome(VERSION, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest))
         self.show()
 
     def now(self) -> float:
@@ -255,7 +253,7 @@ class Desk:
                 raise MemoryError("no memory")
             yield from self.workers.perform(task)
         except Refusal as refusal:
-            yield Refused(refusal.code, str(refusal))
+            yield refusal.data
         except Exception as error:
             yield Failed(repr(error))
 
@@ -267,12 +265,12 @@ class Desk:
         try:
             message = self._decode(key, data)
         except Refusal as refusal:
-            self.inbox.put(name, refused(refusal.code, str(refusal), refusal.goal))
+            self.inbox.put(name, refused(refusal))
             return 0
         self._numbers += 1
         self._names[self._numbers] = name
         if key == "stop":
-            self.executor.messages.append(Halt(self._numbers))
+            self.executor.messages.append(Stop(self._numbers))
         elif key == "cancel" and message == CancelMessage():
             self.executor.messages.append(Cancel(self._numbers, None, "canceled; the arm holds"))
         self.post(Request(self._numbers, key, message, self.wall))

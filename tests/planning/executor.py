@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from controller.program import Alive, Counts, Down, Hello, Up, Welcome, decode_down, encode
+from controller.program import VERSION, Alive, Counts, Down, Hello, Up, Welcome, decode_down, encode
 from tests.planning.played_executor import PlayedExecutor
 from tests.waiting import PATIENCE
 
@@ -92,7 +92,7 @@ class ScriptedExecutor(PlayedExecutor):
                 case Hello():
                     if self.greets:
                         size = (0,) * self.actuators
-                        self.send(Welcome(1, self.name, DIGEST, self.instance, size, self.greatest))
+                        self.send(Welcome(VERSION, self.name, DIGEST, self.instance, size, self.greatest))
                         self.send(self.state)
                         self._greeted = True
                     self._messages.put(message)

@@ -22,6 +22,8 @@ from controller.program import (
     Up,
     pack,
 )
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refused
 
 T = TypeVar("T", bound=Down)
 
@@ -86,20 +88,21 @@ class PlayedExecutor(ABC):
     def answer(self, message: Any, text: str, accepted: bool = True, **changes: Any) -> None:
         """Answers a request as the executor does: it begins a new epoch if needed, and sends a snapshot."""
         ends = not isinstance(message, Cancel) or message.program is None
-        self.send(Answer(message.request, accepted, text))
+        refused = None if accepted else Refused(Reason.INTERLOCK_OPEN, {"interlock": text})
+        self.send(Answer(message.request, text, refused))
         self.show(epoch=self.state.epoch + (ends and accepted), **changes)
 
     def accept(self, program: Program) -> None:
         self.send(Accepted(program.program, program.begin or self.now()))
         self.show(mode="executing", reason=program.name, program=program.program)
 
-    def decline(self, program: Program, cause: Any, reason: str = "because") -> None:
-        self.send(Declined(program.program, cause, reason))
+    def decline(self, program: Program, reason: Reason, **facts: str) -> None:
+        self.send(Declined(program.program, Refused(reason, facts)))
 
     def run(self, program: Program, stage: int, switches: int = 1, measured: bytes | None = None) -> None:
         """Carries out a stage of a program, and settles its mark if it has one."""
         states = program.stages[stage]
-        self.send(Begun(program.program, stage, switches))
+        self.send(Begun(program.program, stage))
         self.show(outputs=states.states, measured=measured or states.states)
         if states.mark >= 0:
             at = measured or states.states

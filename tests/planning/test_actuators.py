@@ -17,6 +17,8 @@ from controller.program import (
     pack,
     unpack,
 )
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refused
 from tests.planning.conftest import DOCUMENT
 from tests.planning.desk import Desk
 from tests.planning.test_goals import A, B, C, taken
@@ -82,8 +84,10 @@ def test_a_lock_that_the_executor_refuses_ends_nothing(desk: Desk) -> None:
     taken(desk, A, B, step=10)
     degrade(desk, "1.left", 0)
     lock = desk.executor.expect(Lock, Replacement)
-    desk.executor.send(Answer(lock.request, False, "the arm is executing"))
-    assert desk.inbox.next("degrade")["message"] == "the arm is executing"
+    desk.executor.send(Answer(lock.request, "", Refused(Reason.LOCK_WHILE_MOVING, {"mode": "executing"})))
+    reply = desk.inbox.next("degrade")
+    assert (reply["accepted"], reply["reason"]) == (False, "lock-while-moving")
+    assert reply["message"] == "the arm is executing, and may not move while locks change"
     desk.executor.show()
     desk.goal(C, name="c")
     assert desk.executor.expect(Program, Replacement).epoch == 1
@@ -117,12 +121,11 @@ def test_single_actuators_are_switched(desk: Desk) -> None:
 def test_locked_actuators_and_those_that_would_touch_are_not_switched(desk: Desk) -> None:
     desk.show(locked=b"\x01\x00", locks=1)
     jog(desk, m1_left="extended")
-    message = desk.inbox.next("reply")["message"]
-    assert "1.left is locked" in message or message.startswith("the arm is starting")
+    assert desk.inbox.next("reply")["reason"] in ("actuator-locked", "arm-starting")
     assert desk.state()["mode"] == "ready"
     obstacles(desk, (desk.tip(0, 0, 0, 1), 0.02))
     jog(desk, m4_left="extended")
-    assert "would collide" in desk.inbox.next("reply")["message"]
+    assert desk.inbox.next("reply")["reason"] == "start-collides"
     jog(desk, m4_middle="extended")
     assert "'4.middle' is no actuator of this arm" in desk.inbox.next("reply")["message"]
 

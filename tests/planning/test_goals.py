@@ -5,14 +5,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from controller.motion import codes
 from controller.motion.plans import whole
 from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import pace_of
 from controller.planning.core.events import Answered
-from controller.planning.core.parts import BARRED
 from controller.planning.core.tasks import ImprovePlan, PlanGoal
-from controller.program import Acknowledge, Cancel, Halt, Program, Replacement, Reset, unpack
+from controller.program import Acknowledge, Cancel, Program, Replacement, Reset, Stop, unpack
+from controller.refusals import codes
+from controller.refusals.reasons import Reason
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from tests.planning.desk import Desk
@@ -81,7 +81,7 @@ def test_a_tip_measured_elsewhere_misses_the_goal(desk: Desk) -> None:
 def test_a_goal_is_sent_again_from_where_the_arm_has_moved_to(desk: Desk) -> None:
     desk.goal(A)
     first = desk.executor.expect(Program)
-    desk.executor.decline(first, "moved")
+    desk.executor.decline(first, Reason.MOVED_SINCE_PLANNED)
     desk.executor.show(outputs=desk.bits(*C))
     second = desk.executor.expect(Program)
     assert second.program > first.program
@@ -100,27 +100,38 @@ def test_a_goal_is_sent_again_from_where_the_arm_has_moved_to(desk: Desk) -> Non
 def test_a_goal_that_never_catches_up_is_refused_with_the_executors_reason(desk: Desk, moves: int) -> None:
     desk.goal(A)
     for k in range(10):
-        desk.executor.decline(desk.executor.expect(Program), "moved", "its reason")
+        desk.executor.decline(desk.executor.expect(Program), Reason.MOVED_SINCE_PLANNED)
         desk.executor.show(outputs=desk.bits(moves * k % 8, 0, 0, 0))
-    assert desk.inbox.next("reply")["message"] == "its reason, 10 times in a row; send it again"
+    assert desk.inbox.next("reply")["reason"] == "moved-since-planned"
     assert desk.executor.nothing(Program)
 
 
 @pytest.mark.parametrize(
-    ("cause", "words"), [("epoch", BARRED), ("mode", "because"), ("locked", "because"), ("malformed", "because")]
+    ("reason", "facts", "words"),
+    [
+        (Reason.OVERTAKEN, {}, "a cancel, stop, reset or fault, or the loss of the planner, came before it began"),
+        (Reason.ARM_STOPPED, {"why": "because"}, "the arm is stopped: because"),
+        (Reason.PROGRAM_LOCKED, {"misfit": "because"}, "because"),
+        (Reason.PROGRAM_MALFORMED, {"misfit": "because"}, "because"),
+    ],
 )
-def test_a_goal_that_is_declined_is_refused_in_words(desk: Desk, cause: str, words: str) -> None:
+def test_a_goal_that_is_declined_is_refused_with_the_reason(
+    desk: Desk, reason: Reason, facts: dict[str, str], words: str
+) -> None:
     desk.goal(A)
-    desk.executor.decline(desk.executor.expect(Program), cause)
+    desk.executor.decline(desk.executor.expect(Program), reason, **facts)
     reply = desk.inbox.next("reply")
     assert (reply["accepted"], reply["code"], reply["message"]) == (False, codes.INVALID_GOAL, words)
+    assert reply["reason"] == reason.value
 
 
 @pytest.mark.parametrize("mode", ["starting", "fault", "stopped"])
 def test_a_mode_that_takes_no_goal_refuses_it_with_its_reason(desk: Desk, mode: str) -> None:
     desk.show(mode=mode, reason="because")
     desk.goal(A)
-    assert desk.inbox.next("reply")["message"] == f"the arm is {mode}: because"
+    reply = desk.inbox.next("reply")
+    assert reply["reason"] in ("arm-starting", "arm-in-fault", "arm-stopped")
+    assert reply["message"] in (f"the arm is {mode}: because", f"the arm is in {mode}: because")
 
 
 def test_a_cancel_bars_what_came_before_it_and_nothing_that_comes_after(desk: Desk) -> None:
@@ -130,8 +141,8 @@ def test_a_cancel_bars_what_came_before_it_and_nothing_that_comes_after(desk: De
     desk.goal(B, name="after")
     cancel = desk.executor.expect(Cancel)
     assert (cancel.program, cancel.reason) == (None, "canceled; the arm holds")
-    desk.executor.decline(program, "epoch")
-    assert desk.inbox.next("reply")["message"] == BARRED
+    desk.executor.decline(program, Reason.OVERTAKEN)
+    assert desk.inbox.next("reply")["reason"] == "overtaken"
     desk.executor.answer(cancel, "there was no goal to cancel; the arm holds")
     assert desk.inbox.next("canceled")["message"] == "there was no goal to cancel; the arm holds"
     after = desk.executor.expect(Program)
@@ -160,7 +171,7 @@ def test_an_end_before_the_last_waypoint_is_told_with_its_reason(desk: Desk, sta
 
 def test_stop_and_reset_go_straight_to_the_executor(desk: Desk) -> None:
     desk.ask("stop", name="stop")
-    halt = desk.executor.expect(Halt)
+    halt = desk.executor.expect(Stop)
     desk.executor.answer(halt, "stopped; the arm holds until reset", mode="stopped", reason="a stop was requested")
     assert desk.inbox.next("stop")["message"] == "stopped; the arm holds until reset"
     desk.settle()
@@ -282,9 +293,9 @@ def test_too_many_goals_are_refused_at_once(desk: Desk) -> None:
     desk.ask("goal", b" " * 2_000_000, "flood")
     assert "2000000 bytes" in desk.inbox.next("flood")["message"]
     desk.ask("cancel", name="canceled")
-    desk.executor.decline(program, "epoch")
+    desk.executor.decline(program, Reason.OVERTAKEN)
     cancel = desk.executor.expect(Cancel)
-    assert [desk.inbox.next("reply")["message"] for _ in range(17)] == [BARRED] * 17
+    assert [desk.inbox.next("reply")["reason"] for _ in range(17)] == ["overtaken"] * 17
     desk.executor.answer(cancel, "canceled")
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from controller.planning.core.events import FromExecutor, LinkDown
 from controller.planning.link import MOST_BEHIND, MOST_QUEUED, RETRY, UNREAD, ExecutorLink
-from controller.program import Alive, Answer, Goodbye, Halt, Hello, Program, Snapshot, Welcome, encode
+from controller.program import VERSION, Alive, Answer, Goodbye, Hello, Program, Snapshot, Stop, Welcome, encode
 from tests.planning.executor import DIGEST, ScriptedExecutor
 from tests.waiting import eventually
 
@@ -79,7 +79,7 @@ class Deaf:
         self._server.listen()
         line.poll()
         self.client, _ = self._server.accept()
-        self.client.send(encode(Welcome(1, "small", DIGEST, 1, (), 0)))
+        self.client.send(encode(Welcome(VERSION, "small", DIGEST, 1, (), 0)))
         line.welcome()
 
     def read(self) -> list[bytes]:
@@ -104,11 +104,11 @@ def deaf(line: Line) -> Iterator[Deaf]:
 
 
 def test_it_waits_for_an_executor_and_tells_the_reason_once(line: Line) -> None:
-    assert line.link.send_now(Halt(1)) == "waiting for the executor"
+    assert line.link.send_now(Stop(1)) == "waiting for the executor"
     for _ in range(3):
         line.poll()
     assert line.reasons == ["waiting for the executor at its socket: No such file or directory"]
-    assert line.link.send_now(Halt(1)) == line.reasons[0]
+    assert line.link.send_now(Stop(1)) == line.reasons[0]
     executor = ScriptedExecutor(line.path, 12)
     line.welcome()
     hello = executor.expect(Hello)
@@ -147,12 +147,12 @@ def test_it_connects_anew_when_the_executor_is_lost(line: Line, executor: Script
 
 def test_what_an_executor_sent_before_its_end_is_received(line: Line, deaf: Deaf) -> None:
     line.link.send(Alive())  # which the executor does not read before it ends
-    deaf.client.send(encode(Answer(1, True, "stopped")))
+    deaf.client.send(encode(Answer(1, "stopped")))
     deaf.close()
     line.link.send(Alive())
-    assert line.link.send_now(Halt(2)) is not None
+    assert line.link.send_now(Stop(2)) is not None
     line.poll()
-    assert line.messages[1:] == [Answer(1, True, "stopped")]
+    assert line.messages[1:] == [Answer(1, "stopped")]
     assert line.reasons == ["the executor closed the connection"]
 
 
@@ -169,7 +169,7 @@ def test_an_executor_of_another_arm_or_file_is_not_driven(tmp_path: Path, name: 
         executor.expect(Hello)
         line.until(lambda: line.link.fileno() >= 0)
     assert len(line.events) == 1
-    assert words in (line.link.send_now(Halt(1)) or "")
+    assert words in (line.link.send_now(Stop(1)) or "")
     line.link.close()
     executor.close()
 
@@ -178,7 +178,7 @@ def test_what_the_executor_says_when_it_does_not_serve_is_told(line: Line, execu
     executor.greets = False
     line.poll()
     executor.expect(Hello)
-    executor.send(Answer(1, True, "before the Welcome"))
+    executor.send(Answer(1, "before the Welcome"))
     executor.send(Goodbye("a planner is connected already"))
     executor.greets = True
     line.welcome()
@@ -195,14 +195,14 @@ def test_a_packet_that_is_no_message_ends_the_connection(line: Line, executor: S
 
 
 def test_messages_arrive_in_both_directions(line: Line, executor: ScriptedExecutor) -> None:
-    line.link.send(Halt(1))  # dropped
+    line.link.send(Stop(1))  # dropped
     line.welcome()
     executor.expect(Hello)
-    line.link.send(Halt(2))
-    assert line.link.send_now(Halt(3)) is None
-    assert [executor.expect(Halt).request for _ in range(2)] == [2, 3]
-    executor.send(Answer(3, True, "third"))
-    executor.send(Answer(2, True, "second"))
+    line.link.send(Stop(2))
+    assert line.link.send_now(Stop(3)) is None
+    assert [executor.expect(Stop).request for _ in range(2)] == [2, 3]
+    executor.send(Answer(3, "third"))
+    executor.send(Answer(2, "second"))
     line.until(lambda: len(line.messages) == 3)
     assert [message.request for message in line.messages[1:]] == [3, 2]
 
@@ -212,7 +212,7 @@ def test_a_dropped_connection_is_told_and_made_again(line: Line, executor: Scrip
     line.welcome()
     line.link.drop("silent")
     assert (line.link.pending, line.link.fileno()) == (True, -1)
-    assert line.link.send_now(Halt(1)) == "silent"
+    assert line.link.send_now(Stop(1)) == "silent"
     line.welcome(2)
     assert line.reasons == ["silent"]
 
@@ -225,16 +225,16 @@ def fill(line: Line) -> None:
 
 def test_messages_wait_while_the_socket_is_full(line: Line, deaf: Deaf) -> None:
     fill(line)
-    line.link.send(Halt(7))
+    line.link.send(Stop(7))
     deaf.read()
     line.link.flush()
     assert not line.link.sending
-    assert deaf.read() == [encode(PROGRAM), encode(Halt(7))]
+    assert deaf.read() == [encode(PROGRAM), encode(Stop(7))]
 
 
 def test_a_stop_that_cannot_be_sent_says_so(line: Line, deaf: Deaf) -> None:
     fill(line)
-    assert line.link.send_now(Halt(1)) == UNREAD
+    assert line.link.send_now(Stop(1)) == UNREAD
     assert line.events[1:] == []  # the queue decides on the connection
 
 
@@ -260,7 +260,7 @@ def test_an_executor_that_does_not_read_is_dropped(line: Line, deaf: Deaf) -> No
 def test_a_flood_is_received_in_parts(line: Line, deaf: Deaf, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("controller.planning.link.MOST_RECEIVED", 2)
     for k in range(5):
-        deaf.client.send(encode(Answer(k, True, "")))
+        deaf.client.send(encode(Answer(k, "")))
     assert [len(line.link.receive()) for _ in range(4)] == [2, 2, 1, 0]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from controller.host.process import Log, Notify, Quit
 from controller.planning.core.events import (
     CLOSING,
     Abandon,
@@ -20,12 +21,9 @@ from controller.planning.core.events import (
     FromExecutor,
     Identity,
     LinkDown,
-    Log,
-    Notify,
     Publish,
     Published,
     PublishResult,
-    Quit,
     Record,
     RecordCounts,
     Recorded,
@@ -43,7 +41,7 @@ from controller.planning.core.events import (
 from controller.planning.core.tasks import BuildTables, Done, Failed
 from controller.planning.link import ExecutorLink, Inbox
 from controller.planning.loop import LOOK_EVERY, STREAM_ENDS, STREAM_EVERY, WARNINGS_EVERY, Loop
-from controller.program import Answer, Fault, Halt, Hello, Snapshot
+from controller.program import Answer, Fault, Hello, Snapshot, Stop
 from tests.planning.executor import DIGEST, ScriptedExecutor
 from tests.planning.loop_parts import Remembering, ScriptedCore
 from tests.waiting import PATIENCE
@@ -106,11 +104,11 @@ def test_posted_events_come_before_messages(executor: ScriptedExecutor, bench: B
     executor.expect(Hello)
     while not any(isinstance(event, FromExecutor) for event in bench.core.steps):
         bench.receive()
-    assert bench.link.send_now(Halt(1)) is None
-    executor.expect(Halt)
-    executor.send(Answer(1, True, "stopped"))
+    assert bench.link.send_now(Stop(1)) is None
+    executor.expect(Stop)
+    executor.send(Answer(1, "stopped"))
     assert bench.receive(REQUEST)[0] == REQUEST
-    while not any(event == FromExecutor(Answer(1, True, "stopped")) for event in bench.core.steps):
+    while not any(event == FromExecutor(Answer(1, "stopped")) for event in bench.core.steps):
         bench.receive()
 
 
@@ -191,7 +189,7 @@ def test_actions_are_carried_out_in_order(bench: Bench, caplog: pytest.LogCaptur
     record = Record(1, Identity(1, 1), Accepted("a", 0.0, 1), None)
     bench.core.script[Request] = [
         Start(1, TASK), Reply(1, {"accepted": True}), Publish("state", {"mode": "ready"}), result, record,
-        RecordCounts((1, 2)), ToExecutor(Halt(1)), Abandon(1), Notify("WATCHDOG=1"),
+        RecordCounts((1, 2)), ToExecutor(Stop(1)), Abandon(1), Notify("WATCHDOG=1"),
         Log(logging.WARNING, "100 % moved", {"HYPERBIT_GOAL": "a"}), Wake(0.0),
     ]  # fmt: skip
     bench.loop.request("reset", None, lambda payload: bench.services.calls.append(("reply", payload)))
@@ -206,12 +204,12 @@ def test_actions_are_carried_out_in_order(bench: Bench, caplog: pytest.LogCaptur
 
 def test_messages_go_to_the_executor_until_it_is_disconnected(executor: ScriptedExecutor, bench: Bench) -> None:
     bench.core.script[FromExecutor] = lambda event: (
-        [ToExecutor(Halt(5)), Disconnect("the executor is silent")] if isinstance(event.message, Snapshot) else []
+        [ToExecutor(Stop(5)), Disconnect("the executor is silent")] if isinstance(event.message, Snapshot) else []
     )
     while not bench.link.pending:
         bench.receive()
     executor.expect(Hello)
-    assert executor.expect(Halt).request == 5
+    assert executor.expect(Stop).request == 5
     assert LinkDown("the executor is silent") in bench.handle()
 
 

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from controller.motion import codes
 from controller.planning.core.tasks import BuildScene, CheckStages, PlanGoal
 from controller.program import (
     Begun,
@@ -16,6 +15,7 @@ from controller.program import (
     Replacement,
     unpack,
 )
+from controller.refusals import codes
 from tests.planning.desk import Desk
 from tests.planning.test_goals import A, B, taken
 
@@ -132,7 +132,7 @@ def test_a_replacement_that_was_only_sent_is_parked_and_checked(desk: Desk) -> N
     desk.executor.accept(program)
     better = desk.executor.expect(Replacement)  # of look-ahead; not answered yet
     assert desk.inbox.next("reply")["accepted"]
-    desk.executor.send(Begun(program.program, 0, 1))
+    desk.executor.send(Begun(program.program, 0))
     desk.executor.show(outputs=program.stages[0].states)
     end = better.stages[-1].states
     states = np.array([unpack(end) >> k & 1 for k in range(desk.executor.actuators)])

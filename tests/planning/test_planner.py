@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 from controller.arm.arm import Arm
+from controller.host.process import Quit
 from controller.planning.core.events import (
     CancelMessage,
     FromExecutor,
     Key,
     LinkDown,
     Message,
-    Quit,
     Reply,
     Request,
     SetpointArrived,
@@ -25,7 +25,7 @@ from controller.planning.core.events import (
 from controller.planning.core.requests import CANCELED
 from controller.planning.link import ExecutorLink, Inbox
 from controller.planning.planner import Planner
-from controller.program import Acknowledge, Cancel, Halt, Hello, Welcome
+from controller.program import Acknowledge, Cancel, Hello, Stop, Welcome
 from controller.workspace.densities import Densities
 from tests.planning.executor import DIGEST, ScriptedExecutor
 from tests.planning.loop_parts import Remembering, ScriptedCore
@@ -93,7 +93,7 @@ def test_stop_and_cancel_go_to_the_executor_at_once(executor: ScriptedExecutor, 
     bench.request("cancel", CancelMessage("a"))
     bench.request("stop", None)
     bench.request("cancel", CancelMessage())
-    assert executor.expect(Halt) == Halt(2)
+    assert executor.expect(Stop) == Stop(2)
     assert executor.expect(Cancel) == Cancel(3, None, CANCELED)
     assert executor.nothing(object)
 

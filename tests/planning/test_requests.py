@@ -8,10 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.arm.arm import Arm
-from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core.events import CancelMessage, Key, LockMessage, ObstaclesMessage
 from controller.planning.planner import RequestDecoder
+from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
+from controller.refusals.refusal import Refusal
 from tests.fuzz.requests import CONFIGURATIONS, DEGRADE, GOAL, JOG, LINE, OBSTACLES, SETPOINT, wrong
 
 KEYS: tuple[Key, ...] = get_args(Key)

@@ -12,6 +12,7 @@ from controller.program import (
     MOST_ACTUATORS,
     MOST_BYTES,
     MOST_STAGES,
+    VERSION,
     Alive,
     Cancel,
     Counts,
@@ -50,6 +51,8 @@ def of(info: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
             return st.booleans()
         case msgspec.inspect.NoneType():
             return st.none()
+        case msgspec.inspect.EnumType(cls=cls):
+            return st.sampled_from(list(cls))
         case msgspec.inspect.LiteralType(values=choices):
             return st.sampled_from(choices)
         case msgspec.inspect.VarTupleType(item_type=item):
@@ -182,7 +185,7 @@ def test_a_time_that_is_none_is_refused(value: float) -> None:
         Cancel(2**63, None, ""),
         Cancel(1, None, "x" * 1_001),
         Counts((-1,)),
-        Hello(1, "driver", "arm"),  # type: ignore[arg-type]
+        Hello(VERSION, "driver", "arm"),  # type: ignore[arg-type]
         msgspec.structs.replace(PROGRAM, start=b"\0" * (MOST_ACTUATORS // 8 + 1)),
         msgspec.structs.replace(PROGRAM, context=b"\0" * 8_193),
         msgspec.structs.replace(PROGRAM, stages=(Stage(b"", 0.0),) * (MOST_STAGES + 1)),

@@ -11,7 +11,7 @@ from mcap.stream_reader import StreamReader
 
 from controller.arm.arm import Arm, load
 from controller.arm.description import description, drawing, file
-from controller.recorder.listener import Received
+from controller.recorder.listener import ReceivedMessage
 from tests.keys import DEPLOY
 
 SECOND = 1_000_000_000  # [ns]
@@ -89,7 +89,7 @@ def state(arm: Arm, configuration: list[int], stamp: float, **changes: Any) -> d
     return {**common, "commanded": states, "measured": states, "configuration": "", "tip": None, **changes}
 
 
-def heard(at: float, key: str, message: Any) -> Received:
+def heard(at: float, key: str, message: Any) -> ReceivedMessage:
     """A message that came at a monotonic time [s]."""
     data = message if isinstance(message, bytes) else json.dumps(message).encode()
-    return Received(round(at * SECOND), key, data)
+    return ReceivedMessage(round(at * SECOND), key, data)

@@ -10,7 +10,7 @@ from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.json_format import ParseDict
 
 from controller.arm.arm import load
-from controller.recorder.scene import Scene
+from controller.recorder.scene import FoxgloveScene
 from controller.recorder.schemas import FOXGLOVE, LOG, SCENE, TIME, TRANSFORMS, Schema
 from tests.keys import DEPLOY
 from tests.recorder.samples import state, told
@@ -70,7 +70,7 @@ def test_messages_are_foxgloves(name: str) -> None:
     described = told(arm)
     sphere = {"centre": [0.5] * arm.manipulator.dimension, "radius": 0.3}
     described["obstacles"] = [{"disc" if arm.manipulator.dimension == 2 else "sphere": sphere}]
-    scene, home = Scene(described), [0] * len(arm.manipulator.modules)
+    scene, home = FoxgloveScene(described), [0] * len(arm.manipulator.modules)
     target = {"position": [0.5] * arm.manipulator.dimension, "orientation": None}
     now = {**state(arm, home, 5.25), "target": target}
     update, transforms = scene.update(now, 5.25), scene.transforms(now, 5.25)

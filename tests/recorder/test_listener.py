@@ -11,7 +11,7 @@ import zenoh
 
 from controller.network import session
 from controller.recorder import listener as listening
-from controller.recorder.listener import Listener, LogClock, Received
+from controller.recorder.listener import Listener, LogClock, ReceivedMessage
 from tests.waiting import eventually
 
 ARM = json.dumps({"name": "a"}).encode()
@@ -26,11 +26,11 @@ def ends(tmp_path: Path) -> Iterator[tuple[zenoh.Session, zenoh.Session]]:
         yield daemon, stack.enter_context(zenoh.open(session.configuration("client", connect=endpoint)))
 
 
-def until(listener: Listener, key: str, before: list[Received]) -> Received:
+def until(listener: Listener, key: str, before: list[ReceivedMessage]) -> ReceivedMessage:
     """The next message on a key; those before it are put to `before`."""
 
-    def found() -> Received | None:
-        before.extend(listener.take(0.1))
+    def found() -> ReceivedMessage | None:
+        before.extend(listener.receive_messages(0.1))
         return next((it for it in before if it.key == key), None)
 
     item = eventually(found)
@@ -40,7 +40,7 @@ def until(listener: Listener, key: str, before: list[Received]) -> Received:
 
 def test_all_messages_of_the_arm_are_received(ends: tuple[zenoh.Session, zenoh.Session]) -> None:
     daemon, own = ends
-    listener, items = Listener(own, "a"), list[Received]()
+    listener, items = Listener(own, "a"), list[ReceivedMessage]()
     publisher = daemon.declare_publisher("hyperbit/a/@request")
     eventually(lambda: publisher.matching_status.matching)
     daemon.put("hyperbit/a/state", b"1")
@@ -67,13 +67,13 @@ def test_the_daemon_is_heard_to_come_and_go_and_describes_the_arm(ends: tuple[ze
 
     queryable = daemon.declare_queryable("hyperbit/a/arm", answer)
     token = daemon.liveliness().declare_token("hyperbit/a/alive")
-    listener, items = Listener(own, "a"), list[Received]()
+    listener, items = Listener(own, "a"), list[ReceivedMessage]()
     until(listener, "alive", items)
 
     def described() -> bool:
         listener.ask()  # a get may come before the routes are known
-        items.extend(listener.take(0.2))
-        return any(it == Received(it.at, "arm", ARM) for it in items)
+        items.extend(listener.receive_messages(0.2))
+        return any(it == ReceivedMessage(it.at, "arm", ARM) for it in items)
 
     eventually(described)
     assert json.loads(asked[0]) == {"with": ["drawing", "file"]}
@@ -93,9 +93,9 @@ def test_what_nobody_writes_does_not_fill_the_memory(
     listener = Listener(ends[1], "a")
     for _ in range(30):
         listener._put("state", bytes(10))
-    assert (len(listener.take(0.0)), listener.dropped(), listener.dropped()) == (10, 20, 0)
+    assert (len(listener.receive_messages(0.0)), listener.dropped(), listener.dropped()) == (10, 20, 0)
     listener._put("state", bytes(10))
-    assert len(listener.take(0.0)) == 1
+    assert len(listener.receive_messages(0.0)) == 1
     listener.close()
 
 

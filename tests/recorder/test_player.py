@@ -34,12 +34,12 @@ def past(tmp_path: Path, arm: Arm) -> Iterator[RecordingReader]:
     """Ten seconds of an arm, a state every half second and a result every two."""
     began: list[Path] = []
     recorder = Recorder("planar16", Folder(tmp_path, "planar16"), Limits(10**9, 10**9), began=began.append)
-    recorder.take(heard(0.0, "arm", told(arm)))
+    recorder.receive_message(heard(0.0, "arm", told(arm)))
     for k in range(21):
-        recorder.take(heard(0.5 * k, "state", state(arm, [k % 8] * 16, 100.0 + 0.5 * k)))
+        recorder.receive_message(heard(0.5 * k, "state", state(arm, [k % 8] * 16, 100.0 + 0.5 * k)))
         if k % 4 == 0:
-            recorder.take(heard(0.5 * k + 0.1, "result", {"id": f"g{k}", "status": "succeeded", "code": 0}))
-    recorder.close()
+            recorder.receive_message(heard(0.5 * k + 0.1, "result", {"id": f"g{k}", "status": "succeeded", "code": 0}))
+    recorder.end_recording()
     past = RecordingReader(began[0])
     yield past
     past.close()

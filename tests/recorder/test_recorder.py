@@ -40,16 +40,16 @@ def on(messages: list[Read], topic: str) -> list[dict[str, Any]]:
 
 
 def test_all_topics_are_recorded_with_scene_frames_and_log(tmp_path: Path, recorder: Recorder, arm: Arm) -> None:
-    recorder.take(heard(1.0, "alive", b""))
-    recorder.take(heard(1.0, "arm", told(arm)))
+    recorder.receive_message(heard(1.0, "alive", b""))
+    recorder.receive_message(heard(1.0, "arm", told(arm)))
     for k in range(40):
-        recorder.take(heard(1.1 + 0.05 * k, "state", state(arm, [k // 20] * 16, 100.0 + 0.05 * k)))
+        recorder.receive_message(heard(1.1 + 0.05 * k, "state", state(arm, [k // 20] * 16, 100.0 + 0.05 * k)))
     goal = {"id": "g", "waypoints": [{"position": [0.5, 2.9]}]}
     answer = {"accepted": True, "id": "g", "code": 0, "message": "accepted"}
-    recorder.take(heard(3.1, "request", {"stamp": 102.0, "key": "goal", "payload": goal, "answer": answer}))
-    recorder.take(heard(3.2, "result", {"id": "g", "status": "succeeded", "code": 0, "message": "reached"}))
-    recorder.take(heard(3.3, "gone", b""))
-    recorder.close()
+    recorder.receive_message(heard(3.1, "request", {"stamp": 102.0, "key": "goal", "payload": goal, "answer": answer}))
+    recorder.receive_message(heard(3.2, "result", {"id": "g", "status": "succeeded", "code": 0, "message": "reached"}))
+    recorder.receive_message(heard(3.3, "gone", b""))
+    recorder.end_recording()
     (path,) = files(tmp_path)
     messages = read(path)
     assert sorted(messages, key=repr) == sorted(read_by_another(path), key=repr)
@@ -79,12 +79,12 @@ def test_all_topics_are_recorded_with_scene_frames_and_log(tmp_path: Path, recor
 def test_each_recording_can_be_understood_alone(tmp_path: Path, arm: Arm) -> None:
     began: list[Path] = []
     recorder = Recorder("planar16", Folder(tmp_path, "planar16"), Limits(20_000, 10**9), began=began.append)
-    recorder.take(heard(1.0, "arm", told(arm)))
+    recorder.receive_message(heard(1.0, "arm", told(arm)))
     for k in range(60):
         configuration = [(k + m) % 8 for m in range(16)]
-        recorder.take(heard(1.0 + k, "state", state(arm, configuration, float(k))))
+        recorder.receive_message(heard(1.0 + k, "state", state(arm, configuration, float(k))))
         recorder._turn()
-    recorder.close()
+    recorder.end_recording()
     assert len(began) > 2
     assert began == files(tmp_path)
     states: list[dict[str, Any]] = []
@@ -100,18 +100,18 @@ def test_each_recording_can_be_understood_alone(tmp_path: Path, arm: Arm) -> Non
 def test_a_recording_ends_with_its_time(tmp_path: Path, arm: Arm) -> None:
     recorder = Recorder("planar16", Folder(tmp_path, "planar16"), Limits(10**9, 1e-9))
     for k in range(3):
-        recorder.take(heard(1.0 + k, "state", state(arm, [0] * 16, float(k))))
+        recorder.receive_message(heard(1.0 + k, "state", state(arm, [0] * 16, float(k))))
         recorder._turn()
-    recorder.close()
+    recorder.end_recording()
     assert len(files(tmp_path)) >= 3
 
 
 @pytest.mark.parametrize("data", [b"no JSON", b"", b"\xff\xfe", b"[1, 2]", b"null", b"1", b'{"a": ', b"[" * 5000])
 def test_whatever_is_published_is_recorded(tmp_path: Path, recorder: Recorder, arm: Arm, data: bytes) -> None:
     for key in ("goal", "setpoint", "state", "result", "request", "some/thing"):
-        recorder.take(heard(1.0, key, data))
-    recorder.take(heard(1.0, "arm", data))
-    recorder.close()
+        recorder.receive_message(heard(1.0, key, data))
+    recorder.receive_message(heard(1.0, "arm", data))
+    recorder.end_recording()
     messages = read(files(tmp_path)[0])
     assert len(on(messages, "other")) == 6
     assert {it["key"] for it in on(messages, "other")} == {
@@ -128,18 +128,18 @@ def test_whatever_is_published_is_recorded(tmp_path: Path, recorder: Recorder, a
 def test_messages_of_another_version_are_recorded(
     tmp_path: Path, recorder: Recorder, arm: Arm, message: dict[str, Any]
 ) -> None:
-    recorder.take(heard(1.0, "arm", told(arm)))
+    recorder.receive_message(heard(1.0, "arm", told(arm)))
     for key in ("state", "result", "request", "diagnostics"):
-        recorder.take(heard(1.0, key, message))
-    recorder.close()
+        recorder.receive_message(heard(1.0, key, message))
+    recorder.end_recording()
     messages = read(files(tmp_path)[0])
     assert [on(messages, key) for key in ("state", "result", "request", "diagnostics")] == [[message]] * 4
 
 
 def test_many_keys_of_somebody_else_do_not_become_many_channels(tmp_path: Path, recorder: Recorder) -> None:
     for k in range(3 * MOST_TOPICS):
-        recorder.take(heard(1.0, f"key{k}", {"k": k}))
-    recorder.close()
+        recorder.receive_message(heard(1.0, f"key{k}", {"k": k}))
+    recorder.end_recording()
     messages = read(files(tmp_path)[0])
     assert len({message.topic for message in messages}) == MOST_TOPICS + 1
     assert len(messages) == 3 * MOST_TOPICS
@@ -152,23 +152,23 @@ def test_a_disk_that_fails_is_told_and_tried_again(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    recorder.take(heard(1.0, "arm", told(arm)))
-    recorder.take(heard(1.0, "state", state(arm, [0] * 16, 1.0)))
+    recorder.receive_message(heard(1.0, "arm", told(arm)))
+    recorder.receive_message(heard(1.0, "state", state(arm, [0] * 16, 1.0)))
     write: Callable[..., None] = Recording.write
 
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Recording, "write", full)
-    recorder.take(heard(2.0, "state", state(arm, [1] * 16, 2.0)))
+    recorder.receive_message(heard(2.0, "state", state(arm, [1] * 16, 2.0)))
     assert "No space left on device" in caplog.text
-    recorder.take(heard(2.5, "state", state(arm, [1] * 16, 2.5)))
+    recorder.receive_message(heard(2.5, "state", state(arm, [1] * 16, 2.5)))
     assert len(files(tmp_path)) == 1, "the next attempt comes later"
     monkeypatch.setattr(Recording, "write", write)
     monkeypatch.setattr(module, "RETRY", 0.0)
     recorder._retry_at = 0.0
-    recorder.take(heard(3.0, "state", state(arm, [2] * 16, 3.0)))
-    recorder.close()
+    recorder.receive_message(heard(3.0, "state", state(arm, [2] * 16, 3.0)))
+    recorder.end_recording()
     assert len(files(tmp_path)) == 2
     assert on(read(files(tmp_path)[1]), "state")[-1]["stamp"] == 3.0
 
@@ -181,6 +181,6 @@ def test_what_the_arm_publishes_fits_its_schema(arm: Arm) -> None:
 
 def test_a_defect_is_no_reason_to_log_a_traceback(recorder: Recorder, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.DEBUG):
-        recorder.take(heard(1.0, "arm", {"name": "planar16"}))
+        recorder.receive_message(heard(1.0, "arm", {"name": "planar16"}))
     assert "Traceback" not in caplog.text
-    recorder.close()
+    recorder.end_recording()

@@ -11,7 +11,7 @@ import yaml
 
 from controller.arm.arm import load
 from controller.recorder.folder import Folder
-from controller.recorder.history import Change, Goal, history
+from controller.recorder.history import RecordedChange, RecordedGoal, history
 from controller.recorder.listener import Listener
 from controller.recorder.reader import RecordingReader
 from controller.recorder.recorder import Limits, Recorder
@@ -28,9 +28,9 @@ def recorded(folder: Path, fill: Callable[[Recorder], None], arm: dict[str, Any]
     began: list[Path] = []
     place = Folder(folder, "planar16")
     recorder = Recorder("planar16", place, Limits(10**9, 10**9), began=began.append)
-    recorder.take(heard(0.0, "arm", arm or told(planar())))
+    recorder.receive_message(heard(0.0, "arm", arm or told(planar())))
     fill(recorder)
-    recorder.close()
+    recorder.end_recording()
     place.close()
     return began[0]
 
@@ -77,14 +77,16 @@ def test_goals_of_a_recording_lead_to_the_same_configurations_again(tmp_path: Pa
 
             def noted() -> bool:
                 recorder_has = RecordingReader(path)
-                return {goal.id for goal in history(recorder_has) if isinstance(goal, Goal) and goal.result} == ids
+                return {
+                    goal.id for goal in history(recorder_has) if isinstance(goal, RecordedGoal) and goal.result
+                } == ids
 
             eventually(noted, every=0.5)
         finally:
             ending.set()
             thread.join()
             listener.close()
-            recorder.close()
+            recorder.end_recording()
     found = outcomes(path)
     assert [it for it in found if it.outcome != "equal"] == []
     assert len(found) == 7
@@ -106,7 +108,7 @@ class Played:
 
 
 DONE = {"status": "succeeded", "configuration": "11", "certificate": "optimal"}
-ONCE = Goal("a", 100.0, GOAL, True, "00", False, {0: "11"}, DONE)
+ONCE = RecordedGoal("a", 100.0, GOAL, True, "00", False, {0: "11"}, DONE)
 
 
 @pytest.mark.parametrize(
@@ -153,29 +155,43 @@ def test_a_stamp_is_as_far_ahead_as_it_was() -> None:
 def test_the_history_is_read_in_the_order_of_requests(tmp_path: Path) -> None:
     def fill(recorder: Recorder) -> None:
         locked = [{"actuator": "1.left", "state": 1}]
-        recorder.take(heard(1.0, "state", {"stamp": 1.0, "mode": "ready", "configuration": "A", "degraded": locked}))
-        recorder.take(heard(2.1, "state", {"stamp": 2.1, "mode": "executing", "configuration": "A"}))
-        recorder.take(heard(2.2, "result", {"id": "x", "status": "succeeded", "configuration": "B"}))
-        recorder.take(heard(2.25, "result", {"id": "x", "status": "succeeded", "repeated": True}))
+        recorder.receive_message(
+            heard(1.0, "state", {"stamp": 1.0, "mode": "ready", "configuration": "A", "degraded": locked})
+        )
+        recorder.receive_message(heard(2.1, "state", {"stamp": 2.1, "mode": "executing", "configuration": "A"}))
+        recorder.receive_message(heard(2.2, "result", {"id": "x", "status": "succeeded", "configuration": "B"}))
+        recorder.receive_message(heard(2.25, "result", {"id": "x", "status": "succeeded", "repeated": True}))
         answer = {"accepted": True, "id": "x"}
-        recorder.take(heard(2.3, "request", {"stamp": 2.0, "key": "goal", "payload": GOAL, "answer": answer}))
-        recorder.take(heard(2.4, "request", {"stamp": 2.15, "key": "goal", "payload": GOAL, "answer": answer}))
-        recorder.take(heard(3.0, "request", {"stamp": 2.9, "key": "degrade", "payload": {"a": 1}, "answer": answer}))
-        recorder.take(heard(3.1, "request", {"stamp": 3.0, "key": "stop", "payload": None, "answer": answer}))
+        recorder.receive_message(
+            heard(2.3, "request", {"stamp": 2.0, "key": "goal", "payload": GOAL, "answer": answer})
+        )
+        recorder.receive_message(
+            heard(2.4, "request", {"stamp": 2.15, "key": "goal", "payload": GOAL, "answer": answer})
+        )
+        recorder.receive_message(
+            heard(3.0, "request", {"stamp": 2.9, "key": "degrade", "payload": {"a": 1}, "answer": answer})
+        )
+        recorder.receive_message(
+            heard(3.1, "request", {"stamp": 3.0, "key": "stop", "payload": None, "answer": answer})
+        )
         refused = {"accepted": False, "id": "y", "code": -5}
-        recorder.take(heard(3.2, "request", {"stamp": 3.1, "key": "goal", "payload": GOAL, "answer": refused}))
-        recorder.take(heard(3.3, "request", {"stamp": 3.2, "key": "goal", "payload": None, "answer": refused}))
+        recorder.receive_message(
+            heard(3.2, "request", {"stamp": 3.1, "key": "goal", "payload": GOAL, "answer": refused})
+        )
+        recorder.receive_message(
+            heard(3.3, "request", {"stamp": 3.2, "key": "goal", "payload": None, "answer": refused})
+        )
 
     lock, first, second, change, far = history(RecordingReader(recorded(tmp_path, fill)))
-    assert lock == Change("degrade", {"actuator": "1.left", "state": 1})
-    assert isinstance(first, Goal)
-    assert isinstance(second, Goal)
-    assert isinstance(far, Goal)
+    assert lock == RecordedChange("degrade", {"actuator": "1.left", "state": 1})
+    assert isinstance(first, RecordedGoal)
+    assert isinstance(second, RecordedGoal)
+    assert isinstance(far, RecordedGoal)
     assert (first.start, first.moving, first.incomparable) == ("A", False, None)
     assert second.incomparable == "it began while the arm moved"
     assert (first.result or {})["configuration"] == "B"
     assert second.result is None, "a repeated result belongs to no other goal"
-    assert change == Change("degrade", {"a": 1})
+    assert change == RecordedChange("degrade", {"a": 1})
     assert (far.accepted, far.incomparable) == (False, None)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from controller.arm.arm import load
 from controller.manipulator import frames
-from controller.recorder.scene import MEASURED, TRAVELLING, UNKNOWN, Scene, quaternion, rgba, turn_to
+from controller.recorder.scene import MEASURED, TRAVELLING, UNKNOWN, FoxgloveScene, quaternion, rgba, turn_to
 from controller.recorder.schemas import FOXGLOVE, SCENE, TRANSFORMS
 from tests.keys import DEPLOY
 from tests.recorder.samples import planar, state, told
@@ -23,7 +23,7 @@ def matrix(translation: dict[str, float], rotation: dict[str, float]) -> np.ndar
 @pytest.mark.parametrize("name", ARMS)
 def test_frames_and_lines_are_the_arms(name: str) -> None:
     arm = load(DEPLOY / f"{name}.yaml")
-    m, scene = arm.manipulator, Scene(told(arm))
+    m, scene = arm.manipulator, FoxgloveScene(told(arm))
     rng = np.random.default_rng(3)
     for _ in range(3):
         configuration = [int(rng.integers(count)) for count in m.states]
@@ -49,7 +49,7 @@ def test_frames_and_lines_are_the_arms(name: str) -> None:
 
 def test_colours_tell_what_is_measured() -> None:
     arm = planar()
-    scene, now = Scene(told(arm)), state(arm, [0] * 16, 1.0)
+    scene, now = FoxgloveScene(told(arm)), state(arm, [0] * 16, 1.0)
 
     def colours(**changes: Any) -> list[Any]:
         entities = scene.update({**now, **changes}, 1.0)["entities"][:16]
@@ -71,7 +71,7 @@ def test_goal_and_obstacles_are_drawn() -> None:
     ]
     arm["sent_obstacles"] = [{"half_plane": {"point": [0.0, -0.1], "normal": [0.0, 1.0]}}, {"none": {}}]
     now = {**state(planar(), [0] * 16, 1.0), "target": {"position": [0.5, 2.9], "orientation": None}}
-    update = Scene(arm).update(now, 1.0)
+    update = FoxgloveScene(arm).update(now, 1.0)
     assert misfits(update, FOXGLOVE[SCENE]) == []
     goal, obstacles = update["entities"][-2:]
     assert goal["spheres"][0]["pose"]["position"] == {"x": 0.5, "y": 2.9, "z": 0.0}
@@ -91,7 +91,7 @@ def test_spheres_and_half_spaces_are_drawn() -> None:
         {"half_space": {"point": [0.0, 0.0, -1.0], "normal": [0.0, 0.0, 2.0]}},
         {"box": {"centre": [1, 1, 1], "size": [1, 2, 3], "orientation": [0, 0, 0, 1]}},
     ]
-    update = Scene(arm).update(state(load(DEPLOY / "platform8.yaml"), [0] * 8, 1.0), 1.0)
+    update = FoxgloveScene(arm).update(state(load(DEPLOY / "platform8.yaml"), [0] * 8, 1.0), 1.0)
     assert misfits(update, FOXGLOVE[SCENE]) == []
     obstacles = update["entities"][-1]
     assert obstacles["spheres"][0]["size"] == {"x": 1.0, "y": 1.0, "z": 1.0}
@@ -115,6 +115,6 @@ def test_quaternions_are_those_of_the_manipulator() -> None:
 def test_an_arm_that_is_told_otherwise_is_refused(broken: str) -> None:
     arm = told(planar())
     with pytest.raises((LookupError, ValueError, TypeError)):
-        Scene({key: value for key, value in arm.items() if key != broken})
+        FoxgloveScene({key: value for key, value in arm.items() if key != broken})
     with pytest.raises((LookupError, ValueError, TypeError)):
-        Scene({**arm, broken: []})
+        FoxgloveScene({**arm, broken: []})

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.manipulator.manipulator import Manipulator
-from controller.search.descent import descend
+from controller.search.descent import DescentTables, descend
 from controller.search.method import stage_costs
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
@@ -58,16 +58,8 @@ DENSITIES = {name: map_densities(arm, 0.02, 1 << 18) for name, arm in ARMS.items
 
 def descended(manipulator: Manipulator, d: Densities, goal, costs, thresholds, depth: int):
     configuration = np.full(len(manipulator.modules), -1)
-    wanted = descend(
-        goal,
-        tables_of(manipulator),
-        levels_of(d),
-        costs,
-        thresholds,
-        depth,
-        configuration,
-        None,
-    )
+    tables = DescentTables(tables_of(manipulator), levels_of(d), costs, depth)
+    wanted = descend(tuple(goal.tolist()), tables, thresholds, configuration, None)
     return np.array(wanted), configuration
 
 

@@ -12,7 +12,7 @@ from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from controller.search import distal_table as table_module
-from controller.search.distal_table import Wanted, build_distal_table, finish, lowest, nearest
+from controller.search.distal_table import DistalSearch, Wanted, build_distal_table, finish, lowest, nearest
 from controller.workspace.reachability import tables_of
 from tests.arms import (
     any_frames,
@@ -44,26 +44,17 @@ def searches(draw):
 
 def run_finish(manipulator, goal, stage_costs, tolerance, rotation=NO_TURN, limit=math.inf, weight=0.0, most=math.inf):
     """Returns squared error, whether it is within the tolerance, and configuration of `finish`."""
-    t = build_distal_table(manipulator)
+    search = DistalSearch(build_distal_table(manipulator), stage_costs, tables_of(manipulator))
     configuration = np.zeros(len(manipulator.modules), dtype=np.int64)
-    square, within = finish(
-        goal,
-        Wanted(rotation, tolerance, limit, weight),
-        most,
-        t,
-        stage_costs,
-        tables_of(manipulator),
-        configuration,
-        None,
-    )
+    square, within = finish(goal, Wanted(rotation, tolerance, limit, weight), most, search, configuration, None)
     return square, within, configuration
 
 
 def run_nearest(manipulator, goal, stage_costs, best_cost, best_square):
     """Returns row, cost and squared distance of `nearest` without tolerance."""
-    t = build_distal_table(manipulator)
+    search = DistalSearch(build_distal_table(manipulator), stage_costs, tables_of(manipulator))
     anyhow = Wanted(NO_TURN, 0.0, math.inf, 0.0)
-    return nearest(goal, anyhow, best_cost, best_square, t, stage_costs, manipulator.states, None)
+    return nearest(tuple(goal.tolist()), anyhow, best_cost, best_square, search, None)
 
 
 def total_cost(stage_costs, configurations):

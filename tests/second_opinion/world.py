@@ -10,12 +10,13 @@ from typing import Any
 import can
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Client, FromClient, Log, Send, Tick, ToClient
+from controller.executor.core.core import Executor
+from controller.executor.core.events import TICK, ClientId, ExecutorTick, FromClient, SendFrame, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
-from controller.program import Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
+from controller.host.process import Log
+from controller.program import VERSION, Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
 from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.second_opinion.board import MODULE, Board, Change, Kind
 
 NODES = (1, 2)
@@ -25,9 +26,9 @@ SIZE = len(LABELS)
 A, B = 0b000111, 0b011100
 STEP = 0.002  # [s]
 TIMING = Timing(heartbeat=0.1, heartbeat_timeout=0.35, boot_timeout=1.0, travel_time=0.05, settle_margin=0.03)
-BUS = BusSettings("can0", "virtual", "second opinion")
+BUS = BusWiring("can0", "virtual", "second opinion")
 CHANNELS = tuple(Channel(label, "can0", NODES[k // 3], FIRST + k % 3, FIRST + k % 3) for k, label in enumerate(LABELS))
-PLANNER = Client(1, 4001)
+PLANNER = ClientId(1, 4001)
 BUS_OFF, RESTARTED = 0x40, 0x100  # error frames of SocketCAN
 
 
@@ -110,7 +111,7 @@ class World:
         self.cable = Cable(self)
         self.wire = Wire(self.cable, self)
         self.core = Executor(self.arm, self.journal, instance=self.instances)
-        self.send(Hello(1, "planner", self.arm.name))
+        self.send(Hello(VERSION, "planner", self.arm.name))
 
     def kill(self) -> None:
         """Ends the executor without a word."""
@@ -132,16 +133,16 @@ class World:
                 board.step(self.now)
             if self.core is not None:
                 self._poll()
-                if k % round(PERIOD / STEP) == 0:
+                if k % round(TICK / STEP) == 0:
                     self.send(Alive())
-                    self._do(Tick())
+                    self._do(ExecutorTick())
 
     def until(self, mode: str, seconds: float = 20.0) -> None:
         """Lets time pass until the executor is in a mode."""
         end = self.now + seconds
         while self.mode != mode:
             assert self.now < end, f"not {mode} but {self.mode}: {self.reason}; {self.logged[-5:]}"
-            self.go(PERIOD)
+            self.go(TICK)
 
     def up(self) -> World:
         """Starts an executor, and waits until it is ready."""
@@ -162,8 +163,8 @@ class World:
             return
         for action in self.core.step(event, self.now):
             match action:
-                case Send():
-                    self.wire.send(action.frame)
+                case SendFrame():
+                    self.wire.send_frame(action.frame)
                 case ToClient():
                     self.heard.append(action.message)
                 case Log():
@@ -193,7 +194,7 @@ class World:
     def reset(self) -> None:
         """Resets the executor, and waits until it is ready."""
         self.send(Reset(1))
-        self.go(PERIOD)
+        self.go(TICK)
         self.until("ready")
 
     def last(self, kind: type) -> Any:

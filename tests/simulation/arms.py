@@ -7,7 +7,7 @@ from random import Random
 from typing import Any
 
 from controller.executor.core.arm import ExecutedArm
-from drivers.canopen.wiring import BusSettings, Channel, Interlock, NodeSettings, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
 from drivers.simulation.buses import board_names
 from drivers.simulation.variants import VARIANTS, Variant
 
@@ -32,7 +32,7 @@ UNSHARED = ("fixed-mapping", "outputs-in-rpdo5", "maker-object", "short-mapping"
 def draw_arm(random: Random) -> ExecutedArm:
     """Returns an arm of 2..12 actuators on 1..4 boards and 1..2 buses."""
     rates = [125_000, 500_000, 1_000_000]  # [bit/s]
-    buses = [BusSettings(name, "simulated", name, random.choice(rates)) for name in ("can0", "can1")]
+    buses = [BusWiring(name, "simulated", name, random.choice(rates)) for name in ("can0", "can1")]
     del buses[random.choice([1, 1, 2]) :]
     channels = []
     for node in range(1, random.randint(1, 4) + 1):
@@ -115,7 +115,7 @@ def draw_boards(random: Random, arm: ExecutedArm) -> tuple[ExecutedArm, dict[str
     names = ORDINARY if any(level is not None for level in wiring.loss_levels) else ORDINARY + HOLDING
     chosen = {board: random.choice(names) for board in board_names(wiring)}
     makers = (board.split("/") for board, name in chosen.items() if name == "maker-object")
-    nodes = tuple(NodeSettings(bus, int(node), object=VARIANTS["maker-object"].output_object) for bus, node in makers)
+    nodes = tuple(NodeWiring(bus, int(node), object=VARIANTS["maker-object"].output_object) for bus, node in makers)
     shared = wiring.shared_rpdo and set(UNSHARED).isdisjoint(chosen.values())
     wiring = replace(wiring, error_state="device", nodes=nodes, shared_rpdo=shared)
     return replace(arm, wiring=wiring), {board: VARIANTS[name] for board, name in chosen.items()}

@@ -102,7 +102,7 @@ class BoardSide(AttachedBoards):
             self.receive(bus, frame, _words(frame), sent.belongs_to)
 
     def hear_tool(self, bus: str, frame: Frame) -> None:
-        """Takes a frame of another program; what it changes is a fault."""
+        """Takes a frame of another program; its effects are faults."""
         self.receive(bus, frame, FOREIGN_START if frame.data[:1] == bytes([Command.START]) else "fault")
 
     def fault(self, verb: str, name: str, *numbers: float | str) -> None:

@@ -8,7 +8,7 @@ from random import Random
 from typing import NamedTuple
 
 from drivers.canopen.wire.cia301 import REMOTE, Frame, split, wire_bits
-from drivers.canopen.wire.events import Changed, Echoed, Event, Received
+from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
 from tests.simulation.agenda import Agenda
 
 MAILBOXES = 3  # of the controller; frames in them compete by identifier
@@ -92,7 +92,7 @@ class BusModel:
     def _sends(self) -> bool:
         return self._connected and not self.stuck
 
-    def send(self, frame: Frame, belongs_to: object = None) -> str | None:
+    def send_frame(self, frame: Frame, belongs_to: object = None) -> str | None:
         """Takes a frame of the executor; returns why it cannot be sent, or None."""
         if self.state == "down":
             return "Network is down"
@@ -170,7 +170,7 @@ class BusModel:
 
     def _change(self, state: str, why: str) -> None:
         self.state = state
-        self._to_executor(Changed(self.name, state, why, (128, 0) if state == "passive" else None))
+        self._to_executor(BusChanged(self.name, state, why, (128, 0) if state == "passive" else None))
         self.begin()
 
     # --- the wire
@@ -203,14 +203,14 @@ class BusModel:
         elif isinstance(on_wire, OnItsWay):
             self._note(on_wire.frame)
             if self.echoes:
-                self._to_executor(Echoed(self.name, on_wire.frame, self._agenda.now))
+                self._to_executor(FrameEchoed(self.name, on_wire.frame, self._agenda.now))
             for _ in range(1 + twice):
                 self._to_boards(self.name, on_wire, lost)
         elif on_wire is not None:
             self._note(on_wire)
             for _ in range(1 + twice):
                 if self._connected and not lost:
-                    self._to_executor(Received(self.name, on_wire, self._agenda.now))
+                    self._to_executor(FrameReceived(self.name, on_wire, self._agenda.now))
                 if on_wire.id == MASTER_HEARTBEAT or split(on_wire.id)[0] not in (SDO_ANSWER, HEARTBEAT):
                     self._to_boards(self.name, OnItsWay(on_wire, None), lost)
         self.begin()

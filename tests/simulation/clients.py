@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from controller.motion.codes import Refusal
 from controller.planning.core.events import Key, refused
 from controller.planning.planner import RequestDecoder
 from controller.program import unpack
+from controller.refusals.refusal import Refusal
 from tests.simulation.configurations import first_touched
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class Clients:
         try:
             asked.message = self._decoder.decode(key, data)
         except Refusal as refusal:
-            asked.payload = dict(refused(refusal.code, str(refusal)))
+            asked.payload = dict(refused(refusal))
             return
         history.posted(asked)
         number = process.request(key, asked.message, asked.reply)
@@ -191,7 +191,7 @@ class Clients:
         return {label: self._random.choice(STATES) for label in self._random.sample(self._labels, count)}
 
     def _regions(self) -> list[dict[str, Any]]:
-        """Returns obstacles, each of which is a cube of states; it does not touch the arm where it stands, mostly."""
+        """Returns obstacles, each a cube of states; most do not touch the arm at rest."""
         random, size, regions = self._random, len(self._labels), list[dict[str, Any]]()
         for k in range(random.choice([0, 1, 1, 2, 4])):
             mask = sum(1 << bit for bit in random.sample(range(size), min(size, random.choice([2, 3, 4]))))

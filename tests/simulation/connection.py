@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Callable
 from random import Random
 
-from controller.executor.core.events import Client, ClientGone, FromClient
-from controller.program import VERSION, Down, Halt, Hello, Up, decode_down, decode_up, encode
+from controller.executor.core.events import ClientGone, ClientId, FromClient
+from controller.program import VERSION, Down, Hello, Stop, Up, decode_down, decode_up, encode
 from tests.simulation.agenda import Agenda
 from tests.simulation.process import ExecutorProcess
 
@@ -39,7 +39,7 @@ class Connection:
         hear: Callable[[Up], None],
         awake_at: Callable[[], float],
     ) -> None:
-        self.client: Client | None = None
+        self.client: ClientId | None = None
         self.sent: Counter[str] = Counter()
         self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
         self._hear, self._awake_at = hear, awake_at
@@ -60,9 +60,9 @@ class Connection:
     def halt(self) -> None:
         """Makes an operator halt the arm over a separate connection."""
         client = self._greet("operator")
-        self._executor.hear(client, FromClient(client, Halt(1)))
+        self._executor.hear(client, FromClient(client, Stop(1)))
         self._executor.hear(client, ClientGone(client))
-        self.sent["Halt"] += 1
+        self.sent["Stop"] += 1
 
     def send(self, message: Down) -> None:
         """Sends a message of the planner."""
@@ -78,7 +78,7 @@ class Connection:
 
         self._agenda.at(self._last_out, arrive)
 
-    def deliver(self, client: Client, message: Up) -> None:
+    def deliver(self, client: ClientId, message: Up) -> None:
         """Delivers a message of the executor, when the socket and the process are ready."""
         if client != self.client:
             return
@@ -93,9 +93,9 @@ class Connection:
 
         self._agenda.at(self._last_in, arrive)
 
-    def _greet(self, role: str) -> Client:
+    def _greet(self, role: str) -> ClientId:
         self._connections += 1
-        client = Client(self._connections, 1000 + self._connections)
+        client = ClientId(self._connections, 1000 + self._connections)
         hello = Hello(VERSION, role, self._arm)  # type: ignore[arg-type]
         self._executor.hear(client, FromClient(client, hello))
         return client

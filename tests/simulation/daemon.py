@@ -10,7 +10,7 @@ import numpy as np
 
 from controller.arm.arm import Arm
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import Quit
+from controller.host.process import Quit
 from controller.motion.decoding.goal import GoalRules, schedule
 from controller.motion.stages.pacing import pace_of
 from controller.program import Snapshot, unpack

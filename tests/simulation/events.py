@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from controller.arm import arm as config
-from controller.flight_recorder.loading import Entry, Generation, load
+from controller.flight_recorder.loading import Generation, RecordedStep, load
 
 
 class Difference(NamedTuple):
@@ -29,7 +29,7 @@ class Difference(NamedTuple):
     """
 
     number: int
-    entry: Entry
+    entry: RecordedStep
     actions: list[Any] | str
 
     def words(self) -> str:
@@ -80,7 +80,7 @@ def replay(generations: Sequence[Generation]) -> Replayed:
     return Replayed(count, skipped, None, core)
 
 
-def step(core: Any, entry: Entry) -> list[Any] | str:
+def step(core: Any, entry: RecordedStep) -> list[Any] | str:
     """Returns the actions of a core on a recorded event; the traceback if its step raises an exception."""
     times = (entry.now,) if entry.wall is None else (entry.now, entry.wall)
     try:

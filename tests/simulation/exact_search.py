@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.arm.arm import Arm
-from controller.motion import codes
-from controller.motion.codes import Refusal
 from controller.motion.decoding.goal import GoalRules, schedule
 from controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
 from controller.motion.stages.pacing import pace_of
@@ -35,13 +33,14 @@ from controller.planning.core.tasks import (
     ImprovePlan,
     PlanGoal,
     Planned,
-    Refused,
     Scene,
     SceneBuilt,
     Tables,
     Task,
 )
 from controller.program import pack, unpack
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 from tests.simulation.configurations import Configurations, Costs, Graph, cubes_of, first_touched
 from tests.simulation.planned_arms import integer
 
@@ -100,7 +99,7 @@ class ExactSearch:
                 case _:
                     yield Done()
         except Refusal as refusal:
-            yield Refused(refusal.code, str(refusal))
+            yield refusal.data
 
     # --- goals
 
@@ -140,11 +139,11 @@ class ExactSearch:
         """
         number = self._space.index.get(unpack(start.states))
         if number is None:
-            raise Refusal(codes.INVALID_GOAL, "the arm is in no configuration")
+            raise Refusal(Reason.NO_CONFIGURATION)
         if not graph.permitted[number] and (self._space.codes[number] ^ locked_states(tables)) & locked_mask(tables):
-            raise Refusal(codes.INVALID_GOAL, "the arm is in no configuration")
+            raise Refusal(Reason.NO_CONFIGURATION)
         if not graph.permitted[number]:
-            raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, "the arm collides where it stands")
+            raise Refusal(Reason.ARM_IN_OBSTACLE)
         return number
 
     def _plan(self, task: PlanGoal) -> Planned:
@@ -154,14 +153,14 @@ class ExactSearch:
         layers = self._space.layers(graph, start, wanted)
         bound = float(layers[-1].min())
         if bound == np.inf:
-            raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, "no configuration reaches the goal")
+            raise Refusal(Reason.OUT_OF_REACH)
         way = self._random.choice(["cheapest", "cheapest", "greedy", "any"])
         goals = None if way == "cheapest" else self._greedy(graph, start, wanted, cheapest=way == "greedy")
         goals = goals or self._choose(graph, layers)
         points = self._points(arm_start, graph, start, goals)
         first = self._from_commanded(arm_start, points[0], scene)
         if first is None:
-            raise Refusal(codes.INVALID_GOAL, "the motion from the arm's present state would collide")
+            raise Refusal(Reason.START_COLLIDES)
         points[0] = first
         plan = FoundPlan(arm_start, trajectory, goals, bound)
         return Planned(trajectory, tuple(points), self._proof(graph, start, goals, bound), plan)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from controller.host.process import Log
 from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core.events import (
     Action,
@@ -17,7 +18,6 @@ from controller.planning.core.events import (
     Identity,
     Key,
     LinkDown,
-    Log,
     ObstaclesMessage,
     Payload,
     Publish,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from controller.executor.core.bits import indices
-from controller.executor.core.core import PERIOD
+from controller.executor.core.events import TICK
 from controller.executor.motion.program_execution import FED_WITHIN, STARVED
 from controller.program import Begun
 from drivers.canopen.wire import cia301
@@ -152,7 +152,7 @@ def programs_without_further_stages_end(world: World) -> None:
     for ended, running in world.record.step.ended:
         if running is not None and STARVED in ended.message:
             waited = running.unfed if running.starves else 0.0
-            require(waited > FED_WITHIN - PERIOD, f"program {ended.program} was given up after {waited:g} s")
+            require(waited > FED_WITHIN - TICK, f"program {ended.program} was given up after {waited:g} s")
     running = world.record.running
     if running is not None and running.starves:
         require(running.unfed < FED_WITHIN + SETTLED_WITHIN, f"program {running.number} waits for stages for ever")
@@ -239,7 +239,7 @@ def pulses_end(world: World) -> None:
         away, record.unreached[k] = record.unreached[k], not world.reaches(k)
         record.away[k] += (now - record.looked_at[k]) * away
         record.looked_at[k] = now
-        longest = length + record.away[k] + PERIOD * (1 + (record.away[k] > 0.0))  # the executor hears of it, then acts
+        longest = length + record.away[k] + TICK * (1 + (record.away[k] > 0.0))  # the executor hears of it, then acts
         require(now - since <= longest + LATE, f"actuator {k}: a coil is on for {now - since:g} s, of {longest:g} s")
 
 
@@ -270,7 +270,7 @@ def nothing_begins_while_an_interlock_is_open(world: World) -> None:
     lock = world.arm.wiring.interlocks[0]
     if not world.boards.takes_part(f"{lock.bus}/{lock.node}"):
         record.unread_at = now
-    if not record.step.frames or now < record.open_since + PERIOD:
+    if not record.step.frames or now < record.open_since + TICK:
         return
     lost_at = world.buses[lock.bus].tpdo_lost_at
     if max(record.unread_at, record.disturbed_at[lock.bus], lost_at) >= record.open_since - LATE:

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
-from controller.executor.core.events import Client, ClientGone, FromClient
+from controller.executor.core.events import ClientGone, ClientId, FromClient
 from controller.planning.link import RETRY, Connection, ExecutorLink
-from controller.program import VERSION, Down, Goodbye, Halt, Hello, Up, decode_down, encode
+from controller.program import VERSION, Down, Goodbye, Hello, Stop, Up, decode_down, encode
 from tests.simulation.agenda import Agenda
 from tests.simulation.process import ExecutorProcess
 
@@ -24,7 +24,7 @@ class Socket(Connection):
         client: number and process of this end.
     """
 
-    def __init__(self, network: Network, client: Client) -> None:
+    def __init__(self, network: Network, client: ClientId) -> None:
         self.client, self.arrived = client, deque[bytes]()
         self.ended = self.shut_down = False  # by the executor; by the planner
         self._network, self._last_out, self._last_in = network, 0.0, 0.0
@@ -104,7 +104,7 @@ class Network:
         self.sent: Counter[str] = Counter()
         self.wake: Callable[[], None] = lambda: None
         self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
-        self._sockets: dict[Client, Socket] = {}
+        self._sockets: dict[ClientId, Socket] = {}
         self._numbers = 0
 
     def connect(self) -> Socket | None:
@@ -119,11 +119,11 @@ class Network:
         """Makes an operator halt the arm over a connection of its own."""
         client = self._new_client()
         self._executor.hear(client, FromClient(client, Hello(VERSION, "operator", self._arm)))
-        self._executor.hear(client, FromClient(client, Halt(1)))
+        self._executor.hear(client, FromClient(client, Stop(1)))
         self._executor.hear(client, ClientGone(client))
-        self.sent["Halt"] += 1
+        self.sent["Stop"] += 1
 
-    def deliver(self, client: Client, message: Up) -> None:
+    def deliver(self, client: ClientId, message: Up) -> None:
         """Sends a message of the executor; a `Goodbye` ends the connection."""
         socket = self._sockets.get(client)
         if socket is not None:
@@ -136,13 +136,13 @@ class Network:
         for client in list(self._sockets):
             self._end(client)
 
-    def to_executor(self, client: Client, message: Down) -> None:
+    def to_executor(self, client: ClientId, message: Down) -> None:
         """Gives a packet that has arrived to the executor."""
         if client in self._sockets:
             self.sent[type(message).__name__] += 1
             self._executor.hear(client, FromClient(client, message))
 
-    def gone(self, client: Client) -> None:
+    def gone(self, client: ClientId) -> None:
         """Tells the executor that the planner's end was closed."""
         if self._sockets.pop(client, None) is not None:
             self._executor.hear(client, ClientGone(client))
@@ -153,12 +153,12 @@ class Network:
         self._agenda.at(at, happen)
         return at
 
-    def _end(self, client: Client) -> None:
+    def _end(self, client: ClientId) -> None:
         self._sockets.pop(client).back(None)
 
-    def _new_client(self) -> Client:
+    def _new_client(self) -> ClientId:
         self._numbers += 1
-        return Client(self._numbers, 1000 + self._numbers)
+        return ClientId(self._numbers, 1000 + self._numbers)
 
 
 class SimulatedLink(ExecutorLink):

@@ -8,18 +8,11 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
+from controller.host.process import Quit
 from controller.motion.stages.pacing import pace_of
 from controller.planning import loop as loop_module
 from controller.planning.core.core import Beginning, Core
-from controller.planning.core.events import (
-    Action,
-    Event,
-    Key,
-    Message,
-    Quit,
-    SetpointArrived,
-    TipArrived,
-)
+from controller.planning.core.events import Action, Event, Key, Message, SetpointArrived, TipArrived
 from controller.planning.core.tasks import Scene, Tables
 from controller.planning.link import ExecutorLink
 from controller.planning.loop import Loop, OnReply, PlannerFailed, Services
@@ -147,7 +140,7 @@ class PlannerProcess:
             self.post(Quit())
             self._agenda.at(self.quits_at, lambda: self._end(in_order=True))
 
-    def send(self, assignment: str) -> None:
+    def notify(self, assignment: str) -> None:
         """Takes what the loop tells systemd."""
 
     # --- rounds

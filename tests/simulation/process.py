@@ -7,13 +7,24 @@ from collections.abc import Callable, Mapping
 from random import Random
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Action, Client, ClientGone, Event, FromClient, Log, Send, Tick, ToClient
+from controller.executor.core.core import Executor
+from controller.executor.core.events import (
+    TICK,
+    Action,
+    ClientGone,
+    ClientId,
+    Event,
+    ExecutorTick,
+    FromClient,
+    SendFrame,
+    ToClient,
+)
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.flight_recorder import FlightRecorder
+from controller.host.process import Log
 from controller.program import Up
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, SendFailed
+from drivers.canopen.wire.events import BusChanged, SendFailed
 from tests.simulation.agenda import Agenda
 from tests.simulation.bus_model import BusModel
 
@@ -33,7 +44,7 @@ class Witness:
         """Is called before an event is handled."""
 
     def sends(self, bus: str, frame: Frame) -> object:
-        """Is called before a frame is handed out; returns what it belongs to."""
+        """Called before a frame is handed out; returns the commit of the frame."""
 
     def says(self, message: Up) -> None:
         """Is called before a message to a client is sent."""
@@ -73,14 +84,14 @@ class ExecutorProcess:
         self.recorder: FlightRecorder | None = None
         self._arm, self._agenda, self._random, self._buses = arm, agenda, random, buses
         self._witness = witness
-        self._to_client: Callable[[Client, Up], None] = lambda client, message: None
+        self._to_client: Callable[[ClientId, Up], None] = lambda client, message: None
         self._dies: Callable[[], None] = lambda: None
         self._at_start: Callable[[], None] = lambda: None
         self._events: deque[Event] = deque()
         self._awake_at = self._started_at = 0.0
         self._woken = self._ticked = False
         self._next_tick = 0.0
-        self._clients: set[Client] = set()
+        self._clients: set[ClientId] = set()
         self._actions_left: int | None = None
 
     # --- its life
@@ -100,7 +111,7 @@ class ExecutorProcess:
         self._started_at = self._agenda.now
         self._witness.started()
         for name, bus in self._buses.items():
-            self.post(Changed(name, bus.state, "", None))
+            self.post(BusChanged(name, bus.state, "", None))
         self._tick_later(self.instances)
         happen, self._at_start = self._at_start, lambda: None
         happen()
@@ -143,11 +154,11 @@ class ExecutorProcess:
 
     # --- its clients
 
-    def connect(self, to_client: Callable[[Client, Up], None], dies: Callable[[], None]) -> None:
+    def connect(self, to_client: Callable[[ClientId, Up], None], dies: Callable[[], None]) -> None:
         """Sets the functions that take messages for clients, and the end of the process."""
         self._to_client, self._dies = to_client, dies
 
-    def hear(self, client: Client, event: FromClient | ClientGone) -> bool:
+    def hear(self, client: ClientId, event: FromClient | ClientGone) -> bool:
         """Takes an event of a client; returns whether the process knows the connection."""
         if isinstance(event, ClientGone):
             if client not in self._clients:
@@ -182,10 +193,10 @@ class ExecutorProcess:
             # `select` promises no order of file descriptors; buses are opened before the first tick.
             first = self._random.random() < 0.5 and self._ticked
             self._ticked = True
-            (self._events.appendleft if first else self._events.append)(Tick())
+            (self._events.appendleft if first else self._events.append)(ExecutorTick())
             self._run_now()
-            late = int((self._agenda.now - self._next_tick) / PERIOD)
-            self._next_tick += (1 + late) * PERIOD
+            late = int((self._agenda.now - self._next_tick) / TICK)
+            self._next_tick += (1 + late) * TICK
             self._agenda.at(self._next_tick, due)
 
         self._agenda.at(self._next_tick, due)
@@ -217,8 +228,8 @@ class ExecutorProcess:
                 self.kill()
                 return
         match action:
-            case Send(bus, frame):
-                why = self._buses[bus].send(frame, self._witness.sends(bus, frame))
+            case SendFrame(bus, frame):
+                why = self._buses[bus].send_frame(frame, self._witness.sends(bus, frame))
                 if why is not None:
                     self._events.appendleft(SendFailed(bus, frame, why))
             case ToClient(client, message):

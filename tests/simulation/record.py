@@ -7,9 +7,10 @@ from collections import Counter, deque
 from collections.abc import Callable
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import LONGEST, PERIOD, Executor
-from controller.executor.core.events import ClientGone, Event, FromClient, Tick
+from controller.executor.core.core import LONGEST_TICK, Executor
+from controller.executor.core.events import TICK, ClientGone, Event, ExecutorTick, FromClient
 from controller.executor.motion.program_execution import STARVED
+from controller.planning.core.goals import MOVED
 from controller.program import (
     Accepted,
     Acknowledge,
@@ -18,7 +19,6 @@ from controller.program import (
     Cancel,
     Declined,
     Ended,
-    Halt,
     Hello,
     Program,
     Replaced,
@@ -27,6 +27,7 @@ from controller.program import (
     Setpoint,
     Settled,
     Snapshot,
+    Stop,
     Up,
     unpack,
 )
@@ -130,7 +131,7 @@ class Record(Witness):
         match message:
             case Acknowledge():
                 self.acknowledged.add((self.instance, message.result))
-            case Cancel(program=None) | Halt():
+            case Cancel(program=None) | Stop():
                 self._stops = True
                 self._hold()
             case Cancel() if self.running is not None and self.running.number == message.program:
@@ -150,9 +151,9 @@ class Record(Witness):
         match message:
             case Accepted():
                 self._accept(message)
-            case Declined(cause="moved") if (core := self.core()) is not None:
+            case Declined(refused=refused) if refused.reason in MOVED and (core := self.core()) is not None:
                 self.declined_in_switch = core.motion.busy
-            case Answer() if isinstance(self._message, Halt | Cancel):
+            case Answer() if isinstance(self._message, Stop | Cancel):
                 self.floor += getattr(self._message, "program", None) is None
                 if self._stops:
                     of_one = isinstance(self._message, Cancel) and self._message.program is not None
@@ -202,7 +203,7 @@ class Record(Witness):
             if asked:
                 execution, states = core.motion.execution, core.motion.actuation.states
                 homed, self.commit.homes = (-1, states) if execution is None else execution.homed
-                self.commit.homing = core.motion.homing & homed
+                self.commit.homing = core.motion.readings.homing & homed
             self.commit.releases = any(core.motion.kinds.on(core._master.outputs))
         return None
 
@@ -272,13 +273,13 @@ class Record(Witness):
         assert core is not None
         planner = core._clients.planner
         match event:
-            case Tick():
-                passed = min(now - self._last_tick, LONGEST)
+            case ExecutorTick():
+                passed = min(now - self._last_tick, LONGEST_TICK)
                 self._last_tick = now
                 self._silence += passed
                 if self.running is not None and self.running.starves:
                     self.running.unfed += passed
-                lost = not self._silent and self._silence > self._arm.planner_timeout + 3 * PERIOD
+                lost = not self._silent and self._silence > self._arm.planner_timeout + 3 * TICK
                 if planner is not None and lost:
                     self._silent = True
                     self._lose_planner(self._heard_epoch)

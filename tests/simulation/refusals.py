@@ -1,11 +1,11 @@
-"""The causes of refusals: which sentence may be said when."""
+"""The causes of refusals: which reason may be given when."""
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 from controller.planning.core import goals
+from controller.refusals.reasons import Reason
 
 if TYPE_CHECKING:
     from tests.simulation.daemon import Daemon
@@ -19,12 +19,11 @@ PATIENCE = 2.0  # [s] of the core for an answer of the executor
 def unfounded(asked: Asked, world: World, daemon: Daemon) -> str | None:
     """Returns the sentence of a refusal for which there is no cause; None if there is one."""
     assert asked.payload is not None
-    history, words, now = daemon.history, str(asked.payload["message"]), world.agenda.now
+    reason, words, now = Reason(asked.payload["reason"]), str(asked.payload["message"]), world.agenda.now
     waited = now - asked.at
-    for pattern, holds in CAUSES:
-        if re.search(pattern, words):
-            return None if holds(asked, world, daemon, now, waited) else words
-    return f"{words} (an unknown sentence, {history.counts['asked goal']} goals)"
+    if (holds := CAUSES.get(reason)) is None:
+        return f"{words} (no cause of {reason.value} is known, {daemon.history.counts['asked goal']} goals)"
+    return None if holds(asked, world, daemon, now, waited) else words
 
 
 def _barred(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
@@ -120,23 +119,40 @@ def _answered(asked: Asked, world: World, daemon: Daemon, now: float, waited: fl
     return True
 
 
-CAUSES = (
-    (r"^a cancel, stop, reset or fault", _barred),
-    (r"the executor is shutting down", _executor_closing),
-    (r"shutting down", _closing),
-    (r"^the arm is (starting|fault|stopped|ready|executing)", _no_motion),
-    (r"^unknown state", _unknown),
-    (r"^the executor did not answer", _silent),
-    (r"^the executor has not answered an earlier request", _silent),
-    (r"^the connection to the executor was lost", _lost),
-    (r"^planning took longer", _hung),
-    (r"^the arm (moved each time|has moved since the program was planned, )", _moved),
-    (r"^the boards have not confirmed the last switch yet, ", _unconfirmed),
-    (r"^internal error while planning", _failed),
-    (r"^the motion from the arm's present state would collide|^the arm collides where it stands", _collides),
-    (r"^stamp: ", _late),
-    (r"^busy: ", _busy),
-    (r"is running already", _twice),
-    (r"is locked: unlock it", _locked),
-    (r"^no configuration reaches the goal|^waypoints|^the arm is in no configuration", _answered),
-)
+CAUSES = {
+    Reason.OVERTAKEN: _barred,
+    Reason.EXECUTOR_SHUTTING_DOWN: _executor_closing,
+    Reason.SHUTTING_DOWN: _closing,
+    Reason.ARM_STARTING: _no_motion,
+    Reason.ARM_IN_FAULT: _no_motion,
+    Reason.ARM_STOPPED: _no_motion,
+    Reason.ARM_NOT_KNOWN: _no_motion,
+    Reason.LOCKS_CHANGING: _no_motion,
+    Reason.UNKNOWN_STATE: _unknown,
+    Reason.STATE_IN_BETWEEN: _unknown,
+    Reason.EXECUTOR_SILENT: _silent,
+    Reason.EXECUTOR_BEHIND: _silent,
+    Reason.EXECUTOR_LOST: _lost,
+    Reason.PLANNING_TOO_LONG: _hung,
+    Reason.ARM_MOVED: _moved,
+    Reason.MOVED_SINCE_PLANNED: _moved,
+    Reason.SWITCH_NOT_CONFIRMED: _unconfirmed,
+    Reason.PLANNING_FAILED: _failed,
+    Reason.START_COLLIDES: _collides,
+    Reason.ARM_IN_OBSTACLE: _collides,
+    Reason.ARRIVED_TOO_LATE: _late,
+    Reason.PLANNED_TOO_LATE: _late,
+    Reason.TOO_FAR_AHEAD: _late,
+    Reason.BUSY: _busy,
+    Reason.ALREADY_RUNNING: _twice,
+    Reason.ACTUATOR_LOCKED: _locked,
+    Reason.OUT_OF_REACH: _answered,
+    Reason.NO_CONFIGURATION: _answered,
+    Reason.BEYOND_LENGTH: _answered,
+    Reason.LOCKED_CONFIGURATION: _answered,
+    Reason.TIMES_TOO_CLOSE: _answered,
+    Reason.TIMES_NOT_INCREASING: _answered,
+    Reason.TIME_TOO_SHORT: _answered,
+    Reason.WRONG_DIMENSION: _answered,
+    Reason.NO_WAYPOINTS: _answered,
+}

@@ -13,13 +13,14 @@ from typing import Any
 import pytest
 
 from controller.arm import arm as config
-from controller.executor.core.events import Log, Send
-from controller.executor.process.server import Server
+from controller.executor.core.events import SendFrame
+from controller.executor.process.server import ExecutorServer
 from controller.flight_recorder import FlightRecorder, Label, keeper, pickling
 from controller.flight_recorder import recorder as recording
-from controller.flight_recorder.keeper import KEPT, LENGTH, Refused, save
+from controller.flight_recorder.keeper import KEPT, LENGTH, RefusedFile, save
 from controller.flight_recorder.loading import load
 from controller.flight_recorder.pickling import LEFT_OUT, unpickle
+from controller.host.process import Log
 from controller.obstacles.obstacles import sphere
 from controller.planning.core.core import OPAQUE
 from controller.planning.core.events import Answered, Start
@@ -70,9 +71,11 @@ def test_the_first_different_action_is_named(
     assert "all actions reproduced" in capsys.readouterr().out
     generations = load(path)
     number, entry = next(
-        (k, entry) for k, entry in enumerate(generations[-1].entries) if any(isinstance(a, Send) for a in entry.actions)
+        (k, entry)
+        for k, entry in enumerate(generations[-1].entries)
+        if any(isinstance(a, SendFrame) for a in entry.actions)
     )
-    first = next(k for k, action in enumerate(entry.actions) if isinstance(action, Send))
+    first = next(k for k, action in enumerate(entry.actions) if isinstance(action, SendFrame))
     sent = entry.actions[first]
     entry.actions[first] = sent._replace(bus="another")
     difference = replay(generations).difference
@@ -130,7 +133,7 @@ def test_opaque_values_are_left_out_and_constant_ones_are_made_from_the_arms_fil
     (entry,) = generation.entries
     assert entry[:3] == (Answered(7, SceneBuilt(Scene(4, False, LEFT_OUT), 1, 1), True), 1.0, 2.0)
     assert same(entry.actions, [Start(8, BuildScene(5, pillar))])
-    with pytest.raises(Refused, match="needs 'manipulator'"):
+    with pytest.raises(RefusedFile, match="needs 'manipulator'"):
         load(tmp_path / next(path.name for path in tmp_path.iterdir() if path.name.endswith("request")))
 
 
@@ -153,20 +156,20 @@ class Called:
         (Called(os.system, "true"), "system"),
         (Called(eval, "1"), "builtins.eval"),
         (Called(getattr, "", "join"), "builtins.getattr"),
-        (Called(Server, Path("x")), "server.Server"),
+        (Called(ExecutorServer, Path("x")), "server.ExecutorServer"),
         (Called(keeper.save, (), Path("x"), ""), "keeper.save"),
         (Called(pickling.method_of, Path("x"), "unlink"), "PosixPath"),
         (Called(pickling.method_of, [], "append"), "method 'append'"),
     ],
 )
 def test_a_pickle_that_does_anything_is_refused(content: Called, word: str) -> None:
-    with pytest.raises(Refused, match=word):
+    with pytest.raises(RefusedFile, match=word):
         unpickle(pickle.dumps(content, 5))
 
 
 def test_modules_inside_pure_modules_are_refused() -> None:
     for name in ("logging", "traceback.linecache.os.system"):
-        with pytest.raises(Refused, match="not loaded"):
+        with pytest.raises(RefusedFile, match="not loaded"):
             unpickle(f"\x80\x04\x8c\x18controller.executor.core\x8c{chr(len(name))}{name}\x93.".encode("latin1"))
 
 
@@ -174,7 +177,7 @@ def test_modules_inside_pure_modules_are_refused() -> None:
 def test_damaged_files_are_refused(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(content)
-    with pytest.raises(Refused, match=str(path)):
+    with pytest.raises(RefusedFile, match=str(path)):
         load(path)
 
 
@@ -185,7 +188,7 @@ def test_damaged_files_are_refused(content: bytes, tmp_path: Path) -> None:
 def test_the_beginning_cannot_name_another_folder(beginning: str, tmp_path: Path) -> None:
     path = tmp_path / "ring"
     path.write_text(beginning + ', "number": 0, "checkpoint": 0}\n')
-    with pytest.raises(Refused, match="beginning"):
+    with pytest.raises(RefusedFile, match="beginning"):
         save([path], tmp_path / "files", "request")
     (link := tmp_path / "link").symlink_to(path)
     with pytest.raises(OSError, match="symbolic"):

@@ -12,10 +12,11 @@ from controller.executor.core.core import Executor
 from controller.executor.core.kinds import Kinds
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
-from controller.executor.core.results import Results
+from controller.executor.core.results import ProgramResults
 from controller.executor.motion.actuation import Actuation
-from controller.executor.motion.motion import Motion
+from controller.executor.motion.motion import ArmMotion
 from controller.executor.motion.program_execution import STARVED, End, ProgramExecution
+from controller.executor.motion.readings import Readings
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import Replacement
 from drivers.canopen.run.commit import Commit
@@ -55,7 +56,7 @@ def _do_not_wait(self: Commit, clock: float, now: float) -> None:
     buses, self._waiting = list(self._waiting), {}
     self._syncs.update(buses)
     for bus in buses:
-        self._links[bus].send(Frame(SYNC), now)
+        self._links[bus].send_frame(Frame(SYNC), now)
 
 
 _hold_measured = Modes.hold_measured
@@ -77,7 +78,7 @@ def _start_switches(self: SimulatedBoard, state: State) -> None:
         for wired in self.wired:
             sub = wired.output // 8 + 1
             index = self.variant.output_object
-            self.objects.put(index, sub, self.objects.number(index, sub) ^ 1 << wired.output % 8)
+            self.objects.set_number(index, sub, self.objects.number(index, sub) ^ 1 << wired.output % 8)
         self._drive()
 
 
@@ -119,8 +120,8 @@ def _begin_no_epoch(self: Executor, why: str) -> None:
 DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "stages wait neither for those before nor for a rest": (Actuation, "ready_at", lambda self, states, strict: 0.0),
     "switches are counted that were not made": (MemoryJournal, "resolve", _count_everything),
-    "results are sent again for ever": (Results, "acknowledge", lambda self, number: None),
-    "a program goes on after cancel and halt": (Motion, "hold", lambda self, status, message: None),
+    "results are sent again for ever": (ProgramResults, "acknowledge", lambda self, number: None),
+    "a program goes on after cancel and halt": (ArmMotion, "hold", lambda self, status, message: None),
     "stages begin too early": (ProgramExecution, "due", lambda self, now, *_: self.taken + 1 if self._stages else None),
     "locks are taken whatever the end-stops read": (LockedActuators, "refusal", lambda self, *_: None),
     "heartbeats end": (Heartbeat, "tick", lambda self, clock, now: None),
@@ -131,7 +132,7 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "a start energises": (Modes, "hold_measured", lambda self, now: _energise(self, now)),
     "START applies other outputs": (SimulatedBoard, "_enter", _start_switches),
     "waiting RPDOs are switched after a stop": (Commit, "give_up", _give_up_late),
-    "interlocks are ignored": (Motion, "interlocks", lambda self: []),
+    "interlocks are ignored": (Readings, "interlock_faults", lambda self: []),
     "the loss of the planner begins no epoch": (Executor, "_lose_planner", _begin_no_epoch),
     "marks settle again after a replacement": (ProgramExecution, "replace", _settle_again),
     "stages are taken again after a replacement": (ProgramExecution, "replace", _take_again),

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
-from controller.executor.core.events import Quit
+from controller.host.process import Quit
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame
-from drivers.canopen.wire.events import Received
+from drivers.canopen.wire.events import FrameReceived
 
 if TYPE_CHECKING:
     from tests.simulation.bus_model import BusModel
@@ -141,11 +141,11 @@ class Trouble:
                 own = [function + channel.node for function in (0x80, 0x180, 0x580, 0x580, 0x700)]
                 cob_id = random.choice([random.randrange(0x800), 0x77F, 0x80, *own])
                 frame = Frame(cob_id, random.randbytes(random.randint(0, 8)))
-                world.executor.post(Received(bus.name, frame))
+                world.executor.post(FrameReceived(bus.name, frame))
             case "foreign NMT":
                 frame = Frame(cia301.NMT, bytes([random.choice(FOREIGN), random.choice([0, channel.node])]))
                 world.boards.hear_tool(channel.bus, frame)
-                world.executor.post(Received(channel.bus, frame))
+                world.executor.post(FrameReceived(channel.bus, frame))
             case "answers are lost":
                 bus.mute = True
                 world.agenda.after(random.uniform(0.5, 3.0), bus.hear_answers)

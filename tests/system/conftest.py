@@ -13,7 +13,7 @@ from controller.arm.arm import Arm
 from drivers.simulation.simulation import Simulation
 from tests import vcan
 from tests.emulated import Interface
-from tests.system import arms
+from tests.system import arms, patience  # noqa: F401
 from tests.system.motions import Motions
 from tests.system.observer import Observer
 from tests.system.processes import Nursery

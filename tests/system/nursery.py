@@ -20,7 +20,12 @@ from tests import emulated  # noqa: F401
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 NEEDED = {
     "executor": ("controller.executor.__main__",),
-    "planner": ("controller.commands.operate.run", "controller.gateway.daemon", "filterpy.kalman"),
+    "planner": (
+        "controller.commands.operate.run",
+        "controller.gateway.daemon",
+        "filterpy.kalman",
+        "tests.system.patience",
+    ),
 }
 
 

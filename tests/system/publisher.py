@@ -64,7 +64,7 @@ class Publisher:
 
     @contextmanager
     def streaming(self) -> Iterator[None]:
-        """Streams while the context lasts; after that no motion is requested until the arm is ready."""
+        """Streams while the context lasts; then waits until the stream has ended, so that the next one is another."""
         over, began = threading.Event(), time.time()
         thread = threading.Thread(target=self.stream, args=(lambda t: over.is_set(),))
         thread.start()
@@ -91,7 +91,6 @@ class Publisher:
                 except AssertionError:
                     if self.status()["streams"] == streams or attempt == ATTEMPTS:
                         raise
-            eventually(lambda: self.status()["rate"] == 0)
 
     def status(self) -> dict[str, Any]:
         """Returns the next state of the stream in `diagnostics`."""
@@ -99,7 +98,7 @@ class Publisher:
         return status
 
     def followed(self, began: float) -> None:
-        """Waits until the stream is no longer followed; notes that the arm may have moved until now."""
+        """Waits until the stream is neither followed nor heard; notes that the arm may have moved until now."""
         before = len(self._client.heard["state"])
 
         def ended() -> bool:
@@ -107,4 +106,5 @@ class Publisher:
             return any(not state["reason"].startswith("following") for state in states)
 
         eventually(ended)
+        eventually(lambda: self.status()["rate"] == 0)
         self._client.streams.append((began, time.time()))

@@ -24,7 +24,7 @@ from controller.network import session
 from controller.network.client import Client
 from controller.planning.ledger_file import read
 from controller.workspace.cache import load_or_map
-from drivers.canopen.wiring import BusSettings, Wiring
+from drivers.canopen.wiring import BusWiring, Wiring
 from drivers.simulation.simulation import Simulation
 from tests import emulated, vcan
 from tests.system import arms
@@ -75,7 +75,7 @@ class System:
         self.file = arms.write(self.folder, base, self.name, named, fields)
         self.arm: Arm = load(self.file)
         executed = read_arm(self.file)
-        self.bus = BusSettings("can0", kind, channel, executed.wiring.buses[0].bitrate)
+        self.bus = BusWiring("can0", kind, channel, executed.wiring.buses[0].bitrate)
         self.wiring: Wiring = replace(executed.wiring, buses=(self.bus,))
         self.timing = executed.timing
         self.socket, self.ledger = self.folder / "executor.sock", self.folder / "ledger.sqlite"

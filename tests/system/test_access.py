@@ -194,7 +194,7 @@ def test_a_flood_is_thinned_out_and_holds_up_nobody(seen: Seen, client: Observer
     eventually(lambda: client.goal(MIDDLE, id=f"goal {next(tries)}")["accepted"])  # a slow planner is busy at first
     assert client.result(client.accepted[-1])["status"] == "succeeded"
     assert len(seen.all) < sent, "most of them reach nobody"
-    session.put(f"{PREFIX}/stop", b"")  # never dropped by Zenoh's downsampling
-    session.put(f"{PREFIX}/cancel", b"")
+    for key in ("stop", "cancel"):  # never dropped by Zenoh's downsampling; BLOCK, because the queue may still be full
+        session.put(f"{PREFIX}/{key}", b"", congestion_control=zenoh.CongestionControl.BLOCK)
     client.wait_now("stopped")
     client.reset()

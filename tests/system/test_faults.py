@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from controller.arm.arm import Arm
-from controller.motion import codes
+from controller.refusals import codes
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame, State
 from drivers.simulation.simulation import Simulation

@@ -7,7 +7,7 @@ import pytest
 
 from controller.arm.arm import Arm
 from controller.manipulator.frames import angle
-from controller.motion import codes
+from controller.refusals import codes
 from drivers.simulation.simulation import Simulation
 from tests.system.motions import Motions
 from tests.system.observer import Observer

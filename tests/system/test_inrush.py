@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from controller.arm.arm import Arm
-from controller.motion import codes
+from controller.refusals import codes
 from drivers.simulation.simulation import Simulation
 from tests.system.motions import Motions
 from tests.system.observer import Observer
@@ -35,12 +35,12 @@ def test_never_more_at_once_on_the_bus(
     client: Observer, boards: Simulation, arm: Arm, motions: Motions, counts: list[int]
 ) -> None:
     client.move(MIDDLE, RIGHT, goal="slow", times=[0.0, 2.0])
-    assert client.goal(LEFT, MIDDLE, times=[0.0, HOUR], id="a")["accepted"]
     before = boards.switches().sum()
+    assert client.goal(LEFT, MIDDLE, times=[0.0, HOUR], id="a")["accepted"]
     eventually(lambda: boards.switches().sum() > before)
+    before = boards.switches().sum()
     assert client.goal(RIGHT, MIDDLE, times=[0.0, HOUR], id="b")["accepted"]
     client.result("a")
-    before = boards.switches().sum()
     eventually(lambda: boards.switches().sum() > before)
     assert client.goal(MIDDLE, id="c")["accepted"]
     assert client.result("c")["status"] == "succeeded"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from controller.arm.arm import Arm
-from controller.motion import codes
 from controller.network.client import Message
+from controller.refusals import codes
 from drivers.simulation.simulation import Simulation
 from tests.system.arms import QUICK
 from tests.system.observer import Observer

@@ -9,7 +9,7 @@ import pytest
 
 from controller.arm.arm import Arm
 from controller.manipulator.frames import planar
-from controller.motion import codes
+from controller.refusals import codes
 from drivers.simulation.simulation import Simulation
 from tests.obstacles.dense import Box, Disc, Shape
 from tests.obstacles.moving import motion, room, truss

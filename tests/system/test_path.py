@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from controller.arm.arm import Arm
-from controller.motion import codes
+from controller.refusals import codes
 from drivers.simulation.simulation import Simulation
 from tests.system.motions import Motions
 from tests.system.observer import Observer

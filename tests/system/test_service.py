@@ -15,8 +15,9 @@ import zenoh
 
 from controller.arm.arm import Arm
 from controller.gateway import daemon
+from controller.gateway.claim import AlreadyRunning
 from controller.network.client import Client, Message, Unanswered
-from controller.network.session import AlreadyRunning, configuration
+from controller.network.session import configuration
 from controller.planning.ledger import LedgerInUse
 from tests.system.motions import Motions
 from tests.system.observer import Observer

@@ -15,6 +15,7 @@ from collections import Counter
 from dataclasses import dataclass
 from itertools import chain, groupby
 from pathlib import Path
+from shutil import which
 
 import pytest
 
@@ -25,6 +26,8 @@ OPTIONS = ["-qq", "-p", "no:cacheprovider", "--timeout", "600", "--color=no"]
 ON_CAN = ["--bus", "socketcan"]
 WITHOUT_KERNELS = ["--noconftest"]  # tests/conftest.py imports them, for half a minute
 PROCESSES = 3  # that share the tests outside of tests/vm
+SLOW = ("test_processes.py", "test_surroundings.py", "test_obstacles.py", "test_kills.py")  # files that begin first
+OUTCOMES = "outcomes"  # the name of files to which each test adds a line
 SERVICE_CACHE = Path("/var/cache/private/hyperbit")
 VERDICT = Path("/dev/port"), 0xF4  # isa-debug-exit: QEMU ends with twice the byte that is written there, plus 1
 
@@ -36,7 +39,8 @@ class Share:
     It reports every test as it ends, since a time-out may prevent a report at the end.
 
     Attributes:
-        folder: common to the processes; holds one file for each file of tests that is taken.
+        folder: common to the processes, which may run in several machines. It holds one folder for each file of tests
+            that is taken, with the outcomes of its tests. Only one process can make it, and only that one writes there.
     """
 
     folder: Path
@@ -44,8 +48,9 @@ class Share:
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         if session.testsfailed:
             raise session.Interrupted(f"{session.testsfailed} errors while tests were collected")
-        files = groupby(session.items, lambda test: test.path)
-        mine = chain.from_iterable(list(tests) for path, tests in files if self._take(path))
+        files = [(path, list(tests)) for path, tests in groupby(session.items, lambda test: test.path)]
+        files.sort(key=lambda file: file[0].name not in SLOW)
+        mine = chain.from_iterable(tests for path, tests in files if self._take(path))
         test = next(mine, None)
         while test:
             following = next(mine, None)
@@ -55,10 +60,13 @@ class Share:
 
     def _take(self, path: Path) -> bool:
         try:
-            (self.folder / f"{path.parent.name}-{path.name}").touch(exist_ok=False)
+            self._taken(path).mkdir()
         except FileExistsError:
             return False
         return True
+
+    def _taken(self, path: Path) -> Path:
+        return self.folder / f"{path.parent.name}-{path.name}"
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_report_teststatus(self, report: pytest.TestReport) -> tuple[str, str, str]:
@@ -70,8 +78,8 @@ class Share:
         if report.failed:
             self._report(f"{report.longreprtext}\n{report.caplog}\n{circumstances()}\n")
         if report.when == "call" or report.outcome != "passed":
-            with (self.folder / "outcomes").open("a") as outcomes:
-                outcomes.write(f"{report.outcome}\n")
+            with (self._taken(Path(report.fspath)) / OUTCOMES).open("a") as ended:
+                ended.write(f"{report.outcome}\n")
 
     def _report(self, text: str) -> None:
         os.write(sys.__stdout__.fileno(), text.encode())  # one write, so that lines of two processes do not mix
@@ -80,22 +88,26 @@ class Share:
 def circumstances() -> str:
     """Returns the end of the services' journal and the busiest processes."""
     commands = ["journalctl --no-pager --lines 60 --unit hyperbit*", "ps -eo pcpu,time,args --sort -time --columns 120"]
-    done = [subprocess.run(words.split(), capture_output=True, text=True).stdout for words in commands]
+    tools = [words.split() for words in commands]
+    done = [subprocess.run(words, capture_output=True, text=True).stdout if which(words[0]) else "" for words in tools]
     return "\n".join([done[0], *done[1].splitlines()[:8]])
 
 
-def run(processes: int, arguments: list[str]) -> int:
-    """Runs tests in so many processes; returns the worst exit code of pytest."""
-    begun = time.monotonic()
-    with tempfile.TemporaryDirectory() as name:
-        share = Share(Path(name))
-        children = [fork([*OPTIONS, *arguments], share) for _ in range(processes)]
-        codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
-        outcomes = share.folder / "outcomes"
-        counts = Counter(outcomes.read_text().split() if outcomes.exists() else [])
-    found = ", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items())) or "nothing to run"
-    say(f"{found} in {time.monotonic() - begun:.0f} s by {processes} processes")
+def run(processes: int, arguments: list[str], folder: Path) -> int:
+    """Runs tests in several processes; returns the worst exit code of pytest.
+
+    Args:
+        folder: processes with the same folder share the tests, also those of other machines.
+    """
+    children = [fork(arguments, Share(folder)) for _ in range(processes)]
+    codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
     return max((abs(code) for code in codes if code != pytest.ExitCode.NO_TESTS_COLLECTED), default=0)
+
+
+def outcomes(folder: Path) -> str:
+    """Returns how many tests of a share's folder ended how, empty if none did."""
+    counts = Counter(outcome for file in folder.glob(f"*/{OUTCOMES}") for outcome in file.read_text().split())
+    return ", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items()))
 
 
 def fork(arguments: list[str], share: Share) -> int:
@@ -109,6 +121,22 @@ def fork(arguments: list[str], share: Share) -> int:
         os._exit(code)
 
 
+def run_and_tell(processes: int, arguments: list[str]) -> int:
+    """Runs tests, and prints their outcomes."""
+    begun = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        code = run(processes, [*OPTIONS, *arguments], Path(folder))
+        found = outcomes(Path(folder)) or "nothing to run"
+    say(f"{found} in {time.monotonic() - begun:.0f} s by {processes} processes")
+    return code
+
+
+def compiled_since(begin: Path) -> list[Path]:
+    """Returns the files of kernels that were compiled after a file was written."""
+    kernels = chain(FOLDER.glob("cache/**/*.nbc"), SERVICE_CACHE.glob("**/*.nbc"))
+    return [path for path in kernels if path.stat().st_mtime > begin.stat().st_mtime]
+
+
 def main() -> None:
     system, processors = os.uname(), os.cpu_count()
     say(f"booted: {system.sysname} {system.release}, {processors} processors")
@@ -120,12 +148,11 @@ def main() -> None:
     codes = []
     if shared:
         importlib.import_module("tests.vm.compile")
-        codes.append(run(PROCESSES, [*ON_CAN, *options, *shared]))
+        codes.append(run_and_tell(PROCESSES, [*ON_CAN, *options, *shared]))
     if alone:
-        codes.append(run(1, [*WITHOUT_KERNELS, *options, *alone]))
-    for path in chain(FOLDER.glob("cache/**/*.nbc"), SERVICE_CACHE.glob("**/*.nbc")):
-        if path.stat().st_mtime > (FOLDER / "arguments").stat().st_mtime:
-            say(f"compiled here, which is slow: {path}")
+        codes.append(run_and_tell(1, [*WITHOUT_KERNELS, *options, *alone]))
+    for path in compiled_since(FOLDER / "arguments"):
+        say(f"compiled here, which is slow: {path}")
     path, port = VERDICT
     with path.open("r+b", buffering=0) as ports:
         ports.seek(port)

@@ -1,4 +1,4 @@
-"""Prepares what the virtual machine boots: Debian's kernel, an initramfs, and caches it would fill too slowly.
+"""Prepares what the virtual machine boots: Debian's kernel, an initramfs, and caches that it would fill too slowly.
 
 python -m tests.vm.prepare [--essential]
 
@@ -60,7 +60,7 @@ def prepare(tests: Sequence[str]) -> None:
         pack()
     parts: list[Callable[[], None]] = []
     if any(not path.startswith(ALONE) for path in tests):
-        parts.append(warm)
+        parts.append(lambda: warm(TESTS))
     sources = [HERE / "robot.sh", *installed()]
     if any(path.startswith(ALONE) for path in tests) and older(FOLDER / "robot.installed", sources):
         parts.append(install)
@@ -118,7 +118,7 @@ def pack() -> None:
         shutil.copy(tool, tree / "bin/busybox")
         shutil.copy(HERE / "init", tree / "init")
         (tree / "init").chmod(0o755)
-        for number, module in enumerate(in_order(unpacked)):
+        for number, module in enumerate(in_order(unpacked.glob("lib/modules/**/*.ko"), MODULES)):
             shutil.copy(module, tree / "modules" / f"{number:02}-{module.name}")
         (image,) = unpacked.glob("boot/vmlinuz-*")
         shutil.copy(image, FOLDER / "vmlinuz")
@@ -129,9 +129,9 @@ def pack() -> None:
         (FOLDER / "initrd.new").replace(FOLDER / "initrd")
 
 
-def in_order(unpacked: Path) -> list[Path]:
-    """Returns the files of the modules, each after those it depends on."""
-    files = {path.stem.replace("-", "_"): path for path in unpacked.glob("lib/modules/**/*.ko")}
+def in_order(found: Iterable[Path], names: Iterable[str]) -> list[Path]:
+    """Returns the files of the named modules, each after those it depends on."""
+    files = {path.stem.replace("-", "_"): path for path in found}
     order: list[Path] = []
 
     def add(name: str) -> None:
@@ -142,20 +142,24 @@ def in_order(unpacked: Path) -> list[Path]:
         if path not in order:
             order.append(path)
 
-    for name in MODULES:
+    for name in names:
         add(name)
     return order
 
 
-def warm() -> None:
-    """Fills the project's caches of bytecode and kernels, for any processor: the machine would compile for minutes."""
+def warm(tests: Sequence[str]) -> None:
+    """Fills the project's caches of bytecode and kernels, for any processor: the machine would compile for minutes.
+
+    Args:
+        tests: paths of the tests whose bytecode is cached, too.
+    """
     say("filling the caches of compiled code")
     cache = FOLDER / "cache"
     settings = {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(cache / "numba"), "XDG_CACHE_HOME": str(cache)}
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | settings
     bin = Path(sys.executable).parent
     run([str(bin / "python"), "-m", "tests.vm.compile"], env=environment)
-    run([str(bin / "pytest"), "--collect-only", "-qq", "-p", "no:cacheprovider", *TESTS], env=environment)
+    run([str(bin / "pytest"), "--collect-only", "-qq", "-p", "no:cacheprovider", *tests], env=environment)
 
 
 def install() -> None:

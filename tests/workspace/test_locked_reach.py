@@ -7,7 +7,7 @@ import pytest
 
 from controller.manipulator.locked import lock_actuators
 from controller.manipulator.manipulator import Manipulator
-from controller.workspace.locked_reach import choices, reach_when_locked
+from controller.workspace.locked_reach import LockChoices, choices, reach_when_locked
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, spatial_arm
 
@@ -21,7 +21,7 @@ def arm(request) -> Manipulator:
 
 
 def test_one_lock_tries_every_actuator_in_both_states(arm):
-    found = reach_when_locked(arm, map_densities(arm, 0.02, 1 << 16), 1, TOLERANCE, 5)
+    found = reach_when_locked(arm, map_densities(arm, 0.02, 1 << 16), TOLERANCE, LockChoices(1, 5))
     assert found.every
     assert len(found.choices) + found.impossible == 2 * len(arm.actuators)
     assert all((one.locked >= 0).sum() == 1 for one in found.choices)
@@ -34,7 +34,7 @@ def test_one_lock_tries_every_actuator_in_both_states(arm):
 
 def test_each_choice_is_reckoned_as_an_arm_of_its_own(arm):
     """Against pixels with the tips of all configurations: only the pixels limit the accuracy."""
-    found = reach_when_locked(arm, map_densities(arm, 0.02, 1 << 16), 1, TOLERANCE, 5)
+    found = reach_when_locked(arm, map_densities(arm, 0.02, 1 << 16), TOLERANCE, LockChoices(1, 5))
     for one in (found.free, *found.choices[::5]):
         reduced = lock_actuators(arm, one.locked)
         tips = reduced.tips(every_configuration(reduced))[:, :3, 3]
@@ -43,7 +43,7 @@ def test_each_choice_is_reckoned_as_an_arm_of_its_own(arm):
 
 
 def test_counts_add_up_to_all_configurations(arm):
-    found = reach_when_locked(arm, map_densities(arm, 0.02, 1 << 16), 1, TOLERANCE, 5)
+    found = reach_when_locked(arm, map_densities(arm, 0.02, 1 << 16), TOLERANCE, LockChoices(1, 5))
     ball = math.pi * TOLERANCE**2 if arm.planar else 4 / 3 * math.pi * TOLERANCE**3
     total = np.exp(found.free_counts).sum() * found.pixel**arm.dimension / ball
     assert total == pytest.approx(math.prod(arm.states.tolist()))
@@ -67,11 +67,11 @@ def test_more_locks_are_sampled_and_the_same_for_a_seed():
 def test_too_many_locks_are_refused(locks):
     arm = ARMS["planar"]
     with pytest.raises(ValueError, match="1 to 12 actuators can be locked"):
-        reach_when_locked(arm, map_densities(arm, 0.05, 1 << 12), locks, TOLERANCE, 5)
+        reach_when_locked(arm, map_densities(arm, 0.05, 1 << 12), TOLERANCE, LockChoices(locks, 5))
 
 
 def test_choices_that_leave_a_module_without_a_state_are_counted():
     arm = ARMS["spatial"]  # six states on three bits: 11x is none
-    found = reach_when_locked(arm, map_densities(arm, 0.05, 1 << 14), 2, TOLERANCE, 500)
+    found = reach_when_locked(arm, map_densities(arm, 0.05, 1 << 14), TOLERANCE, LockChoices(2, 500))
     assert found.every
     assert found.impossible == 4  # one pair of states in each module

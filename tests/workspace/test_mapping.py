@@ -66,7 +66,7 @@ def test_every_level_agrees_with_enumeration(kind, data, pixel):
         centres, counts = reachable(densities, level)
         assert counts.sum() == pytest.approx(math.prod(manipulator.states[level:].tolist()), rel=1e-5)
         assert KDTree(centres).query(tips)[0].max() <= bound  # nothing reachable is missing
-        assert KDTree(tips).query(centres)[0].max() <= bound  # nothing is made up
+        assert KDTree(tips).query(centres)[0].max() <= bound  # each pixel is near a tip
         low, high = densities.box(level)
         assert (tips >= low - bound).all()
         assert (tips <= high + bound).all()

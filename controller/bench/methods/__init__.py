@@ -14,6 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from controller.search.method import MINIMUM_SWITCH
+
 if TYPE_CHECKING:
     from controller.bench.arm import BenchArm
     from controller.library.goals import Goal
@@ -32,7 +34,7 @@ class Entry(NamedTuple):
 
 ROOM = "controller.bench.methods"
 METHODS = {
-    "minimum-switch": Entry(f"{ROOM}.hyperbit:minimum_switch", "hyperbit's search for fewest switches"),
+    MINIMUM_SWITCH: Entry(f"{ROOM}.hyperbit:minimum_switch", "hyperbit's search for fewest switches"),
     "ipop-previous": Entry(
         f"{ROOM}.hyperbit:ipop_previous",
         "hyperbit's IPOP, exact table; criterion: unchanged modules, as printed",

@@ -5,7 +5,7 @@ from functools import partial
 from controller.bench.arm import BenchArm
 from controller.bench.methods import Solve
 from controller.library.solver import Solver
-from controller.search.method import Method
+from controller.search.method import MINIMUM_SWITCH, Method
 
 
 def solver(arm: BenchArm, method: Method) -> Solve:
@@ -15,7 +15,7 @@ def solver(arm: BenchArm, method: Method) -> Solve:
 
 def minimum_switch(arm: BenchArm) -> Solve:
     """Prepares the search for fewest switches."""
-    return solver(arm, "minimum-switch")
+    return solver(arm, MINIMUM_SWITCH)
 
 
 def ipop_previous(arm: BenchArm) -> Solve:

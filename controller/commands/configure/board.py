@@ -11,15 +11,15 @@ from controller.armfile.actuators import read_wired
 from controller.armfile.settings import ArmSettings
 from controller.armfile.strict import InputFaults
 from controller.armfile.terminals import named_boards
-from controller.commands.common import ArmFile, AsJson, Failed, print_json
+from controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
 from controller.commands.configure.executor_absence import refuse_executor, running_on
 from controller.commands.configure.probe import errors
 from drivers.canopen.faults import BusError
 from drivers.canopen.tools.node_reset import reset_node
 from drivers.canopen.tools.node_states import stopped
-from drivers.canopen.tools.survey import Survey, survey
+from drivers.canopen.tools.probe import Probe, probe_bus
 from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 BOARD = "Bus and node id, such as can0/5."
 ACTION = "errors: read 1001h and the error history 1003h. reset: NMT reset; outputs go off, actuators may move."
@@ -41,12 +41,13 @@ def board(
         known = ", ".join(sorted(places, key=lambda place: (place.partition("/")[0], int(place.partition("/")[2]))))
         raise InputFaults(Path("board"), [f"{name!r} is no board of {file}, which has {known}"])
     bus_name, _, node = name.partition("/")
-    [bus] = [BusSettings(b.name, b.interface, b.channel, b.bitrate) for b in settings.buses if b.name == bus_name]
+    [entry] = [entry for entry in settings.buses if entry.name == bus_name]
+    bus = BusWiring(name=entry.name, interface=entry.interface, channel=entry.channel, bitrate=entry.bitrate)
     try:
         refuse_executor([bus], settings.name, socket, settings.boards.heartbeat)
-        found = survey(bus, [int(node)])
+        found = probe_bus(bus, [int(node)])
         if found.fault is not None:
-            raise Failed(found.fault.message)
+            raise CommandFailed(found.fault.message)
         if found.master_heard:
             raise running_on(bus_name)
         if action == "errors":
@@ -54,19 +55,19 @@ def board(
         else:
             reset(settings, bus, name, yes, as_json)
     except BusError as error:
-        raise Failed(str(error)) from None
+        raise CommandFailed(str(error)) from None
 
 
-def show_errors(found: Survey, name: str, as_json: bool) -> None:
-    """Prints error register and error history of a surveyed board.
+def show_errors(found: Probe, name: str, as_json: bool) -> None:
+    """Prints error register and error history of a probed board.
 
     Raises:
-        Failed: the board does not answer.
+        CommandFailed: the board does not answer.
     """
     if found.found and not found.found[0].answers and found.found[0].state is State.STOPPED:
-        raise Failed(stopped(name))
+        raise CommandFailed(stopped(name))
     if not found.found or not found.found[0].answers:
-        raise Failed(f"board {name} does not answer: check its power supply and its node id")
+        raise CommandFailed(f"board {name} does not answer: check its power supply and its node id")
     it = found.found[0]
     if as_json:
         history = [it.numbers.get((0x1003, sub)) for sub in range(1, 1 + it.numbers.get((0x1003, 0), 0))]
@@ -76,21 +77,21 @@ def show_errors(found: Survey, name: str, as_json: bool) -> None:
         typer.echo(line)
 
 
-def reset(settings: ArmSettings, bus: BusSettings, name: str, yes: bool, as_json: bool) -> None:
+def reset(settings: ArmSettings, bus: BusWiring, name: str, yes: bool, as_json: bool) -> None:
     """Resets a board and prints how long it took to boot.
 
     Raises:
-        Failed: the board does not boot, or the user declined.
+        CommandFailed: the board does not boot, or the user declined.
     """
     question = f"A reset switches the outputs of board {name} off: its actuators may move. Continue?"
     if not yes and not typer.confirm(question, err=True):
-        raise Failed("nothing was reset")
-    patience = settings.boards.boot_timeout
-    it = reset_node(bus, int(name.rpartition("/")[2]), patience)
+        raise CommandFailed("nothing was reset")
+    timeout = settings.boards.boot_timeout
+    it = reset_node(bus, int(name.rpartition("/")[2]), timeout)
     if it.fault is not None:
-        raise Failed(it.fault.message)
+        raise CommandFailed(it.fault.message)
     if it.booted_after is None:
-        raise Failed(f"board {name} sent no boot-up message within {patience:g} s (boards.boot_timeout)")
+        raise CommandFailed(f"board {name} sent no boot-up message within {timeout:g} s (boards.boot_timeout)")
     if as_json:
         print_json({"board": name, "booted_after": it.booted_after})
     else:

@@ -12,10 +12,10 @@ import yaml
 
 from controller.arm.arm import load
 from controller.armfile.strict import InputFaults, read_yaml
-from controller.commands.common import ArmFile, AsJson, Failed, console, errors, print_json, results_table
+from controller.commands.common import ArmFile, AsJson, CommandFailed, console, errors, print_json, results_table
 
 if TYPE_CHECKING:
-    from controller.calibration.calibration import Calibration, Misfit
+    from controller.calibration.calibration import Calibration, PoseResiduals
 
 
 def calibrate(
@@ -54,7 +54,7 @@ def calibrate(
     else:
         show(found)
     if not found.better:
-        raise Failed(
+        raise CommandFailed(
             "on held-out samples the fitted numbers are no better than the file's numbers with a fitted base;"
             " nothing is written"
         )
@@ -64,7 +64,7 @@ def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
     """Writes the fitted arm's file, after reading a draft of it back.
 
     Raises:
-        Failed: the file cannot be written, or the fitted numbers describe no valid arm.
+        CommandFailed: the file cannot be written, or the fitted numbers describe no valid arm.
     """
     raw = {**read_yaml(file), **found.description}
     before, after = found.before.position.rms, found.after.position.rms
@@ -76,9 +76,11 @@ def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
         load(draft)
         draft.replace(out)
     except InputFaults as error:
-        raise Failed(f"the fitted numbers describe no valid arm, nothing is written: {error.faults[0]}") from None
+        raise CommandFailed(
+            f"the fitted numbers describe no valid arm, nothing is written: {error.faults[0]}"
+        ) from None
     except OSError as error:
-        raise Failed(f"{out} cannot be written: {error.strerror}") from None
+        raise CommandFailed(f"{out} cannot be written: {error.strerror}") from None
     finally:
         draft.unlink(missing_ok=True)
 
@@ -88,7 +90,7 @@ def payload(found: Calibration) -> dict[str, Any]:
     return {
         "samples": found.samples,
         "set_aside": list(found.outliers),
-        **{name: asdict(misfit) for name, misfit in misfits(found).items()},
+        **{name: asdict(pose_residuals) for name, pose_residuals in residuals_by_name(found).items()},
         "noise": found.noise.tolist(),
         "held_directions": found.undetermined,
         "better": found.better,
@@ -105,7 +107,7 @@ def payload(found: Calibration) -> dict[str, Any]:
     }
 
 
-def misfits(found: Calibration) -> dict[str, Misfit]:
+def residuals_by_name(found: Calibration) -> dict[str, PoseResiduals]:
     """Returns the residuals by name."""
     return {
         "before": found.before,
@@ -123,8 +125,8 @@ def show(found: Calibration) -> None:
     console.print(f"{found.samples} samples{aside}")
     table = results_table("residuals", "", "rms", "95 %", "worst")
     for kind in ("position", "orientation"):
-        for name, misfit in misfits(found).items():
-            if (residuals := getattr(misfit, kind)) is not None:
+        for name, pose_residuals in residuals_by_name(found).items():
+            if (residuals := getattr(pose_residuals, kind)) is not None:
                 values = (residuals.rms, residuals.most, residuals.worst)
                 table.add_row(kind, name.replace("_", " "), *(f"{value:.3g}" for value in values))
     console.print(table)

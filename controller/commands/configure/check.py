@@ -12,7 +12,7 @@ import typer
 from controller.armfile.strict import InputFaults
 from controller.armfile.terminals import actuator_terminals
 from controller.commands import common
-from controller.commands.common import ArmFile, AsJson, Failed, print_json
+from controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
 
 if TYPE_CHECKING:
     from controller.arm.arm import Arm
@@ -45,6 +45,27 @@ def check(
     if node is not None and eds is None:
         raise InputFaults(Path("check"), ["--node needs --eds FILE"])
 
+    arm = checked_arm(file, as_json)
+    boards = compare(arm, eds, node) if eds is not None else []
+    boards += ask_boards(arm, socket) if bus else []
+    missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
+    if as_json:
+        print_json({"ok": not missing, "faults": missing, "boards": boards})
+    else:
+        print_boards(file, arm, boards)
+    if missing and as_json:
+        raise typer.Exit(1)
+    if missing:
+        raise CommandFailed(summary([board["code"] for board in boards if not board["ok"]]))
+
+
+def checked_arm(file: Path, as_json: bool) -> Arm:
+    """Returns the arm of a file.
+
+    Raises:
+        InputFaults: the file is wrong.
+        typer.Exit: likewise; the faults were printed as JSON.
+    """
     from controller.arm.arm import load
     from controller.executor.core.arm import read_arm
 
@@ -57,23 +78,18 @@ def check(
             print_json({"ok": False, "faults": list(error.faults)})
             raise typer.Exit(2) from None
         raise
-    boards = compare(arm, eds, node) if eds is not None else []
-    boards += ask_boards(arm, socket) if bus else []
-    missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
-    if as_json:
-        print_json({"ok": not missing, "faults": missing, "boards": boards})
-    else:
-        count = len({terminal.board for entry in arm.wiring for terminal in actuator_terminals(entry)})
-        common.console.print(
-            f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
-            f" {len(arm.manipulator.actuators)} actuators on {count} boards: no fault"
-        )
-        for board in boards:
-            common.console.print(f"  {board['board']}: {board['answer']}", style=None if board["ok"] else "red")
-    if missing:
-        if as_json:
-            raise typer.Exit(1)
-        raise Failed(summary([board["code"] for board in boards if not board["ok"]]))
+    return arm
+
+
+def print_boards(file: Path, arm: Arm, boards: list[dict[str, Any]]) -> None:
+    """Prints the size of a correct arm, and the answer of each board."""
+    count = len({terminal.board for entry in arm.wiring for terminal in actuator_terminals(entry)})
+    common.console.print(
+        f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
+        f" {len(arm.manipulator.actuators)} actuators on {count} boards: no fault"
+    )
+    for board in boards:
+        common.console.print(f"  {board['board']}: {board['answer']}", style=None if board["ok"] else "red")
 
 
 def summary(codes: Iterable[str]) -> str:
@@ -89,19 +105,19 @@ def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
     """Reads each board of an arm; returns an answer for each.
 
     Raises:
-        Failed: a bus cannot be used, or an executor runs.
+        CommandFailed: a bus cannot be used, or an executor runs.
     """
     from controller.commands.configure.executor_absence import refuse_executor, running_on
     from controller.executor.core.arm import timing_of, wiring_of
     from drivers.canopen.faults import BusError
-    from drivers.canopen.tools.probe import probe
+    from drivers.canopen.tools.bus_check import check_bus
 
     wiring, timing = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings)
     try:
         refuse_executor(wiring.buses, arm.settings.name, socket, timing.heartbeat)
-        asked = probe(wiring, timing)
+        asked = check_bus(wiring, timing)
     except BusError as error:
-        raise Failed(str(error)) from None
+        raise CommandFailed(str(error)) from None
     if asked.master_on is not None:
         raise running_on(asked.master_on)
     return [{"board": a.board, "ok": a.ok, "answer": a.text, "code": a.code} for a in asked.answers or ()]

@@ -6,17 +6,17 @@ import socket
 from collections.abc import Iterable
 from pathlib import Path
 
-from controller.commands.common import Failed
+from controller.commands.common import CommandFailed
 from controller.host.sockets import found_sockets, socket_path
 from controller.program import VERSION, Hello, encode
 from drivers.canopen.tools.listening import master_on
-from drivers.canopen.wiring import MASTER, BusSettings
+from drivers.canopen.wiring import MASTER, BusWiring
 
 ANSWER_WITHIN = 1.0  # [s]
 
 
 def refuse_executor(
-    buses: Iterable[BusSettings], arm: str | None = None, path: Path | None = None, heartbeat: float = 0.0
+    buses: Iterable[BusWiring], arm: str | None = None, path: Path | None = None, heartbeat: float = 0.0
 ) -> None:
     """Refuses if the executor of an arm answers at its socket, or a master sends its heartbeat on a bus.
 
@@ -27,7 +27,7 @@ def refuse_executor(
         heartbeat: period of the master's heartbeat [s]; 0: not known.
 
     Raises:
-        Failed: an executor runs.
+        CommandFailed: an executor runs.
         BusError: a bus cannot be opened.
     """
     if arm is not None:
@@ -38,14 +38,14 @@ def refuse_executor(
         raise running_on(bus)
 
 
-def running_on(bus: str) -> Failed:
+def running_on(bus: str) -> CommandFailed:
     """Returns the error for a bus with the heartbeat of a master."""
     return running(f"an executor is running (its heartbeat, node {MASTER}, is on {bus})")
 
 
-def running(who: str) -> Failed:
+def running(who: str) -> CommandFailed:
     """Returns the error for an executor that runs; `who` names it."""
-    return Failed(f"{who}: stop it first, this command and an executor must not use a bus at the same time")
+    return CommandFailed(f"{who}: stop it first, this command and an executor must not use a bus at the same time")
 
 
 def answers(path: Path, arm: str) -> bool:

@@ -16,8 +16,8 @@ from controller.commands.common import (
     ENDPOINT,
     ArmName,
     AsJson,
+    CommandFailed,
     Connect,
-    Failed,
     ZenohFile,
     arm_name,
     print_json,
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 ONLY = "Only these actuators, such as 5.left. Default: all."
 RESERVE = 1.25  # proposed travel time over the longest measured time
 DIFFERENT = 1.5  # an actuator that is faster than the arm's time by this factor gets its own travel time
-PATIENCE = 10.0  # [s] for the daemon's state
+STATE_TIMEOUT = 10.0  # [s] for the daemon's state
 FIELDS = {"extended": "extend", "contracted": "contract"}  # in the arm's file, by state
 END_STOPS = {"extended": "input", "contracted": "input_contracted"}
 
 
-class Travel(NamedTuple):
+class MeasuredTravel(NamedTuple):
     """A motion of an actuator to one of its ends.
 
     Attributes:
@@ -72,8 +72,8 @@ def exercise(
             what = f"{len(chosen)} actuators" if len(chosen) > 1 else chosen[0]
             question = f"The arm {arm_name(arm)} will move: {what}, one at a time, there and back. Continue?"
             if not typer.confirm(question, err=True):
-                raise Failed("nothing was moved")
-        travels: list[Travel] = []
+                raise CommandFailed("nothing was moved")
+        travels: list[MeasuredTravel] = []
         failure = None
         try:
             for label in chosen:
@@ -85,7 +85,7 @@ def exercise(
             common.errors.print("interrupted: canceling the motion", markup=False)
             client.request("cancel")
             raise typer.Exit(130) from None
-        except Failed as error:
+        except CommandFailed as error:
             failure = error
         report(travels, description, as_json)
     if failure is not None:
@@ -108,20 +108,22 @@ def commanded(client: Client) -> list[int]:
     """Returns the commanded state of each actuator, shape (A,), of an arm in mode ready.
 
     Raises:
-        Failed: the arm is in another mode, or the state of an actuator is unknown.
+        CommandFailed: the arm is in another mode, or the state of an actuator is unknown.
     """
     states: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     subscriber = client.subscribe("state", states.put)
     try:
-        state = states.get(timeout=PATIENCE)
+        state = states.get(timeout=STATE_TIMEOUT)
     except queue.Empty:
-        raise Failed(f"the daemon published no state for {PATIENCE:g} s") from None
+        raise CommandFailed(f"the daemon published no state for {STATE_TIMEOUT:g} s") from None
     finally:
         subscriber.undeclare()  # type: ignore[no-untyped-call]
     if state["mode"] != "ready":
-        raise Failed(f"the arm is {state['mode']}: {state['reason']}; `exercise` needs an arm in mode ready")
+        raise CommandFailed(f"the arm is {state['mode']}: {state['reason']}; `exercise` needs an arm in mode ready")
     if state["commanded"] is None:
-        raise Failed("the state of some actuators is unknown: jog them first; `hyperbit watch` names them as faults")
+        raise CommandFailed(
+            "the state of some actuators is unknown: jog them first; `hyperbit watch` names them as faults"
+        )
     return [int(bit) for bit in state["commanded"]]
 
 
@@ -130,22 +132,22 @@ def there_and_back(state: int) -> tuple[str, str]:
     return STATES[1 - state], STATES[state]
 
 
-def move(client: Client, label: str, state: str) -> Travel:
+def move(client: Client, label: str, state: str) -> MeasuredTravel:
     """Switches one actuator and returns its measured travel.
 
     Raises:
-        Failed: the daemon refused, or the actuator did not arrive.
+        CommandFailed: the daemon refused, or the actuator did not arrive.
     """
     result = client.run({"actuators": {label: state}}, key="jog")
     if "status" not in result:
-        raise Failed(f"{label} to {state}: refused (code {result['code']}): {result['message']}")
+        raise CommandFailed(f"{label} to {state}: refused (code {result['code']}): {result['message']}")
     if result["code"] != 0:
-        raise Failed(f"{label} to {state}: {result['status']} (code {result['code']}): {result['message']}")
+        raise CommandFailed(f"{label} to {state}: {result['status']} (code {result['code']}): {result['message']}")
     measured = [t["seconds"] for t in result["travels"] if (t["actuator"], t["state"]) == (label, state)]
-    return Travel(label, state, measured[0] if measured else None)
+    return MeasuredTravel(label, state, measured[0] if measured else None)
 
 
-def report(travels: list[Travel], description: Mapping[str, Any], as_json: bool) -> None:
+def report(travels: list[MeasuredTravel], description: Mapping[str, Any], as_json: bool) -> None:
     """Prints the measured times and the proposal for the arm's file."""
     lines = proposal(travels, description["actuators"])
     if as_json:
@@ -163,7 +165,7 @@ def report(travels: list[Travel], description: Mapping[str, Any], as_json: bool)
             common.console.print(line, markup=False)
 
 
-def shown(travel: Travel | None, wired: Mapping[str, Any], state: str) -> str:
+def shown(travel: MeasuredTravel | None, wired: Mapping[str, Any], state: str) -> str:
     """Returns a travel time as text [ms], or the reason why it is missing."""
     if travel is None:
         return ""
@@ -172,7 +174,7 @@ def shown(travel: Travel | None, wired: Mapping[str, Any], state: str) -> str:
     return f"no `{END_STOPS[state]}`" if wired.get(END_STOPS[state]) is None else "not measured"
 
 
-def proposal(travels: Iterable[Travel], labels: Sequence[str]) -> list[str]:
+def proposal(travels: Iterable[MeasuredTravel], labels: Sequence[str]) -> list[str]:
     """Returns YAML lines for the arm's file.
 
     The arm gets a travel time for a direction in which all its actuators were measured. An actuator gets its own travel

@@ -7,22 +7,21 @@ import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
 from controller.armfile.strict import InputFaults
-from controller.commands.common import AsJson, Failed, print_json
-from controller.commands.configure.probe import Bitrate, Channel, Interface, surveyed
+from controller.commands.common import AsJson, CommandFailed, print_json
+from controller.commands.configure.probe import Bitrate, Channel, Interface, probed
 from drivers.canopen.faults import BusError
-from drivers.canopen.tools.lss import BIT_TIMINGS, Identity, Lss, Refused, over
-from drivers.canopen.tools.survey import Survey
+from drivers.canopen.tools.lss import BIT_TIMINGS, Lss, LssIdentity, LssRefused, over
 from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wiring import MASTER, BusSettings
+from drivers.canopen.wiring import MASTER, BusWiring
 
 NEW = f"The new node id, 1 to {MASTER - 1}."
 RATE = "The new bit rate [bit/s]."
-BOARD = "Identity 1018h, VENDOR:PRODUCT:REVISION:SERIAL, as --list and `probe` print it. Default: the only board."
+BOARD = "LssIdentity 1018h, VENDOR:PRODUCT:REVISION:SERIAL, as --list and `probe` print it. Default: the only board."
 UNCONFIGURED = "Only list the boards that have no node id yet."
 
 
@@ -42,44 +41,99 @@ def node_id(
 
     Example: hyperbit node-id can0 5 --board 0x21:0x2f1:0x10000:0x1a2b
     """
-    if list_ == (new is not None or new_bitrate is not None):
-        raise InputFaults(Path("node-id"), ["give a node id, --new-bitrate or both; or --list alone"])
-    if new is not None and not 1 <= new < MASTER:
-        raise InputFaults(
-            Path("node-id"), [f"{new}: a board's node id is 1 to {MASTER - 1} ({MASTER} is the master's)"]
-        )
-    if new_bitrate is not None and new_bitrate not in BIT_TIMINGS:
-        rates = ", ".join(map(str, sorted(BIT_TIMINGS)))
-        raise InputFaults(Path("--new-bitrate"), [f"{new_bitrate} is not one of {rates}"])
+    wanted = NewSettings(new, new_bitrate)
+    check_options(wanted, list_=list_)
     identity = None if board is None else parse_identity(board)
-    present = surveyed(channel, interface, bitrate, in_full=False)
-    with opened(BusSettings(channel, interface, channel, bitrate)) as lss:
+    bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
+    nodes = [node.node for node in probed(channel, interface, bitrate, in_full=False).found]
+    with opened(bus) as lss:
         if list_:
             show(lss.unconfigured(), channel, as_json)
             return
-        if identity is None and len(present.found) > 1:
-            nodes = ", ".join(str(node.node) for node in present.found)
-            raise Failed(f"nodes {nodes} are on {channel}: connect a single board, or name one by --board")
-        try:
-            selected, old = lss.select(identity)
-            if new is not None and new != old:
-                refuse_taken(present, new, channel)
-            lss.configure(old, new, new_bitrate)
-        finally:
-            lss.release()
+        if identity is None:
+            check_single(nodes, channel)
+        selected, old = store(lss, identity, wanted, nodes, channel)
     if as_json:
         print_json({"identity": str(selected), "before": old, "node": new or old, "bitrate": new_bitrate})
-        return
+    else:
+        print_stored(selected, old, wanted, bus)
+
+
+class NewSettings(NamedTuple):
+    """The new node id and bit rate [bit/s] of a board; None: unchanged."""
+
+    node: int | None
+    bitrate: int | None
+
+
+def check_options(wanted: NewSettings, *, list_: bool) -> None:
+    """Checks which options are given together, and the range of node id and bit rate.
+
+    Raises:
+        InputFaults: an option is wrong.
+    """
+    if list_ == (wanted != (None, None)):
+        raise InputFaults(Path("node-id"), ["give a node id, --new-bitrate or both; or --list alone"])
+    if wanted.node is not None and not 1 <= wanted.node < MASTER:
+        form = f"a board's node id is 1 to {MASTER - 1} ({MASTER} is the master's)"
+        raise InputFaults(Path("node-id"), [f"{wanted.node}: {form}"])
+    if wanted.bitrate is not None and wanted.bitrate not in BIT_TIMINGS:
+        rates = ", ".join(map(str, sorted(BIT_TIMINGS)))
+        raise InputFaults(Path("--new-bitrate"), [f"{wanted.bitrate} is not one of {rates}"])
+
+
+def check_single(nodes: list[int], channel: str) -> None:
+    """Checks that at most one board with a node id is on a bus.
+
+    Raises:
+        CommandFailed: there are more.
+    """
+    if len(nodes) > 1:
+        listed = ", ".join(map(str, nodes))
+        raise CommandFailed(f"nodes {listed} are on {channel}: connect a single board, or name one by --board")
+
+
+def store(
+    lss: Lss, identity: LssIdentity | None, wanted: NewSettings, nodes: list[int], channel: str
+) -> tuple[LssIdentity, int]:
+    """Stores the new settings of a board, and releases it.
+
+    Args:
+        lss: of the bus.
+        identity: of the board; None: the only board.
+        wanted: the new settings.
+        nodes: node ids on the bus.
+        channel: of the bus, for messages.
+
+    Returns:
+        The board's identity, and its node id before.
+
+    Raises:
+        CommandFailed: another board has the node id.
+    """
+    try:
+        selected, old = lss.select(identity)
+        if wanted.node is not None and wanted.node != old:
+            refuse_taken(nodes, wanted.node, channel)
+        lss.configure(old, wanted.node, wanted.bitrate)
+    finally:
+        lss.release()
+    return selected, old
+
+
+def print_stored(selected: LssIdentity, old: int, wanted: NewSettings, bus: BusWiring) -> None:
+    """Prints what was stored, and the next step."""
     before = "none" if old > MASTER else str(old)
-    stored = [f"node id {new} (before: {before})"] if new is not None else []
-    stored += [f"{new_bitrate} bit/s"] if new_bitrate is not None else []
+    stored = [f"node id {wanted.node} (before: {before})"] if wanted.node is not None else []
+    stored += [f"{wanted.bitrate} bit/s"] if wanted.bitrate is not None else []
     typer.echo(f"board {selected}: stored {' and '.join(stored)}")
-    rate = f" --bitrate {new_bitrate or bitrate}" if new_bitrate or interface != "socketcan" else ""
-    hint = f"switch its supply off and on, then: hyperbit probe {channel}{rate}"
-    typer.echo(hint + (f" --interface {interface}" if interface != "socketcan" else ""))
+    named = bus.interface != "socketcan"
+    rate = f" --bitrate {wanted.bitrate or bus.bitrate}" if wanted.bitrate or named else ""
+    interface = f" --interface {bus.interface}" if named else ""
+    typer.echo(f"switch its supply off and on, then: hyperbit probe {bus.channel}{rate}{interface}")
 
 
-def parse_identity(text: str) -> Identity:
+def parse_identity(text: str) -> LssIdentity:
     """Parses an identity, "VENDOR:PRODUCT:REVISION:SERIAL".
 
     Raises:
@@ -92,20 +146,20 @@ def parse_identity(text: str) -> Identity:
     if len(numbers) != 4 or not all(0 <= number < 1 << 32 for number in numbers):
         form = "four numbers are needed, VENDOR:PRODUCT:REVISION:SERIAL, such as 0x21:0x2f1:0x10000:0x1a2b"
         raise InputFaults(Path("--board"), [f"{text!r}: {form}"])
-    return Identity(*numbers)
+    return LssIdentity(*numbers)
 
 
-def refuse_taken(present: Survey, new: int, channel: str) -> None:
+def refuse_taken(nodes: list[int], new: int, channel: str) -> None:
     """Refuses a node id that another board has.
 
     Raises:
-        Failed: another board has it.
+        CommandFailed: another board has it.
     """
-    if new in [node.node for node in present.found]:
-        raise Failed(f"node id {new} is taken on {channel}; see its board: hyperbit probe {channel}")
+    if new in nodes:
+        raise CommandFailed(f"node id {new} is taken on {channel}; see its board: hyperbit probe {channel}")
 
 
-def show(found: list[Identity], channel: str, as_json: bool) -> None:
+def show(found: list[LssIdentity], channel: str, as_json: bool) -> None:
     """Prints the boards without a node id."""
     for one in found:
         if as_json:
@@ -117,19 +171,19 @@ def show(found: list[Identity], channel: str, as_json: bool) -> None:
 
 
 @contextlib.contextmanager
-def opened(settings: BusSettings) -> Iterator[Lss]:
+def opened(settings: BusWiring) -> Iterator[Lss]:
     """Opens a bus for LSS.
 
     Raises:
-        Failed: the bus cannot be opened, or a board refuses a request.
+        CommandFailed: the bus cannot be opened, or a board refuses a request.
     """
     bus = CanBus(settings)
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # the board is released first
     try:
         bus.open()
         yield Lss(over(bus))
-    except (BusError, Refused) as error:
-        raise Failed(f"{settings.name}: {error}") from None
+    except (BusError, LssRefused) as error:
+        raise CommandFailed(f"{settings.name}: {error}") from None
     finally:
         bus.close()
         signal.signal(signal.SIGTERM, before)

@@ -8,17 +8,17 @@ from typing import Annotated, Any
 import typer
 
 from controller.commands import common
-from controller.commands.common import AsJson, Failed, print_json
+from controller.commands.common import AsJson, CommandFailed, print_json
 from controller.commands.configure.executor_absence import refuse_executor, running_on
 from drivers.canopen.boot.pdo_setup import PdoState, pdo_words
 from drivers.canopen.faults import BusError
 from drivers.canopen.pdo import carries
 from drivers.canopen.sdo import objects
 from drivers.canopen.tools.node_states import stopped
-from drivers.canopen.tools.survey import TEXTS, Found, Survey, survey
+from drivers.canopen.tools.probe import TEXTS, Probe, ProbedNode, probe_bus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wiring import MASTER, BusSettings
+from drivers.canopen.wiring import MASTER, BusWiring
 
 RATE = "Bit rate of the bus [bit/s]; ignored with socketcan, whose bit rate the system sets."
 
@@ -44,7 +44,7 @@ def probe(
     without an executor. With --json it
     prints a line for each node; send this line in if hyperbit does not know the board.
     """
-    found = surveyed(channel, interface, bitrate)
+    found = probed(channel, interface, bitrate)
     nodes = [node for node in found.found if node.node != MASTER or node.answers]
     for node in nodes:
         if as_json:
@@ -54,10 +54,10 @@ def probe(
         for what, text in rows(node, channel):
             common.console.print(f"  {what:<16} {text}", markup=False)
     if not nodes:
-        raise Failed(f"no node answers on {channel} ({interface}): check power, cable, termination and bit rate")
+        raise CommandFailed(f"no node answers on {channel} ({interface}): check power, cable, termination and bit rate")
 
 
-def surveyed(channel: str, interface: str, bitrate: int, *, in_full: bool = True) -> Survey:
+def probed(channel: str, interface: str, bitrate: int, *, in_full: bool = True) -> Probe:
     """Returns the nodes of a bus without an executor.
 
     Args:
@@ -67,22 +67,22 @@ def surveyed(channel: str, interface: str, bitrate: int, *, in_full: bool = True
         in_full: read all objects of interest of each node, not only its state.
 
     Raises:
-        Failed: the bus cannot be used, or an executor uses it.
+        CommandFailed: the bus cannot be used, or an executor uses it.
     """
-    bus = BusSettings(channel, interface, channel, bitrate)
+    bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
     try:
         refuse_executor([bus])
-        found = survey(bus, in_full=in_full)
+        found = probe_bus(bus, in_full=in_full)
     except BusError as error:
-        raise Failed(str(error), f"check that {channel} is up and that its --interface is {interface}") from None
+        raise CommandFailed(str(error), f"check that {channel} is up and that its --interface is {interface}") from None
     if found.fault is not None:
-        raise Failed(found.fault.message)
+        raise CommandFailed(found.fault.message)
     if found.master_heard:
         raise running_on(channel)
     return found
 
 
-def rows(it: Found, channel: str) -> Iterable[Row]:
+def rows(it: ProbedNode, channel: str) -> Iterable[Row]:
     """Yields the rows of a node: subject and text."""
     if not it.answers and it.state is State.STOPPED:
         yield "state", stopped(f"{channel}/{it.node}")
@@ -109,7 +109,7 @@ def rows(it: Found, channel: str) -> Iterable[Row]:
         yield "trouble", it.trouble
 
 
-def device(it: Found) -> str:
+def device(it: ProbedNode) -> str:
     """Returns the name and version texts of a node, 1008h to 100Ah."""
     texts = [f"{it.texts[index]} ({index:04X}h)" for index in TEXTS if it.texts.get(index)]
     return ", ".join(texts) or "no texts (1008h to 100Ah)"
@@ -125,7 +125,7 @@ def device_type(kind: int | None) -> str:
     return f"1000h = {kind:08X}h: CiA 401, {', '.join(has) or 'no inputs or outputs'}"
 
 
-def process_data(it: Found, index: int, pdos: Iterable[PdoState]) -> str:
+def process_data(it: ProbedNode, index: int, pdos: Iterable[PdoState]) -> str:
     """Returns the size of an input or output array [bits], and the PDOs that carry it."""
     count = it.numbers.get((index, 0))
     if not count:
@@ -147,7 +147,7 @@ def pdo_text(pdo: PdoState) -> str:
     return f"{state}, COB-ID {pdo.cob_id:08X}h, transmission type {pdo.kind}{timer}, maps {entries}"
 
 
-def supervision(it: Found) -> Iterable[str]:
+def supervision(it: ProbedNode) -> Iterable[str]:
     """Yields a node's heartbeat and node guarding settings."""
     if (count := it.numbers.get((0x1016, 0))) is None:
         yield "no 1016h (heartbeat consumer)"
@@ -158,14 +158,14 @@ def supervision(it: Found) -> Iterable[str]:
     yield number(it, 0x100D, 0, 2, lambda value: f"life time factor {value}")
 
 
-def error_state(it: Found) -> Iterable[str]:
+def error_state(it: ProbedNode) -> Iterable[str]:
     """Yields a node's reaction to the loss of its master."""
     for index in (0x6206, 0x6207):
         yield f"{index:04X}h: {listed(it, index, 2)}" if (index, 0) in it.numbers else f"no {index:04X}h"
     yield number(it, 0x1029, 1, 2, lambda value: LOST.get(value, "of the maker"))
 
 
-def errors(it: Found) -> Iterable[str]:
+def errors(it: ProbedNode) -> Iterable[str]:
     """Yields error register and error history in words."""
     yield number(it, 0x1001, 0, 2)
     if (count := it.numbers.get((0x1003, 0))) is None:
@@ -175,13 +175,13 @@ def errors(it: Found) -> Iterable[str]:
     yield from history(it)
 
 
-def history(it: Found) -> list[str]:
+def history(it: ProbedNode) -> list[str]:
     """Returns the entries of the error history in words, newest first."""
     values = [it.numbers.get((0x1003, sub)) for sub in range(1, 1 + it.numbers.get((0x1003, 0), 0))]
     return [f"{value:08X}h {cia301.emergency_words(value & 0xFFFF)}" for value in values if value is not None]
 
 
-def storing(it: Found) -> str:
+def storing(it: ProbedNode) -> str:
     """Returns a node's way to store parameters, 1010h sub 1, in words."""
     value = it.numbers.get((0x1010, 1))
     if value is None:
@@ -190,7 +190,7 @@ def storing(it: Found) -> str:
     return f"1010h sub 1 = {value:08X}h: {', '.join(how) or 'not'}"
 
 
-def number(it: Found, index: int, sub: int, digits: int, words: Callable[[int], str] | None = None) -> str:
+def number(it: ProbedNode, index: int, sub: int, digits: int, words: Callable[[int], str] | None = None) -> str:
     """Returns an object's value with its index, and in words."""
     place = f"{index:04X}h" + (f" sub {sub}" if sub else "")
     value = it.numbers.get((index, sub))
@@ -199,14 +199,14 @@ def number(it: Found, index: int, sub: int, digits: int, words: Callable[[int], 
     return f"{place} = {value:0{digits}X}h" + (f", {words(value)}" if words else "")
 
 
-def listed(it: Found, index: int, digits: int, names: tuple[str, ...] = ()) -> str:
+def listed(it: ProbedNode, index: int, digits: int, names: tuple[str, ...] = ()) -> str:
     """Returns the entries of an array object, with names if given."""
     values = [(sub, it.numbers[index, sub]) for sub in range(1, 255) if (index, sub) in it.numbers]
     named = dict(enumerate(names, 1))
     return ", ".join(f"{named.get(sub, '')} {value:0{digits}X}h".lstrip() for sub, value in values) or "nothing"
 
 
-def as_mapping(it: Found) -> dict[str, Any]:
+def as_mapping(it: ProbedNode) -> dict[str, Any]:
     """Returns all objects that were read from a node, for JSON."""
     return {
         "node": it.node,

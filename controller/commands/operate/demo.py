@@ -25,7 +25,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from controller.arm.arm import Arm
-from controller.commands.common import Failed, console, densities_of, errors, load_wired, shipped
+from controller.commands.common import CommandFailed, console, densities_of, errors, load_wired, shipped
 from controller.commands.connection import connected
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import parse_configuration
@@ -41,8 +41,8 @@ MANY = 100.0  # configurations expected within the tolerance of each point of th
 MOST = 100.0  # log counts are clipped here, so that exp does not overflow
 DRAWN = 1000  # configurations drawn to find targets
 STEP = 0.1  # [s] between waypoints; 1.5 travel times for each stage, if that is longer
-PATIENT = 10.0  # [s] of silence until boards or executor count as lost: a busy computer stands still at times
-PATIENCE = 180.0  # [s] until the daemon is ready, or has ended; its first start compiles the kernels
+SILENCE_TIMEOUT = 10.0  # [s] of silence until boards or executor count as lost: a busy computer stands still at times
+DAEMON_TIMEOUT = 180.0  # [s] until the daemon is ready, or has ended; its first start compiles the kernels
 
 
 def demo(
@@ -66,7 +66,7 @@ def demo(
     ):
         wait_until_ready(client, daemon.poll)
         states, pauses = Watched(), list[int]()
-        watching = client.subscribe("state", states.take)
+        watching = client.subscribe("state", states.receive_state)
         for target in targets:
             began = time.perf_counter()
             result = run(client, [{"position": target}], f"target ({written(target)})")
@@ -82,14 +82,14 @@ def demo(
         watching.undeclare()  # type: ignore[no-untyped-call]
     console.print(summary(arm, rows))
     title = f"{arm.settings.name}: {len(arm.manipulator.modules)} modules, {len(arm.manipulator.actuators)} actuators"
-    panels = [plots.Panel(title, reached, targets, curve)]
-    plots.save(picture, arm.manipulator, densities, panels, obstacles=arm.obstacles)
+    subplots = [plots.Subplot(title, reached, targets, curve)]
+    plots.save(picture, arm.manipulator, densities, subplots, obstacles=arm.obstacles)
     console.print(f"picture: {picture}")
     if animation is not None:
-        from controller.pictures.animation import animate
+        from controller.pictures.animation import Movement, animate
 
-        panel = plots.Panel(title, targets=targets, curve=curve)
-        animate(animation, arm.manipulator, densities, states, pauses, panel, arm.obstacles)
+        subplot = plots.Subplot(title, targets=targets, curve=curve)
+        animate(animation, arm.manipulator, densities, Movement(states, pauses), subplot, arm.obstacles)
         console.print(f"animation: {animation}")
 
 
@@ -102,7 +102,7 @@ def states_of(arm: Arm, result: Message) -> list[int]:
 class Watched(list[list[int]]):
     """History of the commanded actuator states, shape (A,) each, without repetitions."""
 
-    def take(self, state: Message) -> None:
+    def receive_state(self, state: Message) -> None:
         """Appends the commanded states of a state message, if they are known and new."""
         commanded = state["commanded"]
         if commanded is not None and self[-1:] != [commanded]:
@@ -110,7 +110,7 @@ class Watched(list[list[int]]):
 
     def find(self, states: list[int]) -> int:
         """Waits until the last entry equals `states`, and returns its index; messages come 20 times a second."""
-        until = time.monotonic() + PATIENT
+        until = time.monotonic() + SILENCE_TIMEOUT
         while self[-1:] != [states] and time.monotonic() < until:
             time.sleep(0.02)
         return len(self) - 1
@@ -185,8 +185,8 @@ def stages(arm: Arm) -> int:
 def patient(file: Path, folder: Path) -> Path:
     """Writes a copy of an arm's file with long time-outs between boards, executor and planner; returns its path."""
     document = yaml.safe_load(file.read_text())
-    document["boards"] = {**document.get("boards", {}), "heartbeat_timeout": PATIENT}
-    document["planner_timeout"] = PATIENT
+    document["boards"] = {**document.get("boards", {}), "heartbeat_timeout": SILENCE_TIMEOUT}
+    document["planner_timeout"] = SILENCE_TIMEOUT
     for module in document["modules"]:
         if "table" in module:
             module["table"] = str(file.resolve().parent / module["table"])
@@ -202,7 +202,7 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
     Sockets, ledger and log are in `folder`, so another daemon of this arm may run on the computer.
 
     Raises:
-        Failed: the daemon did not start within PATIENCE.
+        CommandFailed: the daemon did not start within DAEMON_TIMEOUT.
     """
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
@@ -213,17 +213,17 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
         environment = {**os.environ, "RUNTIME_DIRECTORY": str(folder)}
         daemon = subprocess.Popen(command, stderr=log, stdout=log, env=environment)
         try:
-            until = time.monotonic() + PATIENCE
+            until = time.monotonic() + DAEMON_TIMEOUT
             while not listening(endpoint):
                 if daemon.poll() is not None or time.monotonic() > until:
                     log.seek(0)
                     errors.print(log.read(), markup=False)
-                    raise Failed("the daemon did not start; its log is above")
+                    raise CommandFailed("the daemon did not start; its log is above")
                 time.sleep(0.05)
             yield daemon, endpoint
         finally:
             daemon.terminate()
-            daemon.wait(PATIENCE)
+            daemon.wait(DAEMON_TIMEOUT)
 
 
 def listening(endpoint: str) -> bool:
@@ -242,21 +242,21 @@ def wait_until_ready(client: Client, ended: Callable[[], int | None] = lambda: N
         ended: returns the daemon's exit code, None while the daemon runs.
 
     Raises:
-        Failed: the daemon reports a fault, publishes no state, or has ended.
+        CommandFailed: the daemon reports a fault, publishes no state, or has ended.
     """
     states: queue.SimpleQueue[Message] = queue.SimpleQueue()
     subscriber = client.subscribe("state", states.put)
     try:
         while True:
-            state = states.get(timeout=PATIENCE)
+            state = states.get(timeout=DAEMON_TIMEOUT)
             if state["mode"] == "ready":
                 return
             if (code := ended()) is not None:
-                raise Failed(f"the daemon ended with code {code}")
+                raise CommandFailed(f"the daemon ended with code {code}")
             if state["mode"] == "fault":
-                raise Failed(f"the daemon reports a fault: {state['reason']}")
+                raise CommandFailed(f"the daemon reports a fault: {state['reason']}")
     except queue.Empty:
-        raise Failed(f"the daemon published no state for {PATIENCE:g} s") from None
+        raise CommandFailed(f"the daemon published no state for {DAEMON_TIMEOUT:g} s") from None
     finally:
         subscriber.undeclare()  # type: ignore[no-untyped-call]
 
@@ -265,7 +265,7 @@ def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
     """Sends a goal and shows its progress; returns its result, with the worst error of its waypoints as `worst`.
 
     Raises:
-        Failed: the goal was refused, or not reached.
+        CommandFailed: the goal was refused, or not reached.
     """
     errors_seen = [0.0]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
@@ -279,7 +279,7 @@ def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
 
         result = client.run({"waypoints": waypoints}, follow)
     if result["code"] != 0:
-        raise Failed(f"{what}: {result['message']}")
+        raise CommandFailed(f"{what}: {result['message']}")
     return {**result, "worst": max(*errors_seen, result["error"])}
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
-PATIENCE = 5.0  # [s] for the executor to end by itself
+END_TIMEOUT = 5.0  # [s] for the executor to end by itself
 
 
 class ExecutorProcess:
@@ -44,7 +44,7 @@ class ExecutorProcess:
         """Returns the exit code, negative for a signal; None while it runs."""
         return self._process.poll()
 
-    def close(self, timeout: float = PATIENCE) -> None:
+    def close(self, timeout: float = END_TIMEOUT) -> None:
         """Ends the executor; kills it after `timeout` seconds."""
         end_child(self._process, timeout)
 
@@ -64,7 +64,7 @@ def start_child(command: Sequence[str]) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, preexec_fn=die_with_parent, process_group=0, env=environment())
 
 
-def end_child(process: subprocess.Popen[bytes], timeout: float = PATIENCE) -> None:
+def end_child(process: subprocess.Popen[bytes], timeout: float = END_TIMEOUT) -> None:
     """Ends a program; kills it after `timeout` seconds."""
     process.terminate()
     try:

@@ -8,14 +8,14 @@ import hashlib
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
 from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, ArmFile, Failed, ZenohFile, densities_of, load_wired
+from controller.commands.common import ENDPOINT, ArmFile, CommandFailed, ZenohFile, densities_of, load_wired
 
 SOCKET = "Socket of a running executor, or its folder. Default: this command starts an executor."
 KIND = "Kind of the simulated boards; see `simulate --help`."
@@ -39,35 +39,96 @@ def run(
     ] = False,
 ) -> None:
     """Run the daemon until SIGTERM: it takes goals over Zenoh and moves the arm by an executor."""
+    check_options(board, socket, zenoh_file, simulate=simulate, panel=panel)
+    prepare_process()
+    boards = board if simulate else None
+    with started_executor(file, socket, ledger, boards) as executor, started_page(listen if panel else None):
+        serve(file, executor, listen, zenoh_file, ledger)
+
+
+class RunningExecutor(NamedTuple):
+    """The executor to connect to.
+
+    Attributes:
+        path: of its socket.
+        ended: returns the exit code of an executor that this command started; None while it runs, or if none was.
+    """
+
+    path: Path
+    ended: Callable[[], int | None]
+
+
+def check_options(
+    board: list[str], socket: Path | None, zenoh_file: Path | None, *, simulate: bool, panel: bool
+) -> None:
+    """Checks which options are given together.
+
+    Raises:
+        InputFaults: an option needs or excludes another.
+    """
     if simulate and socket is not None:
         raise InputFaults(Path("run"), ["give --simulate to the executor at --socket, not to this command"])
     if board and not simulate:
         raise InputFaults(Path("run"), ["--board is for simulated boards: give --simulate as well"])
     if panel and zenoh_file is not None:
         raise InputFaults(Path("run"), ["with --zenoh start the page separately: hyperbit panel --zenoh FILE"])
+
+
+def prepare_process() -> None:
+    """Sets the process's time slices, so that a stop waits for no thread that plans, and its use of memory."""
+    from controller.host.scheduling import shorten_slice
+
     sys.setswitchinterval(0.0005)  # a stop must not wait 5 ms for each thread that plans
     return_large_blocks()
+    shorten_slice()  # a stop waits less for other processes
 
+
+@contextlib.contextmanager
+def started_executor(
+    file: Path, socket: Path | None, ledger: Path | None, boards: list[str] | None
+) -> Iterator[RunningExecutor]:
+    """Starts an executor, unless one is running at `socket`; ends it at the end.
+
+    The boards boot while this process loads the kernels.
+
+    Args:
+        file: the arm's file.
+        socket: socket of a running executor, or its folder; None: start one.
+        ledger: path of the ledger, beside which the switch journal is written; None: the default path.
+        boards: kinds of the simulated boards; None: the boards on the arm's buses.
+    """
     from controller.armfile.actuators import ending_time, read_wired
-    from controller.commands.operate.executor_process import PATIENCE, ExecutorProcess, end_child, start_child
+    from controller.commands.operate.executor_process import END_TIMEOUT, ExecutorProcess
     from controller.host.journal import start_logging
-    from controller.host.scheduling import shorten_slice
     from controller.host.sockets import socket_path
 
-    shorten_slice()  # shorter time slices of this process's threads: a stop waits less for other processes
     settings, actuators, _ = read_wired(file)
     start_logging({"HYPERBIT_ARM": settings.name})
     path = socket_path(socket, settings.name)
-    with contextlib.ExitStack() as stack:
-        executor = None
-        if socket is None:  # before the kernels are loaded, so that the boards boot meanwhile
-            journal = ledger and ledger.with_name(f"{ledger.stem}.switches")  # a ledger has its own counts
-            executor = ExecutorProcess(file, path, simulate=simulate, journal=journal, board=board)
-            stack.callback(executor.close, PATIENCE + ending_time(settings, len(actuators)))
-        if panel:
-            page = [sys.executable, "-m", "controller.cli", "panel", "--connect", reachable(listen)]
-            stack.callback(end_child, start_child(page))
-        serve(file, path, executor.ended if executor else lambda: None, listen, zenoh_file, ledger)
+    if socket is not None:
+        yield RunningExecutor(path, lambda: None)
+        return
+    journal = ledger and ledger.with_name(f"{ledger.stem}.switches")  # a ledger has its own counts
+    executor = ExecutorProcess(file, path, simulate=boards is not None, journal=journal, board=boards or [])
+    try:
+        yield RunningExecutor(path, executor.ended)
+    finally:
+        executor.close(END_TIMEOUT + ending_time(settings, len(actuators)))
+
+
+@contextlib.contextmanager
+def started_page(listen: str | None) -> Iterator[None]:
+    """Serves the operator's page for a daemon that listens at a Zenoh endpoint; None: there is no page."""
+    from controller.commands.operate.executor_process import end_child, start_child
+
+    if listen is None:
+        yield
+        return
+    page = start_child([sys.executable, "-m", "controller.cli", "panel", "--connect", reachable(listen)])
+    try:
+        yield
+    finally:
+        end_child(page)
 
 
 def return_large_blocks() -> None:
@@ -87,26 +148,18 @@ def reachable(listen: str) -> str:
     return listen
 
 
-def serve(
-    file: Path,
-    path: Path,
-    ended: Callable[[], int | None],
-    listen: str,
-    zenoh_file: Path | None,
-    ledger: Path | None,
-) -> None:
+def serve(file: Path, executor: RunningExecutor, listen: str, zenoh_file: Path | None, ledger: Path | None) -> None:
     """Serves an arm until a signal arrives, or until the executor that this command started ends.
 
     Args:
         file: the arm's file.
-        path: socket of the executor.
-        ended: returns the exit code of the started executor; None while it runs, or if none was started.
+        executor: the executor to connect to.
         listen: Zenoh endpoint.
         zenoh_file: Zenoh configuration, instead of the endpoint.
         ledger: path of the ledger; None: the default path.
 
     Raises:
-        Failed: executor or planner ended, there is no Zenoh session, or another daemon serves the arm.
+        CommandFailed: executor or planner ended, there is no Zenoh session, or another daemon serves the arm.
         InputFaults: the arm's file or the Zenoh configuration is wrong.
     """
     import zenoh
@@ -128,13 +181,13 @@ def serve(
     try:
         for number in SIGNALS:  # before the first goal, so that an early signal ends goals in order
             signal.signal(number, lambda *_: ending.set())
-        with running(arm, densities, config, book, path, digest) as daemon:
+        with running(arm, densities, config, book, executor.path, digest) as daemon:
             while not ending.wait(POLL):
                 if daemon.failure is not None:
-                    raise Failed(f"{daemon.failure}: the log has details")
-                if (code := ended()) is not None:
-                    raise Failed(f"the executor ended with code {code}: its messages are above")
+                    raise CommandFailed(f"{daemon.failure}: the log has details")
+                if (code := executor.ended()) is not None:
+                    raise CommandFailed(f"the executor ended with code {code}: its messages are above")
     except (AlreadyRunning, LedgerInUse) as error:
-        raise Failed(str(error)) from None
+        raise CommandFailed(str(error)) from None
     except zenoh.ZError as error:
-        raise Failed(f"no Zenoh session at {zenoh_file or listen}: {session.reason(error)}") from None
+        raise CommandFailed(f"no Zenoh session at {zenoh_file or listen}: {session.reason(error)}") from None

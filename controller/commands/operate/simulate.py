@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from controller.armfile.strict import InputFaults
-from controller.commands.common import ArmFile, Failed, console, errors
+from controller.commands.common import ArmFile, CommandFailed, console, errors
 from drivers.simulation.variants import VARIANTS, choose
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def simulate(
     try:
         simulation = Simulation(arm.wiring, arm.timing, variants=variants)
     except (can.CanError, OSError) as error:
-        raise Failed(f"the bus cannot be opened: {error}") from None
+        raise CommandFailed(f"the bus cannot be opened: {error}") from None
     simulation.start()
     try:
         names = ", ".join(f"{bus.name} ({bus.interface} {bus.channel})" for bus in arm.wiring.buses)

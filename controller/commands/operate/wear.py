@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from controller.armfile.strict import InputFaults
 from controller.commands import common
-from controller.commands.common import ArmFile, AsJson, Failed, print_json
+from controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
 
 # StateDirectory of the service, and its link target under DynamicUser, which only root can read.
 SERVICE_FOLDERS = (Path("/var/lib/hyperbit"), Path("/var/lib/private/hyperbit"))
@@ -23,39 +23,71 @@ def wear(
     as_json: AsJson = False,
 ) -> None:
     """Print how often each actuator has switched, and how goals ended."""
-    import sqlite3
-
-    from rich.table import Table
-
-    from controller.armfile.actuators import actuator_names, labels
-    from controller.armfile.settings import read_settings
-    from controller.planning.ledger_file import default_path, read
-
-    settings, faults = read_settings(file)
-    actuators = labels(actuator_names(settings.modules, file.parent, faults))
-    if faults:
-        raise InputFaults(file, faults)
-    name = settings.name
-    services = [*SERVICE_FOLDERS, *(instance / "planner" for instance in INSTANCES.glob("*"))]
-    path = ledger or last_written([default_path(name), *(folder / f"{name}.sqlite" for folder in services)])
-    try:
-        switches, goals = read(path)
-    except sqlite3.Error as error:
-        raise Failed(f"{path}: no ledger there: {error}", "name it by --ledger, or run the daemon first") from None
+    name, actuators = name_and_labels(file)
+    path = ledger or ledger_of(name)
+    switches, goals = read_ledger(path)
     counts = {label: switches.get(label, 0) for label in actuators}
     if as_json:
         print_json({"ledger": str(path), "switches": counts, "goals": goals})
         return
     common.console.print(f"ledger {path}", markup=False)
+    print_counts(counts)
+    ended = [str(goal["status"] or "unfinished") for goal in goals]
+    common.console.print(
+        ", ".join(f"{ended.count(status)} {status}" for status in sorted(set(ended))) or "no goals yet"
+    )
+
+
+def name_and_labels(file: Path) -> tuple[str, tuple[str, ...]]:
+    """Returns the name of an arm's file, and the labels of its actuators.
+
+    Raises:
+        InputFaults: the file is wrong.
+    """
+    from controller.armfile.actuators import actuator_names, labels
+    from controller.armfile.settings import read_settings
+
+    settings, faults = read_settings(file)
+    actuators = labels(actuator_names(settings.modules, file.parent, faults))
+    if faults:
+        raise InputFaults(file, faults)
+    return settings.name, actuators
+
+
+def ledger_of(name: str) -> Path:
+    """Returns the path of an arm's ledger: of those of services and of this user the one that was written last."""
+    from controller.planning.ledger_file import default_path
+
+    services = [*SERVICE_FOLDERS, *(instance / "planner" for instance in INSTANCES.glob("*"))]
+    return last_written([default_path(name), *(folder / f"{name}.sqlite" for folder in services)])
+
+
+def read_ledger(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
+    """Returns the number of switches by label, and the goals.
+
+    Raises:
+        CommandFailed: there is no ledger.
+    """
+    import sqlite3
+
+    from controller.planning.ledger_file import read
+
+    try:
+        return read(path)
+    except sqlite3.Error as error:
+        step = "name it by --ledger, or run the daemon first"
+        raise CommandFailed(f"{path}: no ledger there: {error}", step) from None
+
+
+def print_counts(counts: dict[str, int]) -> None:
+    """Prints a table of the numbers of switches, the most worn actuator first."""
+    from rich.table import Table
+
     most = max(max(counts.values()), 1)
     table = Table("actuator", "switches", "", title=f"{sum(counts.values())} switches, the most worn first")
     for label, count in sorted(counts.items(), key=lambda item: -item[1]):
         table.add_row(label, str(count), "█" * round(30 * count / most))
     common.console.print(table)
-    ended = [str(goal["status"] or "unfinished") for goal in goals]
-    common.console.print(
-        ", ".join(f"{ended.count(status)} {status}" for status in sorted(set(ended))) or "no goals yet"
-    )
 
 
 def last_written(ledgers: list[Path]) -> Path:

@@ -7,17 +7,19 @@ import json
 import os
 import platform
 import sys
+from collections.abc import Iterable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from controller.armfile.strict import InputFaults
 from controller.bench.methods import METHODS, find_method
 from controller.commands import common
-from controller.commands.common import Failed
+from controller.commands.common import CommandFailed
+from controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -70,39 +72,93 @@ def bench(
     column `tables` has the time of `prepare` and of the first goal of each arm. Methods run in this process: run only
     programs that you trust.
     """  # noqa: D301 - \b keeps click from filling the lines
-    from controller.bench.goal_sets import SETS, read, sample_evenly
+    from controller.bench.goal_sets import SETS
 
     if names:
         print_names(SETS)
         return
-    chosen = chosen_sets(sets, list(SETS))
-    compared = chosen_methods(methods, method or [])
+    scale = Scale(chosen_methods(methods, method or []), limit, count)
+    results = run_sets(chosen_sets(sets, list(SETS)), scale, silent=str(json_file) == "-")
+    if json_file is not None:
+        write_figures(json_file, results)
+    if impossible := sum(row.impossible for result in results for row in result.rows):
+        raise CommandFailed(f"{impossible} answers have fewer switches than the proven minimum: a goal set is wrong")
+
+
+class Scale(NamedTuple):
+    """What runs on each goal set.
+
+    Attributes:
+        methods: the methods, by name.
+        limit: longest time for one goal [s].
+        most: most goals of each set; None: all.
+    """
+
+    methods: dict[str, Prepare]
+    limit: float
+    most: int | None
+
+
+class SetResult(NamedTuple):
+    """The result of a goal set.
+
+    Attributes:
+        name: of the set.
+        about: one line on the set.
+        goals: number of goals.
+        proven: number of goals whose fewest switches are proven.
+        rows: result of each method.
+    """
+
+    name: str
+    about: str
+    goals: int
+    proven: int
+    rows: list[Row]
+
+
+def run_sets(names: list[str], scale: Scale, *, silent: bool) -> list[SetResult]:
+    """Runs all methods on goal sets; prints each set's table as soon as it is known, unless `silent`."""
+    results = []
+    for name in names:
+        results.append(run_set(name, scale))
+        if not silent:
+            print_result(results[-1])
+    if not silent:
+        common.console.print(LEGEND)
+    return results
+
+
+def run_set(name: str, scale: Scale) -> SetResult:
+    """Runs all methods on a goal set."""
+    from controller.bench.goal_sets import SETS, read, sample_evenly
+
+    tasks = read(name)
+    tasks = sample_evenly(tasks, len(tasks) if scale.most is None else scale.most)
+    rows = measured(name, tasks, scale)
+    return SetResult(name, SETS[name], len(tasks), sum(task.proven for task in tasks), rows)
+
+
+def print_result(result: SetResult) -> None:
+    """Prints the table of a goal set, with examples of errors."""
+    common.console.print(table(result))
+    for row in result.rows:
+        for example in row.examples:
+            common.console.print(f"  {row.method}: {example}", markup=False)
+
+
+def write_figures(file: Path, results: Iterable[SetResult]) -> None:
+    """Writes the figures of all goal sets as JSON to a file, or to stdout if the file is "-"."""
     figures: dict[str, Any] = {"python": platform.python_version(), "machine": platform.machine()}
     figures |= {"cores": os.cpu_count(), "sets": {}}
-    rows: list[Row] = []
-    for name in chosen:
-        tasks = read(name)
-        tasks = sample_evenly(tasks, len(tasks) if count is None else count)
-        found = measured(name, tasks, compared, limit)
-        proven = sum(task.proven for task in tasks)
-        rows += found
-        figures["sets"][name] = {"about": SETS[name], "goals": len(tasks), "certified": proven}
-        figures["sets"][name]["methods"] = [asdict(row) for row in found]
-        if str(json_file) != "-":
-            common.console.print(table(f"{name}: {SETS[name]}", len(tasks), proven, found))
-            for row in found:
-                for example in row.examples:
-                    common.console.print(f"  {row.method}: {example}", markup=False)
-    if str(json_file) != "-":
-        common.console.print(LEGEND)
-    if json_file is not None:
-        text = json.dumps(figures, indent=2) + "\n"
-        if str(json_file) == "-":
-            sys.stdout.write(text)
-        else:
-            json_file.write_text(text, encoding="utf-8")
-    if impossible := sum(row.impossible for row in rows):
-        raise Failed(f"{impossible} answers have fewer switches than the proven minimum: a goal set is wrong")
+    for result in results:
+        figures["sets"][result.name] = {"about": result.about, "goals": result.goals, "certified": result.proven}
+        figures["sets"][result.name]["methods"] = [asdict(row) for row in result.rows]
+    text = json.dumps(figures, indent=2) + "\n"
+    if str(file) == "-":
+        sys.stdout.write(text)
+    else:
+        file.write_text(text, encoding="utf-8")
 
 
 def chosen_sets(wanted: list[str] | None, known: list[str]) -> list[str]:
@@ -122,7 +178,7 @@ def chosen_methods(wanted: str | None, own: list[str]) -> dict[str, Prepare]:
     Raises:
         InputFaults: a method is unknown, or cannot be loaded.
     """
-    usual = ["minimum-switch"] if own else list(METHODS)
+    usual = [MINIMUM_SWITCH] if own else list(METHODS)
     listed = usual if wanted is None else [name.strip() for name in wanted.split(",") if name.strip()]
     if unknown := [name for name in listed if name not in METHODS]:
         known = ", ".join(METHODS)
@@ -134,7 +190,7 @@ def chosen_methods(wanted: str | None, own: list[str]) -> dict[str, Prepare]:
         raise InputFaults(Path("--method"), [str(error)]) from None
 
 
-def measured(name: str, tasks: list[Task], methods: dict[str, Prepare], limit: float) -> list[Row]:
+def measured(name: str, tasks: list[Task], scale: Scale) -> list[Row]:
     """Runs each method on a goal set, with a progress bar on stderr; returns a row for each method."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -147,21 +203,22 @@ def measured(name: str, tasks: list[Task], methods: dict[str, Prepare], limit: f
     bars = Progress(*columns, console=common.errors, transient=True, disable=silent)
     with bars as progress, contextlib.redirect_stdout(sys.stderr):  # stdout is for the figures
         rows = []
-        for method, prepare in methods.items():
+        for method, prepare in scale.methods.items():
             bar = progress.add_task(f"{name}: {method}", total=len(tasks))
-            rows.append(run(method, prepare, tasks, arms, limit, partial(progress.advance, bar)))
+            rows.append(run(method, prepare, tasks, arms, scale.limit, partial(progress.advance, bar)))
             progress.remove_task(bar)
     return rows
 
 
-def table(title: str, goals: int, proven: int, rows: list[Row]) -> Table:
+def table(found: SetResult) -> Table:
     """Returns the table of a goal set: a line for each method that accepts at least one of its goals."""
     headers = ("method", "goals", "solved", "fewest", "proven", "switches", "above", "ms", "tables", "wrong", "errors")
     result = common.results_table(*headers)
-    result.title, result.title_justify = f"{title}: {goals} goals, the fewest switches of {proven} proven", "left"
+    goals = f"{found.goals} goals, the fewest switches of {found.proven} proven"
+    result.title, result.title_justify = f"{found.name}: {found.about}: {goals}", "left"
     for column in result.columns[1:]:
         column.justify = "right"
-    for r in rows:
+    for r in found.rows:
         if r.goals == 0:
             continue
         cells = [f"{count / r.goals:.1%}" for count in (r.solved, r.fewest, r.proven)]
@@ -170,7 +227,7 @@ def table(title: str, goals: int, proven: int, rows: list[Row]) -> Table:
         times = (r.seconds_median, r.seconds_99)
         cells += ["/".join(f"{1e3 * t:.3g}" for t in times if t is not None), f"{r.tables_seconds:.1f}"]
         result.add_row(r.method, str(r.goals), *cells, str(r.wrong_certificates), str(sum(r.errors.values())))
-    if others := [row.method for row in rows if row.goals == 0]:
+    if others := [row.method for row in found.rows if row.goals == 0]:
         result.caption, result.caption_justify = f"Not made for these goals: {', '.join(others)}.", "left"
     return result
 

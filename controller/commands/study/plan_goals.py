@@ -1,148 +1,174 @@
-"""Searches for the goals of `plan`: for each goal separately, or for all goals as one trajectory."""
+"""The goals of `plan`: given by its options, or in a CSV file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from controller.arm.arm import Arm
-from controller.commands.common import Failed, errors
+from controller.armfile.csv_files import read_csv
+from controller.armfile.strict import InputFaults
+from controller.commands.common import configuration, parse_goal
 from controller.manipulator import frames
+from controller.manipulator.locked import transferred
 from controller.manipulator.manipulator import Configuration
-from controller.motion.codes import Refusal
 from controller.search.method import Method
 
-if TYPE_CHECKING:  # the search's kernels take a second to import
-    from controller.motion.plans.whole import TipGoals
-    from controller.search.solution import Solution
-    from controller.search.solver import Solver
-
 Orientation = float | list[float] | None
-Goals = list[tuple[list[float], Orientation, Configuration | None]]
 
 
-class Tolerances(NamedTuple):
-    """Tolerances of all goals.
+class PlanOptions(NamedTuple):
+    """The options of `plan` about goals and search, None where they are not given.
 
     Attributes:
-        position: greatest distance of the tip from a goal.
-        angle: greatest angle from a goal's orientation [rad].
-        path: follow straight lines between goals within this distance; None: do not.
+        goal: one goal.
+        goals: CSV file of goals.
+        configuration: configuration to describe instead of a search.
+        previous: configuration before the first goal.
+        tolerance: position tolerance.
+        angle_tolerance: orientation tolerance [rad].
+        path_tolerance: follow straight lines between the goals within this distance.
+        method: search method.
     """
 
-    position: float
-    angle: float
-    path: float | None = None
+    goal: str | None
+    goals: Path | None
+    configuration: str | None
+    previous: str | None
+    tolerance: float | None
+    angle_tolerance: float | None
+    path_tolerance: float | None
+    method: Method | None
 
 
-class Answer(NamedTuple):
-    """The solution of a goal, or of a point between two goals.
+class WantedGoal(NamedTuple):
+    """A goal.
 
     Attributes:
-        position: of the goal, shape (dimension,).
-        orientation: of the goal, an angle [rad] or a quaternion; None: any orientation.
-        solution: configuration, tip and certificate.
-        between: whether the point lies on a line between goals.
-        whole: switches, cost and certificate of the whole trajectory, for JSON; None: a separate search.
+        position: shape (dimension,).
+        orientation: an angle [rad] or a quaternion; None: any orientation.
+        previous: configuration from which its search starts, shape (B,); None: the one before.
     """
 
     position: list[float]
     orientation: Orientation
-    solution: Solution
-    between: bool = False
-    whole: dict[str, Any] | None = None
+    previous: Configuration | None = None
+
+    def target(self) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        """Returns the position, or the tip's frame (4, 4) if the goal has an orientation."""
+        if self.orientation is None:
+            return np.array(self.position)
+        if isinstance(self.orientation, float):
+            return frames.planar(self.position[0], self.position[1], self.orientation)
+        return frames.spatial(self.position, self.orientation)
 
 
-Answers = Iterator[Answer]
+class PlanTask(NamedTuple):
+    """What `plan` searches or describes.
 
-
-def search(solver: Solver, wanted: Goals, start: Configuration, tolerances: Tolerances, method: Method) -> Answers:
-    """Yields the solution of each goal, searched separately.
-
-    Each search starts at the previous solution, or at the goal's own previous configuration.
+    Attributes:
+        start: configuration of the reduced arm before the first goal, shape (B,).
+        described: configuration of the reduced arm to describe instead of a search; None: search.
+        goals: the goals.
     """
-    for position, orientation, given in wanted:
-        goal = np.array(position) if orientation is None else frame(position, orientation)
-        own, angle = start if given is None else given, np.inf if orientation is None else tolerances.angle
-        found = solver.solve(solver.target(goal, tolerances.position, angle), own, method)
-        start = found.configuration
-        yield Answer(position, orientation, found)
+
+    start: Configuration
+    described: Configuration | None
+    goals: list[WantedGoal]
 
 
-def given(solver: Solver, configuration: Configuration, start: Configuration, tolerance: float) -> Answer:
-    """Returns a configuration as the solution of its own tip position, without a search."""
-    position = solver.manipulator.tip(configuration)[: solver.manipulator.dimension, 3]
-    return Answer(position.tolist(), None, solver.described(configuration, solver.target(position, tolerance), start))
-
-
-def frame(position: list[float], orientation: float | list[float]) -> frames.Frame:
-    """Returns the tip's frame (4, 4) of a goal."""
-    if isinstance(orientation, float):
-        return frames.planar(position[0], position[1], orientation)
-    return frames.spatial(position, orientation)
-
-
-def follow(
-    arm: Arm,
-    solver: Solver,
-    wanted: Goals,
-    start: Configuration,
-    tolerances: Tolerances,
-    method: Method,
-) -> Answers:
-    """Yields the solution of each point of a trajectory, as the daemon answers `plan`.
-
-    The trajectory leaves enough time for all switches. A goal with a previous configuration begins a new trajectory.
-    Goals that cannot be planned as one trajectory are searched separately.
-
-    Args:
-        arm: the arm.
-        solver: solver of the reduced arm.
-        wanted: the goals.
-        start: configuration before the first goal, shape (B,).
-        tolerances: of all goals.
-        method: search method.
+def read_task(arm: Arm, options: PlanOptions) -> PlanTask:
+    """Returns the task that the options describe.
 
     Raises:
-        Failed: the lines between the goals cannot be followed.
+        InputFaults: an option, or a line of the file of goals, is wrong.
     """
-    from controller.motion.plans.transitions import TransitionPlanner
-    from controller.motion.plans.whole import plan_whole, unhurried
-    from controller.motion.stages.pacing import pace_of
+    check_options(options)
+    home = np.zeros(len(arm.reduced.modules), dtype=np.int64)
+    start = home if options.previous is None else unlocked(arm, options.previous, "--previous")
+    if options.configuration is not None:
+        return PlanTask(start, unlocked(arm, options.configuration, "--configuration"), [])
+    if options.goal is not None:
+        return PlanTask(start, None, [WantedGoal(*parse_goal(options.goal, arm.manipulator.dimension, "--goal"))])
+    path = options.goals or Path()
+    goals = read_goals(arm, path)
+    if options.path_tolerance is not None:
+        check_lines(goals, path)
+    return PlanTask(start, None, goals)
 
-    pace = pace_of(arm.settings)
-    begins = [k for k, (_, _, given) in enumerate(wanted) if k == 0 or given is not None]
-    for first, end in zip(begins, [*begins[1:], len(wanted)], strict=True):
-        part, before = wanted[first:end], wanted[first][2]
-        start = start if before is None else before
+
+def check_options(options: PlanOptions) -> None:
+    """Checks which options are given together, and the range of the tolerances.
+
+    Raises:
+        InputFaults: an option is wrong.
+    """
+    if [options.goal, options.goals, options.configuration].count(None) != 2:
+        raise InputFaults(Path("plan"), ["give one of --goal, --goals and --configuration"])
+    tolerances = (
+        ("--tolerance", "length", options.tolerance),
+        ("--turn", "angle", options.angle_tolerance),
+        ("--path-tolerance", "length", options.path_tolerance),
+    )
+    for name, kind, value in tolerances:
+        if value is not None and not 1e-9 <= value <= 1e6:
+            raise InputFaults(Path(name), [f"{value:g} is no {kind} from 1e-9 to 1e6"])
+    if options.path_tolerance is not None and options.goals is None:
+        raise InputFaults(Path("--path-tolerance"), ["lines need several goals: give --goals FILE.csv"])
+
+
+def read_goals(arm: Arm, path: Path) -> list[WantedGoal]:
+    """Reads goals from a CSV file: position, and orientation and previous configuration if given.
+
+    Raises:
+        InputFaults: the file is missing or wrong; each fault names its line.
+    """
+    dimension = arm.manipulator.dimension
+    columns = ["x", "y", "z"][:dimension]
+    turns = ["th"] if arm.manipulator.planar else ["qx", "qy", "qz", "qw"]
+    file = read_csv(path)
+    if set(turns) <= set(file.columns):
+        columns += turns
+    if not set(columns) <= set(file.columns) <= {*columns, "previous"}:
+        needed = f"columns {','.join(columns)} are needed, {','.join(turns)} and previous are optional"
+        raise InputFaults(path, [f"{needed}; got {file.columns}"])
+    goals: list[WantedGoal] = []
+    faults: list[str] = []
+    for line, record in file.records():
+        where = f"line {line}"
         try:
-            trajectory = unhurried(as_arrays(part, tolerances), pace, tolerances.path)
-            found = plan_whole(TransitionPlanner(solver, trajectory, pace), start, method)
-        except Refusal as refusal:
-            if tolerances.path is not None:
-                raise Failed(str(refusal)) from None
-            errors.print(f"no plan of the whole trajectory: {refusal}; each goal is searched separately")
-            for answer in search(solver, [(p, o, None) for p, o, _ in part], start, tolerances, method):
-                start = answer.solution.configuration
-                yield answer
-            continue
-        whole = {"switches": found.switches, "cost": found.cost, **found.proof()}
-        for k, solution in enumerate(found.solutions):
-            between = trajectory.between(k)
-            position, orientation, _ = part[trajectory.next(k)]
-            if between:
-                position = trajectory.positions[k].tolist()
-            yield Answer(position, orientation, solution, between, whole)
-        start = found.solutions[-1].configuration
+            wanted = parse_goal(",".join(record[name] for name in columns).rstrip(","), dimension, where)
+            previous = unlocked(arm, record["previous"], where) if record.get("previous") else None
+            goals.append(WantedGoal(*wanted, previous))
+        except InputFaults as error:
+            faults += [f"{where}: {fault}" for fault in error.faults]
+    if faults or not goals:
+        raise InputFaults(path, faults or ["no goals"])
+    return goals
 
 
-def as_arrays(wanted: Goals, tolerances: Tolerances) -> TipGoals:
-    """Returns goals as arrays with their tolerances; the orientation tolerance is infinite without an orientation."""
-    from controller.motion.plans.whole import TipGoals
+def check_lines(goals: list[WantedGoal], path: Path) -> None:
+    """Checks that straight lines can join the goals of a file.
 
-    turns = np.array([np.inf if orientation is None else tolerances.angle for _, orientation, _ in wanted])
-    rotations = [np.eye(3) if o is None else frame(p, o)[:3, :3] for p, o, _ in wanted]
-    positions = np.array([position for position, _, _ in wanted], dtype=np.float64)
-    return TipGoals(positions, np.full(len(wanted), tolerances.position), np.array(rotations), turns)
+    Raises:
+        InputFaults: a goal has an orientation, or a previous configuration.
+    """
+    if any(goal.previous is not None for goal in goals):
+        raise InputFaults(path, ["column previous: remove it, each line begins at the end of the previous line"])
+    if any(goal.orientation is not None for goal in goals):
+        raise InputFaults(path, ["orientations: remove them, lines are followed by position only"])
+
+
+def unlocked(arm: Arm, text: str, where: str) -> Configuration:
+    """Parses a configuration of the whole arm and returns it as a configuration of `arm.reduced`, shape (B,).
+
+    Raises:
+        InputFaults: the arm has no such configuration, or a locked actuator is in another state.
+    """
+    whole = configuration(arm, text, where)
+    try:
+        return transferred(whole, arm.manipulator, arm.reduced)
+    except ValueError as error:
+        raise InputFaults(Path(where), [f"{text}: as actuators are locked, {error}"]) from None

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from controller.arm.arm import Arm, load
@@ -22,18 +20,11 @@ from controller.commands.common import (
     results_table,
     shown,
 )
-from controller.manipulator.frames import quaternion
-from controller.manipulator.locked import STATES
+from controller.commands.study.workspace_report import FIGURES, WorkspaceStudy, describe_study
 
 if TYPE_CHECKING:
     from controller.workspace.densities import Densities
-    from controller.workspace.locked_reach import LockedReach, Reach
-    from controller.workspace.orientations import Orientations
-
-FIGURES = ("reach", "covered", "redundancy")
-DRAWN = "random draws, weighted by the Mapping Algorithm's densities; a grid over orientations would be far too coarse"
-MAPPED = "the search uses the same densities of all intermediate workspaces"
-LOCKED = "a lock changes only the intermediate workspaces below its module; the others are mapped once"
+    from controller.workspace.locked_reach import LockChoices, LockedReach
 
 
 def workspace(
@@ -51,36 +42,36 @@ def workspace(
     as_json: AsJson = False,
 ) -> None:
     """Draw and report where an arm can reach: positions, orientations at a point, reach with locked actuators."""
-    from controller.pictures.workspace_plots import draw_workspace, locked_field, positions_field
+    from controller.workspace.locked_reach import LockChoices
     from controller.workspace.orientations import orientations_at
 
     arm = load(file)
     own = arm.tolerance if tolerance is None else tolerance
-    if not 1e-9 <= own <= 1e6:
-        raise InputFaults(Path("--tolerance"), [f"{own:g} is no length from 1e-9 to 1e6"])
-    if not 1 <= samples <= 10_000:
-        raise InputFaults(Path("--samples"), [f"{samples} is not from 1 to 10000"])
+    check_options(own, samples)
     point = None if at is None else position(at, arm.manipulator.dimension)
     densities = densities_of(arm, silent=as_json)
-    report: dict[str, Any] = {"arm": arm.settings.name, "tolerance": own, "positions": positions(arm, densities, own)}
-    fields = [positions_field(densities, arm.manipulator.dimension, own)]
     found = None if point is None else orientations_at(arm.reduced, densities, point, own, seed=seed)
-    if found is not None:
-        report["at"] = {"position": point, **orientations(found, planar=arm.manipulator.planar)}
-    if locked is not None:
-        choices = locked_reach(arm, densities, locked, own, samples, seed, silent=as_json)
-        report["locked"] = locks(arm, choices, locked)
-        fields.append(locked_field(choices, locked))
-    some = found if found is not None and len(found.counts) else None
-    try:
-        draw_workspace(arm.reduced, fields, point, some, arm.settings.name).savefig(picture, dpi=130)
-    except (OSError, ValueError) as error:
-        raise InputFaults(picture, [f"cannot be written: {error}"]) from None
-    report["picture"] = str(picture)
+    locks = None if locked is None else LockChoices(locked, samples, seed)
+    reach = None if locks is None else locked_reach(arm, densities, own, locks, silent=as_json)
+    study = WorkspaceStudy(arm, densities, own, point, found, locked or 0, reach)
+    save_picture(picture, study)
+    report = {**describe_study(study), "picture": str(picture)}
     if as_json:
         print_json(report)
     else:
         show(report)
+
+
+def check_options(tolerance: float, samples: int) -> None:
+    """Checks the range of options.
+
+    Raises:
+        InputFaults: an option is out of range.
+    """
+    if not 1e-9 <= tolerance <= 1e6:
+        raise InputFaults(Path("--tolerance"), [f"{tolerance:g} is no length from 1e-9 to 1e6"])
+    if not 1 <= samples <= 10_000:
+        raise InputFaults(Path("--samples"), [f"{samples} is not from 1 to 10000"])
 
 
 def position(text: str, dimension: int) -> list[float]:
@@ -95,9 +86,25 @@ def position(text: str, dimension: int) -> list[float]:
     return found
 
 
-def locked_reach(
-    arm: Arm, densities: Densities, locked: int, tolerance: float, samples: int, seed: int, *, silent: bool
-) -> LockedReach:
+def save_picture(file: Path, study: WorkspaceStudy) -> None:
+    """Draws positions, orientations and reach with locked actuators.
+
+    Raises:
+        InputFaults: the file cannot be written.
+    """
+    from controller.pictures.workspace_plots import draw_workspace, locked_field, positions_field
+
+    arm, reach = study.arm, study.locked_reach
+    fields = [positions_field(study.densities, arm.manipulator.dimension, study.tolerance)]
+    fields += [] if reach is None else [locked_field(reach, study.locks)]
+    found = study.orientations if study.orientations is not None and len(study.orientations.counts) else None
+    try:
+        draw_workspace(arm.reduced, fields, study.point, found, arm.settings.name).savefig(file, dpi=130)
+    except (OSError, ValueError) as error:
+        raise InputFaults(file, [f"cannot be written: {error}"]) from None
+
+
+def locked_reach(arm: Arm, densities: Densities, tolerance: float, locks: LockChoices, *, silent: bool) -> LockedReach:
     """Returns the reach with locked actuators; shows a progress bar on stderr.
 
     Raises:
@@ -113,97 +120,12 @@ def locked_reach(
             return reach_when_locked(
                 arm.reduced,
                 densities,
-                locked,
                 tolerance,
-                samples,
-                seed,
+                locks,
                 lambda done, total: progress.update(task, completed=done, total=total),
             )
         except ValueError as error:
             raise InputFaults(Path("--locked"), [str(error)]) from None
-
-
-def positions(arm: Arm, densities: Densities, tolerance: float) -> dict[str, Any]:
-    """Returns the figures of the density of positions."""
-    planar, dimension = arm.manipulator.planar, arm.manipulator.dimension
-    values, pixel = densities.level(0).astype(float), float(densities.pixels[0])
-    some = values[values >= 0]
-    ball = math.pi * tolerance**2 if planar else 4 / 3 * math.pi * tolerance**3
-    within = (some + math.log(ball / pixel**dimension)) / math.log(10)
-    covered = within[within >= 0]
-    z, y, x = np.unravel_index(int(values.argmax()), values.shape)
-    densest = arm.reduced.base @ np.append(densities.references[0] + pixel * np.array([x, y, z]), 1.0)
-    return {
-        "method": "mapping",
-        "why": MAPPED,
-        "pixel": pixel,
-        "configurations": float(np.log10(arm.reduced.states).sum()),
-        "reach": len(some) * pixel**dimension,
-        "covered": len(covered) * pixel**dimension,
-        "redundancy": float(np.median(covered)) if len(covered) else None,
-        "greatest_redundancy": float(within.max()),
-        "densest": densest[:dimension].tolist(),
-    }
-
-
-def orientations(found: Orientations, *, planar: bool) -> dict[str, Any]:
-    """Returns the figures of the density of orientations at a point."""
-    from controller.pictures.workspace_plots import angles_of, arcs, directions, twists
-
-    exact = found.draws == 0
-    fields: dict[str, Any] = {
-        "method": "enumeration" if exact else "mapping",
-        "why": "the arm has few configurations, all are enumerated" if exact else DRAWN,
-        "configurations": found.total,
-        "standard_error": found.deviation,
-        "draws": found.draws,
-        "mean": None,
-        "spread": None,
-    }
-    if len(found.counts) == 0:
-        return fields
-    frame = np.eye(4)
-    frame[:3, :3] = found.mean
-    fields["mean"] = float(angles_of(frame[None, :3, :3])[0]) if planar else quaternion(frame).tolist()
-    fields["spread"] = found.spread
-    if planar:
-        return fields | {"angles": arcs(angles_of(found.rotations), found.counts).tolist()}
-    return fields | {
-        "directions": directions(found).tolist(),
-        "twists": arcs(twists(found.rotations), found.counts).tolist(),
-    }
-
-
-def locks(arm: Arm, found: LockedReach, locked: int) -> dict[str, Any]:
-    """Returns the figures of reach and redundancy with locked actuators."""
-    return {
-        "method": "mapping",
-        "why": LOCKED,
-        "actuators": locked,
-        "every": found.every,
-        "impossible": found.impossible,
-        "pixel": found.pixel,
-        "free": figures(found.free),
-        "mean": {name: finite(found.mean(name)) for name in FIGURES},
-        "worst": {name: choice(arm, found.worst(name)) for name in FIGURES},
-        "choices": [choice(arm, one) for one in found.choices],
-    }
-
-
-def figures(reach: Reach) -> dict[str, float | None]:
-    """Returns the figures of one choice of locked actuators."""
-    return {name: finite(getattr(reach, name)) for name in FIGURES}
-
-
-def choice(arm: Arm, reach: Reach) -> dict[str, Any]:
-    """Returns the figures of one choice of locked actuators, and the locked states by label."""
-    labels = zip(arm.manipulator.actuators, reach.locked.tolist(), strict=True)
-    return {"locked": {label: STATES[state] for label, state in labels if state >= 0}, **figures(reach)}
-
-
-def finite(value: float) -> float | None:
-    """Returns a number, or None if it is infinite: JSON has no infinity."""
-    return value if math.isfinite(value) else None
 
 
 def power(exponent: float | None) -> str:

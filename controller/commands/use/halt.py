@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from controller.host.sockets import found_sockets, socket_path
-from controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Halt, Hello, Malformed, decode_up, encode
+from controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Hello, Malformed, Stop, decode_up, encode
 
 ENDPOINT = "tcp/127.0.0.1:7447"  # as in controller.commands.common, which takes longer to import
 ARM = "The arm's file, or its name. With --local it may be absent: all arms of this computer."
@@ -51,7 +51,7 @@ def halt_here(arm: str, socket: Path | None, as_json: bool) -> None:
     """Halts an arm, or all arms, and prints the executors' answers.
 
     Raises:
-        Failed: an executor did not answer, or there is none.
+        CommandFailed: an executor did not answer, or there is none.
     """
     if arm.endswith((".yaml", ".yml")) or Path(arm).is_file():
         from controller.commands.common import arm_name
@@ -72,7 +72,7 @@ def halt_local(name: str = "", path: Path | None = None) -> str:
         The executors' answers, one in each line.
 
     Raises:
-        Failed: an executor did not answer, or there is none.
+        CommandFailed: an executor did not answer, or there is none.
     """
     if name:
         paths = [socket_path(path, name)]
@@ -90,10 +90,10 @@ def halt_local(name: str = "", path: Path | None = None) -> str:
         except Malformed as error:
             failures.append(f"{own}: {error}")
     if failures or not paths:
-        from controller.commands.common import Failed
+        from controller.commands.common import CommandFailed
 
         lines = "\n".join([*answers, *failures])
-        raise Failed(lines or "no executor is running: there is no socket", step if lines else SEARCH)
+        raise CommandFailed(lines or "no executor is running: there is no socket", step if lines else SEARCH)
     return "\n".join(answers)
 
 
@@ -108,7 +108,7 @@ def halt_at(path: Path, name: str) -> str:
         connection.settimeout(ANSWER_WITHIN)
         connection.connect(str(path))
         connection.send(encode(Hello(VERSION, "operator", name)))
-        connection.send(encode(Halt(1)))
+        connection.send(encode(Stop(1)))
         while True:
             data = connection.recv(MOST_BYTES + 1)
             if not data:

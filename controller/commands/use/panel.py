@@ -5,12 +5,15 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, Failed, ZenohFile
+from controller.commands.common import ENDPOINT, CommandFailed, ZenohFile
+
+if TYPE_CHECKING:
+    import zenoh
 
 LISTEN = "127.0.0.1:7480"
 PEOPLE = "File of people who may view or command. Default: new tokens for one operator and one viewer at each start."
@@ -40,18 +43,31 @@ def panel(
         raise InputFaults(Path("panel"), ["--certificate and --key go together; --client-ca needs both"])
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     try:
-        from controller.panel.serve import Tls, parse_address, serve, zenoh_configuration
+        from controller.panel.serve import Tls, parse_address, serve
     except ImportError as error:
-        raise Failed(str(error), "install the page's libraries: pip install 'hyperbit[panel]'") from None
+        raise CommandFailed(str(error), "install the page's libraries: pip install 'hyperbit[panel]'") from None
     tls = None if certificate is None or key is None else Tls(certificate, key, client_ca)
-    try:
-        config = zenoh_configuration(connect or [ENDPOINT], zenoh_file)
-    except ValueError as error:
-        raise InputFaults(Path("--zenoh"), [str(error)]) from None
+    config = zenoh_config(connect or [ENDPOINT], zenoh_file)
     try:
         serve(parse_address(listen), tls, people, config, prefix)
     except OSError as error:
-        raise Failed(f"the page cannot be served at {listen}: {error}", "name another address by --listen") from None
+        raise CommandFailed(
+            f"the page cannot be served at {listen}: {error}", "name another address by --listen"
+        ) from None
+
+
+def zenoh_config(connect: list[str], file: Path | None) -> zenoh.Config:
+    """Returns the Zenoh configuration of the page's session.
+
+    Raises:
+        InputFaults: the file is no Zenoh configuration.
+    """
+    from controller.panel.serve import zenoh_configuration
+
+    try:
+        return zenoh_configuration(connect, file)
+    except ValueError as error:
+        raise InputFaults(Path("--zenoh"), [str(error)]) from None
 
 
 def print_token(name: str) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from controller.commands.common import Failed
-from controller.flight_recorder.keeper import KINDS, SHARED, Refused, about, read_generation, save
+from controller.commands.common import CommandFailed
+from controller.flight_recorder.keeper import KINDS, SHARED, RefusedFile, about, read_generation, save
 
 
 def record_events(arm: str, folder: Path) -> tuple[list[Path], list[str]]:
@@ -21,7 +21,7 @@ def record_events(arm: str, folder: Path) -> tuple[list[Path], list[str]]:
         The files, one for each process, and sentences on what is missing.
 
     Raises:
-        Failed: a file cannot be written.
+        CommandFailed: a file cannot be written.
     """
     saved, missing = list[Path](), list[str]()
     for kind in KINDS:
@@ -29,10 +29,10 @@ def record_events(arm: str, folder: Path) -> tuple[list[Path], list[str]]:
         for paths in found:
             try:
                 saved.append(save(paths, folder, "request"))
-            except Refused as error:
+            except RefusedFile as error:
                 missing.append(f"the events of the {kind} cannot be read: {error}")
             except OSError as error:
-                raise Failed(f"{folder}: events cannot be written: {error.strerror or error}") from None
+                raise CommandFailed(f"{folder}: events cannot be written: {error.strerror or error}") from None
         if denied:
             missing.append(f"the {kind} runs as another user: use sudo, or log in as this user")
         elif not found:
@@ -48,7 +48,7 @@ def _processes(arm: str, kind: str) -> tuple[list[list[Path]], bool]:
         try:
             content = read_generation(path)
             mine = bool(content) and about(content)["arm"] == arm
-        except Refused:
+        except RefusedFile:
             mine = False
         except OSError:
             denied, mine = True, False

@@ -5,14 +5,15 @@ from __future__ import annotations
 import contextlib
 import signal
 import threading
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from controller.armfile.strict import InputFaults
 from controller.commands import common
-from controller.commands.common import AsJson, Failed, arm_name, print_json
+from controller.commands.common import AsJson, CommandFailed, arm_name, print_json
 from controller.commands.use.record import require
 
 if TYPE_CHECKING:
@@ -44,20 +45,72 @@ def replay(
 ) -> None:
     """Publish a recording again below another key prefix, or repeat its goals on a simulated arm and compare."""
     require("mcap")
+    check_times(speed, begin)
+    check_prefix(prefix)
+    if arm is not None and not goals:
+        raise InputFaults(Path("--arm"), ["only with --goals"])
+    with opened_recording(file) as past:
+        if goals:
+            compare_goals(past, arm, as_json)
+        else:
+            play(past, ReplayKeys(prefix, listen, connect), (speed, begin), stay=stay)
 
+
+class ReplayKeys(NamedTuple):
+    """Where a recording is published again.
+
+    Attributes:
+        prefix: of the keys.
+        listen: Zenoh endpoint to listen at.
+        connect: Zenoh endpoint to connect to instead; None: listen.
+    """
+
+    prefix: str
+    listen: str
+    connect: str | None
+
+    @property
+    def endpoint(self) -> str:
+        """The Zenoh endpoint in use."""
+        return self.connect or self.listen
+
+
+def check_times(speed: float, begin: float) -> None:
+    """Checks speed and begin of a replay.
+
+    Raises:
+        InputFaults: a number is out of range.
+    """
     from controller.recorder.player import FASTEST
-    from controller.recorder.reader import BadRecording, RecordingReader
 
     if not 0.0 < speed <= FASTEST:
         raise InputFaults(Path("--speed"), [f"a number above 0 and up to {FASTEST:g} is needed, got {speed:g}"])
     if not 0.0 <= begin < 1e9:
         raise InputFaults(Path("--from"), [f"seconds from 0 on are needed, got {begin:g}"])
-    if arm is not None and not goals:
-        raise InputFaults(Path("--arm"), ["only with --goals"])
+
+
+def check_prefix(prefix: str) -> None:
+    """Checks the prefix of the keys.
+
+    Raises:
+        InputFaults: the prefix has other characters, or is that of running daemons.
+    """
     keys = prefix.split("/")
     if "hyperbit" in keys or not all(key.isascii() and key.replace("-", "").replace("_", "").isalnum() for key in keys):
         words = f"{prefix!r}: letters, digits, - and _ are needed, and not hyperbit, the prefix of running daemons"
         raise InputFaults(Path("--prefix"), [words])
+
+
+@contextlib.contextmanager
+def opened_recording(file: Path) -> Iterator[RecordingReader]:
+    """Opens a recording; warns if it is incomplete.
+
+    Raises:
+        InputFaults: the file is no recording.
+        CommandFailed: the recording is found damaged inside the context.
+    """
+    from controller.recorder.reader import BadRecording, RecordingReader
+
     try:
         past = RecordingReader(file)
     except BadRecording as error:
@@ -66,30 +119,22 @@ def replay(
         if not past.whole:
             common.errors.print(f"{file} is incomplete: its readable part is replayed", markup=False)
         try:
-            if goals:
-                compare_goals(past, arm, as_json)
-            else:
-                play(past, speed, begin, listen, connect, prefix, stay=stay)
+            yield past
         except BadRecording as error:
-            raise Failed(str(error)) from None
+            raise CommandFailed(str(error)) from None
 
 
-def play(
-    past: RecordingReader, speed: float, begin: float, listen: str, connect: str | None, prefix: str, *, stay: bool
-) -> None:
+def play(past: RecordingReader, keys: ReplayKeys, times: tuple[float, float], *, stay: bool) -> None:
     """Publishes a recording again, until its end or SIGTERM.
 
     Args:
         past: the recording.
-        speed: recorded seconds in a second.
-        begin: time after the recording's begin [s].
-        listen: Zenoh endpoint to listen at.
-        connect: Zenoh endpoint to connect to instead; None: listen.
-        prefix: of the keys.
+        keys: where to publish.
+        times: recorded seconds in a second, and time after the recording's begin [s].
         stay: continue after the recording's end.
 
     Raises:
-        Failed: there is no Zenoh session.
+        CommandFailed: there is no Zenoh session.
     """
     import zenoh
 
@@ -100,20 +145,20 @@ def play(
     ending = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ending.set())
-    if connect is None:
-        config = session.configuration("peer", listen=listen)
+    if keys.connect is None:
+        config = session.configuration("peer", listen=keys.listen)
     else:
-        config = session.configuration("client", connect=connect)
+        config = session.configuration("client", connect=keys.connect)
+    speed, begin = times
     timeline = Timeline(past.begin / 1e9, past.end / 1e9, speed)
     timeline.change({"at": timeline.begin + begin})
     try:
         opened = zenoh.open(config)
     except zenoh.ZError as error:
-        raise Failed(f"no Zenoh session at {connect or listen}: {session.reason(error)}") from None
-    with opened as live, contextlib.closing(Player(past, live, prefix, timeline)) as player:
-        seconds = timeline.end - timeline.begin
-        where = connect or listen
-        common.console.print(f"replaying {seconds:.0f} s of {past.arm} on {prefix}/{past.arm} at {where}", markup=False)
+        raise CommandFailed(f"no Zenoh session at {keys.endpoint}: {session.reason(error)}") from None
+    with opened as live, contextlib.closing(Player(past, live, keys.prefix, timeline)) as player:
+        what = f"{timeline.end - timeline.begin:.0f} s of {past.arm} on {keys.prefix}/{past.arm}"
+        common.console.print(f"replaying {what} at {keys.endpoint}", markup=False)
         player.play(ending.is_set, stay=stay)
 
 
@@ -121,7 +166,7 @@ def compare_goals(past: RecordingReader, file: Path | None, as_json: bool) -> No
     """Sends the recorded goals to a simulated arm and prints how their configurations compare.
 
     Raises:
-        Failed: a configuration differs, no goal can be compared, or the arm does not start.
+        CommandFailed: a configuration differs, no goal can be compared, or the arm does not start.
         InputFaults: the arm's file is wrong, or describes another arm.
     """
     from controller.recorder.regression import ArmFailed, Compared, compare
@@ -143,10 +188,10 @@ def compare_goals(past: RecordingReader, file: Path | None, as_json: bool) -> No
     try:
         compare(past, file, show)
     except ArmFailed as error:
-        raise Failed(str(error)) from None
+        raise CommandFailed(str(error)) from None
     if not as_json:
         words = f"{counts['equal']} goals led to the same configurations, {counts['differs']} to others;"
         words += f" {counts['unproven']} differ, but were not proven optimal; {counts['skipped']} cannot be compared"
         common.console.print(words, markup=False)
     if counts["differs"] or not counts["equal"]:
-        raise Failed("no recorded goal can be compared" if not counts["differs"] else "configurations differ")
+        raise CommandFailed("no recorded goal can be compared" if not counts["differs"] else "configurations differ")

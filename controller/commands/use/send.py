@@ -55,6 +55,19 @@ def send(
     numbers = 0 if to is None else to.count(",") + 1
     if to is not None and numbers != 3:
         goal["waypoints"] = [waypoint(to, 2 if numbers < 3 else 3)]
+    with connected(arm, connect, zenoh_file) as client:
+        if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
+            goal["waypoints"] = [waypoint(to, client.request("arm")["dimension"])]
+        result = run_goal(client, goal, as_json)
+    print_result(result, arm, as_json)
+
+
+def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, Any]:
+    """Sends a goal, prints its answer and feedback, and returns its result.
+
+    Raises:
+        typer.Exit: Ctrl-C; the goal is canceled.
+    """
 
     def show(message: dict[str, Any]) -> None:
         if as_json:
@@ -69,14 +82,19 @@ def send(
             common.console.print(message["message"])
 
     goal.setdefault("id", uuid.uuid4().hex[:12])
-    with connected(arm, connect, zenoh_file) as client:
-        if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
-            goal["waypoints"] = [waypoint(to, client.request("arm")["dimension"])]
-        try:
-            result = client.run(goal, show)
-        except KeyboardInterrupt:
-            cancel_goal(client, goal["id"], as_json)
-            raise typer.Exit(130) from None
+    try:
+        return client.run(goal, show)
+    except KeyboardInterrupt:
+        cancel_goal(client, goal["id"], as_json)
+        raise typer.Exit(130) from None
+
+
+def print_result(result: dict[str, Any], arm: str, as_json: bool) -> None:
+    """Prints the result of a goal.
+
+    Raises:
+        CommandFailed: the daemon refused the goal, or the goal was not reached.
+    """
     if as_json and "status" in result:
         print_json(result)
     if result["code"] != 0:
@@ -90,7 +108,7 @@ def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
     """Cancels the goal of an interrupted command, and no other goal; prints the daemon's answer.
 
     Raises:
-        Unanswered: the daemon did not answer; `connected` makes this a Failed.
+        Unanswered: the daemon did not answer; `connected` makes this a CommandFailed.
     """
     common.errors.print(f"interrupted: canceling goal {goal}", markup=False)
     answer = client.request("cancel", {"id": goal})

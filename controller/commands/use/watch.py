@@ -14,7 +14,16 @@ from rich.table import Table
 from rich.text import Text
 
 from controller.commands import common
-from controller.commands.common import ENDPOINT, ArmName, AsJson, Connect, Failed, ZenohFile, arm_name, print_json
+from controller.commands.common import (
+    ENDPOINT,
+    ArmName,
+    AsJson,
+    CommandFailed,
+    Connect,
+    ZenohFile,
+    arm_name,
+    print_json,
+)
 from controller.commands.connection import START, connected
 
 COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}
@@ -41,13 +50,13 @@ def watch(
                     key, message = news.get(timeout=2.0)
                 except queue.Empty:
                     if not client.alive():
-                        raise Failed(f"arm {arm_name(arm)!r}: its daemon is not running", START) from None
+                        raise CommandFailed(f"arm {arm_name(arm)!r}: its daemon is not running", START) from None
                     continue
                 if live is None:
                     if key == "state":
                         print_json(message)
                     continue
-                view.take(key, message)
+                view.receive_message(key, message)
                 if news.empty():
                     live.update(view, refresh=True)
 
@@ -60,7 +69,7 @@ class View:
         self._arm = arm
         self._latest: dict[str, dict[str, Any]] = {}
 
-    def take(self, key: str, message: dict[str, Any]) -> None:
+    def receive_message(self, key: str, message: dict[str, Any]) -> None:
         """Keeps the latest message of a key, "state" or "diagnostics"."""
         self._latest[key] = message
 

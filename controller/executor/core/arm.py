@@ -8,13 +8,12 @@ import msgspec
 
 from controller.armfile.actuators import ending_time, longest_travel, read_wired, travel_times
 from controller.armfile.error_states import error_state
-from controller.armfile.settings import ActuatorSettings, ArmSettings, RealTimeSettings
+from controller.armfile.locks import WORDS
+from controller.armfile.settings import ActuatorSettings, ArmSettings, BusSettings, RealTimeSettings
 from controller.armfile.strict import InputFaults
 from controller.armfile.terminals import actuator_terminals, owned_terminals
 from drivers.canopen.layout import Unfit, lay_out
-from drivers.canopen.wiring import BoardId, BusSettings, Channel, Interlock, NodeSettings, Timing, Wiring
-
-WORDS = ("contracted", "extended")  # of the states 0 and 1
+from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
 
 
 @dataclass(frozen=True)
@@ -102,20 +101,25 @@ def wiring_of(settings: ArmSettings, actuators: tuple[str, ...], wired: tuple[Ac
     """Returns buses and actuators as the drivers need them."""
     boards = settings.boards
     return Wiring(
-        buses=tuple(BusSettings(b.name, b.interface, b.channel, b.bitrate) for b in settings.buses),
+        buses=tuple(bus_of(entry) for entry in settings.buses),
         channels=tuple(channel_of(settings, label, entry) for label, entry in zip(actuators, wired, strict=True)),
         on_loss=boards.on_loss,
         shared_rpdo=boards.shared_rpdo,
         error_state=error_state(boards.error_state),
         nodes=tuple(
-            NodeSettings(**{**msgspec.structs.asdict(node), "error_state": error_state(node.error_state)})
+            NodeWiring(**{**msgspec.structs.asdict(node), "error_state": error_state(node.error_state)})
             for node in boards.nodes
         ),
         interlocks=tuple(
-            Interlock(name, lock.bus, lock.node, lock.input, lock.inverted)
-            for name, lock in settings.interlocks.items()
+            Interlock(name=name, bus=it.bus, node=it.node, input=it.input, inverted=it.inverted)
+            for name, it in settings.interlocks.items()
         ),
     )
+
+
+def bus_of(entry: BusSettings) -> BusWiring:
+    """Returns one bus as the drivers need it."""
+    return BusWiring(name=entry.name, interface=entry.interface, channel=entry.channel, bitrate=entry.bitrate)
 
 
 def channel_of(settings: ArmSettings, label: str, entry: ActuatorSettings) -> Channel:

@@ -9,38 +9,36 @@ from typing import ParamSpec
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.ending import Ending
 from controller.executor.core.events import (
+    TICK,
     Action,
-    Client,
     ClientGone,
+    ClientId,
     Defect,
     Event,
+    ExecutorTick,
     FromClient,
     Health,
-    Log,
-    Notify,
-    Quit,
-    Send,
-    Tick,
+    SendFrame,
     ToClient,
 )
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
 from controller.executor.core.reports import Reports
-from controller.executor.core.requests import Requests
-from controller.executor.core.results import Results
-from controller.executor.motion.motion import Motion
+from controller.executor.core.requests import ClientRequests
+from controller.executor.core.results import ProgramResults
+from controller.executor.motion.motion import ArmMotion
 from controller.executor.process.clients import Clients
 from controller.executor.process.switch_journal import SwitchJournal
+from controller.host.process import Log, Notify, Quit
 from controller.program import VERSION, Acknowledge, Counts, Down, Goodbye, Hello, Up, Welcome
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Echoed, Received
+from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
-PERIOD = 0.01  # [s] between two ticks
-LONGEST = 2 * PERIOD  # [s] that supervision counts between two ticks at most, so that a late tick is no delay
-DEFECT = Fault("internal-error", "executor", "internal error, see the log; the arm holds")
+LONGEST_TICK = 2 * TICK  # [s] that supervision counts at most, so that a late tick is no delay
+DEFECT = ArmFault("internal-error", "executor", "internal error, see the log; the arm holds")
 
 P = ParamSpec("P")
 
@@ -76,12 +74,12 @@ class Executor:
         self._actions: list[Action] = []
         self._master = master = build_master(arm.wiring, arm.timing, self._send)
         self._clients = clients = Clients(arm.name, arm.planner_timeout, self._to_client)
-        self._results = Results(clients.to_planner, journal)
+        self._results = ProgramResults(clients.to_planner, journal)
         self._locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states, arm.continue_on_stuck)
-        self.motion = motion = Motion(arm, master, journal, locked, self._results, clients.to_planner)
+        self.motion = motion = ArmMotion(arm, master, journal, locked, self._results, clients.to_planner)
         self.reports = Reports(arm, master, motion, locked, journal)
         self.modes = Modes(master, motion, locked, self.reports, self._act)
-        self._requests = Requests(arm, motion, locked, self.modes, clients, self._act)
+        self._requests = ClientRequests(arm, motion, locked, self.modes, clients, self._act)
         self.ending = Ending(arm, motion, locked, self.modes, self._act)
         self._last_tick: float | None = None
         self._awake = 0.0  # until the last tick [s]
@@ -119,7 +117,7 @@ class Executor:
         if self._last_tick is not None:
             self._guarded(self._look_back, now)
         self._guarded(self._handle, event, now)
-        if not (isinstance(event, Echoed) and self.collecting):  # one echo of many, nothing has changed
+        if not (isinstance(event, FrameEchoed) and self.collecting):  # one echo of many, nothing has changed
             self._guarded(self._conclude, on_bus(event, now), now)
         self._guarded(self._requests.answer_held, now)
         if self.reports.changed and self._last_tick is not None and not self._handed_out and not self.collecting:
@@ -150,12 +148,12 @@ class Executor:
 
     def _handle(self, event: Event, now: float) -> None:
         match event:
-            case Tick():
+            case ExecutorTick():
                 self._tick(now)
             case FromClient():
                 self._hear(event.client, event.message, now)
             case Health():
-                self.reports.take_health(event)
+                self.reports.receive_health(event)
                 self._clients.to_all(self.reports.diagnostics(now))
             case ClientGone():
                 if self._clients.remove(event.client):
@@ -165,7 +163,7 @@ class Executor:
             case Quit():
                 self._quit(now)
             case _:
-                self._master.take(event, now)
+                self._master.receive_event(event, now)
 
     def _conclude(self, at: float | None, now: float) -> None:
         """Records what the event has changed on the boards; `at` is the time of its frame on the bus [s]."""
@@ -224,11 +222,11 @@ class Executor:
 
     def _clock(self, now: float) -> float:
         """Returns the executor's awake time [s], which does not grow while a tick is late."""
-        return self._awake + (0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST))
+        return self._awake + (0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST_TICK))
 
     # --- clients
 
-    def _hear(self, client: Client, message: Down, now: float) -> None:
+    def _hear(self, client: ClientId, message: Down, now: float) -> None:
         if client == self._clients.planner:
             self._clients.hear(self.motion.clock)
         match message:
@@ -241,10 +239,10 @@ class Executor:
             case Counts() if client == self._clients.planner:
                 self.journal.raise_to(message.counts)
             case _:
-                self._requests.take(client, message, now)
+                self._requests.receive_request(client, message, now)
                 self._advance(now)  # a stage that is due now does not wait for the tick
 
-    def _greet(self, client: Client, hello: Hello) -> None:
+    def _greet(self, client: ClientId, hello: Hello) -> None:
         if self._clients.greet(client, hello, self.motion.clock):
             arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
             self._to_client(client, Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest))
@@ -268,7 +266,7 @@ class Executor:
         """Ends the running program with a result; a second call waits for no stage and no contraction."""
         if self.ending.begun:
             self.ending.abandon()
-            self.motion.close()
+            self.motion.send_result()
             self._results.send_counts()
             self._requests.answer_held(math.inf)
             return
@@ -282,10 +280,10 @@ class Executor:
         self._actions.append(action)
 
     def _send(self, bus: str, frame: Frame) -> None:
-        self._actions.append(Send(bus, frame))
+        self._actions.append(SendFrame(bus, frame))
         self._handed_out = True
 
-    def _to_client(self, client: Client, message: Up) -> None:
+    def _to_client(self, client: ClientId, message: Up) -> None:
         self._actions.append(ToClient(client, message))
 
 
@@ -294,6 +292,6 @@ def on_bus(event: Event, now: float) -> float | None:
 
     The time of an SDO answer tells nothing: the board is asked after the end-stop has changed.
     """
-    if not isinstance(event, Echoed | Received) or event.frame.id & 0x780 == cia301.SDO_ANSWER:
+    if not isinstance(event, FrameEchoed | FrameReceived) or event.frame.id & 0x780 == cia301.SDO_ANSWER:
         return None
     return now if event.at is None else min(event.at, now)

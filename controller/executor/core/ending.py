@@ -5,11 +5,12 @@ from collections.abc import Callable
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.bits import first
-from controller.executor.core.events import Action, Log, Notify
+from controller.executor.core.events import Action
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
-from controller.executor.motion.motion import Motion
+from controller.executor.motion.motion import ArmMotion
 from controller.executor.motion.setpoint_stream import SetpointStream
+from controller.host.process import Log, Notify
 from controller.program import Setpoint, pack
 
 
@@ -18,7 +19,7 @@ class Ending:
 
     Attributes:
         begun: whether the end was requested.
-        patience: longest time of the contraction [s].
+        timeout: longest time of the contraction [s].
 
     Args:
         arm: the arm.
@@ -31,12 +32,12 @@ class Ending:
     def __init__(
         self,
         arm: ExecutedArm,
-        motion: Motion,
+        motion: ArmMotion,
         locked: LockedActuators,
         modes: Modes,
         act: Callable[[Action], None],
     ) -> None:
-        self.begun, self.patience = False, 0.0
+        self.begun, self.timeout = False, 0.0
         self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
         self._contracting = self._pulsing = False
         self._stream: SetpointStream | None = None  # that contracts the arm, once it has begun
@@ -70,8 +71,8 @@ class Ending:
         elif modes.mode != "ready":
             self._act(Log(logging.WARNING, f"the arm does not contract before the end (on_stop): it is {modes.mode}"))
         else:
-            self._contracting, self.patience = True, self._arm.ending
-            self._act(Notify(f"EXTEND_TIMEOUT_USEC={round((self.patience + 5) * 1e6)}"))
+            self._contracting, self.timeout = True, self._arm.ending
+            self._act(Notify(f"EXTEND_TIMEOUT_USEC={round((self.timeout + 5) * 1e6)}"))
             self._contract()
 
     def advance(self, now: float) -> None:
@@ -113,7 +114,7 @@ class Ending:
         reason = "contracting before the end of the executor"
         message = Setpoint(0, 0, pack(states, size), tuple(stages), 1e15, strict=False, reason=reason)
         stream = SetpointStream(message, self._arm.most, self._locked, size)
-        if not stages and not self._motion.homing:
+        if not stages and not self._motion.readings.homing:
             self._contracting = False
             return
         if not stages:  # only actuators of unknown state: homing them is enough

@@ -1,15 +1,16 @@
 """Events and actions of the executor's core, as plain data."""
 
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import NamedTuple
 
+from controller.host.process import Log, Notify, Quit
 from controller.program import Down, Up
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Event as CanEvent
 
+TICK = 0.01  # [s] from one `ExecutorTick` to the next
 
-class Client(NamedTuple):
+
+class ClientId(NamedTuple):
     """A connection to the executor's socket.
 
     Attributes:
@@ -21,7 +22,7 @@ class Client(NamedTuple):
     pid: int
 
 
-class Tick(NamedTuple):
+class ExecutorTick(NamedTuple):
     """A control period has begun."""
 
 
@@ -42,14 +43,14 @@ class Health(NamedTuple):
 class FromClient(NamedTuple):
     """A client sent a message."""
 
-    client: Client
+    client: ClientId
     message: Down
 
 
 class ClientGone(NamedTuple):
     """A connection was closed."""
 
-    client: Client
+    client: ClientId
 
 
 class Defect(NamedTuple):
@@ -62,14 +63,10 @@ class Defect(NamedTuple):
     text: str
 
 
-class Quit(NamedTuple):
-    """The process is asked to end."""
+Event = CanEvent | ExecutorTick | Health | FromClient | ClientGone | Defect | Quit
 
 
-Event = CanEvent | Tick | Health | FromClient | ClientGone | Defect | Quit
-
-
-class Send(NamedTuple):
+class SendFrame(NamedTuple):
     """A frame for a bus."""
 
     bus: str
@@ -79,22 +76,8 @@ class Send(NamedTuple):
 class ToClient(NamedTuple):
     """A message for a client. The server closes the connection after a `Goodbye`."""
 
-    client: Client
+    client: ClientId
     message: Up
 
 
-class Notify(NamedTuple):
-    """An assignment for systemd, e.g. "READY=1"."""
-
-    text: str
-
-
-class Log(NamedTuple):
-    """A line of the log, with a level of the module logging, and fields for the journal."""
-
-    level: int
-    text: str
-    fields: Mapping[str, str] = MappingProxyType({})
-
-
-Action = Send | ToClient | Notify | Log
+Action = SendFrame | ToClient | Notify | Log

@@ -1,10 +1,12 @@
 """Locked actuators: which actuators cannot move, and in which state."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
-from controller.executor.core.arm import WORDS
+from controller.armfile.locks import WORDS, lock_warning, locks_in_words
 from controller.executor.core.bits import first, indices, merged
-from drivers.canopen.faults import Fault
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
+from drivers.canopen.faults import ArmFault
 
 
 class LockedActuators:
@@ -36,7 +38,7 @@ class LockedActuators:
         if self.continue_on_stuck:
             self._stuck |= 1 << actuator
 
-    def refusal(self, actuator: int, state: int, measured: int, readable: int) -> str | None:
+    def refusal(self, actuator: int, state: int, measured: int, readable: int) -> Refusal | None:
         """Returns why an actuator cannot be locked in a state, or None.
 
         Args:
@@ -46,10 +48,10 @@ class LockedActuators:
             readable: mask of the actuators whose end-stop can be read now.
         """
         if actuator >= len(self._labels):
-            return f"the arm has {len(self._labels)} actuators, there is none of index {actuator}"
+            return Refusal(Reason.NO_SUCH_ACTUATOR, count=len(self._labels), index=actuator)
         reading = measured >> actuator & 1
         if state >= 0 and readable >> actuator & 1 and reading != state:
-            return f"state: the end-stop of {self._labels[actuator]} reads {WORDS[reading]}"
+            return Refusal(Reason.END_STOP_CONTRADICTS, actuator=self._labels[actuator], state=WORDS[reading])
         return None
 
     def change(self, actuator: int, state: int) -> None:
@@ -77,18 +79,17 @@ class LockedActuators:
         """
         return outputs ^ first(outputs ^ self.aligned(outputs), most)
 
-    def faults(self) -> tuple[Fault, ...]:
+    def faults(self) -> tuple[ArmFault, ...]:
         """Returns the warning "degraded" for each locked actuator; it does not stop the arm."""
-        words = ((self._labels[k], WORDS[self.states >> k & 1]) for k in indices(self.mask))
-        return tuple(
-            Fault("degraded", label, f"actuator {label} is locked {state}: no program may switch it")
-            for label, state in words
-        )
+        return tuple(ArmFault("degraded", label, lock_warning(label, state)) for label, state in self._locks())
 
     def sentence(self) -> str:
         """Returns the locked actuators in words, e.g. "locked: 5.left (contracted)"."""
-        names = [f"{self._labels[k]} ({WORDS[self.states >> k & 1]})" for k in indices(self.mask)]
-        return f"locked: {', '.join(names)}" if names else "no actuator is locked"
+        return locks_in_words(self._locks())
+
+    def _locks(self) -> Iterator[tuple[str, int]]:
+        """Yields label and state of each locked actuator."""
+        return ((self._labels[k], self.states >> k & 1) for k in indices(self.mask))
 
     def _set(self, mask: int, states: int) -> None:
         states &= mask

@@ -3,13 +3,14 @@
 import logging
 from collections.abc import Callable
 
-from controller.executor.core.events import Action, Log, Notify
+from controller.executor.core.events import Action
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.reports import Reports
-from controller.executor.motion.motion import Motion
+from controller.executor.motion.motion import ArmMotion
 from controller.host.journal import fields_of_fault, fields_of_mode
+from controller.host.process import Log, Notify
 from controller.program import Mode
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.master import Master
 
 RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
@@ -26,12 +27,12 @@ class ActiveFaults:
 
     def __init__(self, others: frozenset[str] = frozenset()) -> None:
         self._clearing = CLEARING | others
-        self._faults: dict[tuple[str, str], Fault] = {}
+        self._faults: dict[tuple[str, str], ArmFault] = {}
 
     def __bool__(self) -> bool:
         return bool(self._faults)
 
-    def add(self, fault: Fault) -> bool:
+    def add(self, fault: ArmFault) -> bool:
         """Adds a fault; returns whether it is new."""
         new = (fault.code, fault.source) not in self._faults
         self._faults.setdefault((fault.code, fault.source), fault)
@@ -46,7 +47,7 @@ class ActiveFaults:
         """Whether every active fault clears by itself."""
         return all(code in self._clearing for code, _ in self._faults)
 
-    def all(self) -> tuple[Fault, ...]:
+    def all(self) -> tuple[ArmFault, ...]:
         """Returns the faults, the oldest first."""
         return tuple(self._faults.values())
 
@@ -62,7 +63,7 @@ class Modes:
     Attributes:
         mode: of the executor.
         reason: a sentence on the mode.
-        epoch: grows with each cancel, halt, reset, fault, change of the locked actuators, end of a boot, and loss of
+        epoch: grows with each cancel, stop, reset, fault, change of the locked actuators, end of a boot, and loss of
             the planner.
         faults: active faults.
 
@@ -75,7 +76,12 @@ class Modes:
     """
 
     def __init__(
-        self, master: Master, motion: Motion, locked: LockedActuators, reports: Reports, act: Callable[[Action], None]
+        self,
+        master: Master,
+        motion: ArmMotion,
+        locked: LockedActuators,
+        reports: Reports,
+        act: Callable[[Action], None],
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being booted"
@@ -118,13 +124,13 @@ class Modes:
         """Boots the boards; `update` finds the end of the boot."""
         self.faults.clear()
         self._booting = self._waits = True
-        self._motion.supervision.reset(0, 0, self._motion.ends, self._motion.clock)
+        self._motion.supervision.reset(0, 0, self._motion.readings.ends, self._motion.clock)
         self.enter("starting", reason)
         self._begin_boot(now)
 
     def update(self, now: float) -> None:
         """Takes the master's faults, and finds the end of a boot. Call after each event."""
-        for fault in self._master.take_faults():
+        for fault in self._master.drain_faults():
             self.fail(fault, now)
         self._begin_boot(now)
         if self._booting and not self._waits and not self._master.booting:
@@ -132,10 +138,10 @@ class Modes:
             if self.mode == "starting":  # after a stop, only Reset boots
                 self._booted(now)
         if not self._booting:
-            for fault in self._motion.interlocks():
+            for fault in self._motion.readings.interlock_faults():
                 self.fail(fault, now)
 
-    def fail(self, fault: Fault, now: float) -> None:
+    def fail(self, fault: ArmFault, now: float) -> None:
         """Ends the program and enters mode fault; during a boot, the end of the boot enters it."""
         if self.faults.add(fault):
             self._log(logging.ERROR, fault)
@@ -155,9 +161,9 @@ class Modes:
 
     def hold_measured(self, now: float) -> None:
         """Adopts the measured states and enters mode ready."""
-        self._locked.lock_as_measured(self._motion.read, self._motion.definite)
+        self._locked.lock_as_measured(self._motion.readings.read, self._motion.readings.definite)
         self._motion.adopt(now)
-        self._motion.supervision.accept(self._motion.measured, self._master.known)
+        self._motion.supervision.accept(self._motion.readings.measured, self._master.known)
         self.new_epoch()
         locked = f", {self._locked.sentence()}" if self._locked.mask else ""
         self.enter("ready", f"holding what the boards measured{locked}")
@@ -170,7 +176,7 @@ class Modes:
             self._master.boot(now)
 
     def _booted(self, now: float) -> None:
-        for fault in (*self._master.boot_faults, *self._motion.interlocks()):
+        for fault in (*self._master.boot_faults, *self._motion.readings.interlock_faults()):
             if self.faults.add(fault):
                 self._log(logging.ERROR, fault)
         for warning in self._master.warnings():
@@ -180,10 +186,10 @@ class Modes:
         else:
             self._motion.adopt(now)
             motion = self._motion
-            motion.supervision.reset(motion.measured, self._master.known, motion.ends, motion.clock)
+            motion.supervision.reset(motion.readings.measured, self._master.known, motion.readings.ends, motion.clock)
             self.hold_measured(now)
 
-    def _log(self, level: int, fault: Fault) -> None:
+    def _log(self, level: int, fault: ArmFault) -> None:
         self._act(Log(level, f"{fault.code}: {fault.message}", fields_of_fault(fault.code, fault.source)))
 
     def _enter_fault(self, message: str, reason: str, now: float) -> None:

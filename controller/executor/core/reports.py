@@ -2,14 +2,15 @@
 
 from dataclasses import asdict
 
-from controller.executor.core.arm import WORDS, ExecutedArm
+from controller.armfile.locks import WORDS
+from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.bits import indices
 from controller.executor.core.events import Health
 from controller.executor.core.locked import LockedActuators
-from controller.executor.motion.motion import Motion
+from controller.executor.motion.motion import ArmMotion
 from controller.executor.process.switch_journal import SwitchJournal
 from controller.program import Diagnostics, Fault, Mode, Snapshot, pack
-from drivers.canopen.faults import Fault as BoardFault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.master import Master
 
 SNAPSHOT_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
@@ -32,7 +33,7 @@ class Reports:
     """
 
     def __init__(
-        self, arm: ExecutedArm, master: Master, motion: Motion, locked: LockedActuators, journal: SwitchJournal
+        self, arm: ExecutedArm, master: Master, motion: ArmMotion, locked: LockedActuators, journal: SwitchJournal
     ) -> None:
         self.changed = True
         self.real_time = "off"
@@ -45,17 +46,17 @@ class Reports:
     def snapshot_due(self, now: float) -> bool:
         """Returns whether a snapshot is due at this tick: by time, or because the state has changed."""
         motion = self._motion
-        shown = (motion.actuation.states, motion.measured, motion.known, int(motion.moving))
+        shown = (motion.actuation.states, motion.readings.measured, motion.readings.known, int(motion.moving))
         self.changed |= shown != self._shown
         self._shown = shown
         return self.changed or now >= self._next_snapshot
 
-    def snapshot(self, now: float, mode: Mode, reason: str, epoch: int, faults: tuple[BoardFault, ...]) -> Snapshot:
+    def snapshot(self, now: float, mode: Mode, reason: str, epoch: int, faults: tuple[ArmFault, ...]) -> Snapshot:
         """Returns the state of the executor."""
         self.changed, self._next_snapshot = False, now + SNAPSHOT_EVERY
         motion, size = self._motion, self._size
         execution, stream = motion.execution, motion.stream
-        measured, known = motion.packed()
+        measured, known = motion.readings.packed()
         every = faults + self._locked.faults() + self._master.warnings() + self._own()
         return Snapshot(
             at=now,
@@ -66,7 +67,7 @@ class Reports:
             measured=measured,
             known=known,
             sensed=pack(motion.kinds.sensed, size),
-            homing=pack(motion.homing & self._master.known, size),
+            homing=pack(motion.readings.homing & self._master.known, size),
             locked=pack(self._locked.mask, size),
             locks=self._locked.number,
             moving=motion.moving,
@@ -79,7 +80,7 @@ class Reports:
             ),
         )
 
-    def take_health(self, health: Health) -> None:
+    def receive_health(self, health: Health) -> None:
         """Takes the figures of the process."""
         self.changed |= health.journal != self._health.journal
         self._health = health
@@ -103,12 +104,12 @@ class Reports:
             dropped=self._health.dropped,
         )
 
-    def _own(self) -> tuple[BoardFault, ...]:
+    def _own(self) -> tuple[ArmFault, ...]:
         problem = self._health.journal
-        journal = () if problem is None else (BoardFault("journal", "executor", problem),)
-        return journal + tuple(self._unknown(k) for k in indices(self._motion.homing & self._master.known))
+        journal = () if problem is None else (ArmFault("journal", "executor", problem),)
+        return journal + tuple(self._unknown(k) for k in indices(self._motion.readings.homing & self._master.known))
 
-    def _unknown(self, k: int) -> BoardFault:
+    def _unknown(self, k: int) -> ArmFault:
         label, guess = self._arm.actuators[k], WORDS[self._motion.actuation.states >> k & 1]
         text = f"the state of actuator {label} is unknown: the next goal homes it to {guess} first; or use `jog`"
-        return BoardFault("unknown-position", label, text)
+        return ArmFault("unknown-position", label, text)

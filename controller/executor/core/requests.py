@@ -1,17 +1,18 @@
-"""Requests of clients: programs, set-points, cancel, halt, reset, lock."""
+"""Requests of clients: programs, set-points, cancel, stop, reset, lock."""
 
 import logging
 from collections.abc import Callable
 from typing import NamedTuple
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import Action, Client, Log, ToClient
+from controller.executor.core.events import TICK, Action, ClientId, ToClient
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
-from controller.executor.motion.motion import Motion
-from controller.executor.motion.program_execution import Misfit, ProgramExecution, check_stages, checked_states
+from controller.executor.motion.motion import ArmMotion
+from controller.executor.motion.program_execution import ProgramExecution, StageMisfit, check_stages, checked_states
 from controller.executor.motion.setpoint_stream import SetpointStream
 from controller.executor.process.clients import Clients
+from controller.host.process import Log
 from controller.program import (
     Accepted,
     Answer,
@@ -20,16 +21,16 @@ from controller.program import (
     Declined,
     Down,
     Goodbye,
-    Halt,
     Lock,
     Program,
     Replaced,
     Replacement,
     Reset,
     Setpoint,
+    Stop,
 )
-
-TICK = 0.01  # [s]; an answer that waits is looked at with each event, and at each tick
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal, no_motion
 
 
 class HeldAnswer(NamedTuple):
@@ -44,7 +45,7 @@ class HeldAnswer(NamedTuple):
         until: the answer is sent at this time at the latest [s].
     """
 
-    client: Client
+    client: ClientId
     request: int
     done: str
     follows: str
@@ -52,7 +53,7 @@ class HeldAnswer(NamedTuple):
     until: float
 
 
-class Requests:
+class ClientRequests:
     """Handles the messages of accepted clients.
 
     Attributes:
@@ -70,7 +71,7 @@ class Requests:
     def __init__(
         self,
         arm: ExecutedArm,
-        motion: Motion,
+        motion: ArmMotion,
         locked: LockedActuators,
         modes: Modes,
         clients: Clients,
@@ -82,43 +83,45 @@ class Requests:
         self._size = len(arm.actuators)
         self._program = self._stream = 0  # greatest numbers so far
         self._held: list[HeldAnswer] = []
-        self._longest = arm.timing.heartbeat_timeout / 2 - 2 * TICK  # [s] for which an answer waits
+        self._longest = (
+            arm.timing.heartbeat_timeout / 2 - 2 * TICK
+        )  # [s] for which an answer waits, until a tick at the latest
 
     @property
     def greatest(self) -> int:
         """The greatest number of a program or stream so far."""
         return max(self._program, self._stream)
 
-    def take(self, client: Client, message: Down, now: float) -> None:
-        """Handles a message."""
-        if self._clients.roles[client] == "operator" and not isinstance(message, Halt):
-            self._act(ToClient(client, Goodbye("an operator may only halt")))
+    def receive_request(self, client: ClientId, message: Down, now: float) -> None:
+        """Carries out a request, and answers it now or as soon as nothing switches any more."""
+        if self._clients.roles[client] == "operator" and not isinstance(message, Stop):
+            self._act(ToClient(client, Goodbye("an operator may only stop the arm")))
             return
         match message:
             case Program():
-                self._take_program(message, now)
+                self._receive_program(message, now)
             case Replacement():
                 self._replace(message)
             case Setpoint():
                 self._follow(message, now)
             case Clearance():
-                self._motion.clearances.answer(message)
+                self._motion.clearances.receive_answer(message)
             case Cancel():
                 self._cancel(client, message, now)
-            case Halt():
-                self._halt(client, message, now)
+            case Stop():
+                self._stop(client, message, now)
             case Reset():
-                self._answer(client, message.request, *self._reset(now))
+                self._reset(client, message, now)
             case Lock():
                 self._lock(client, message, now)
 
     # --- programs and set-points
 
-    def _take_program(self, message: Program, now: float) -> None:
+    def _receive_program(self, message: Program, now: float) -> None:
         """Starts a program in place of the running one, or declines it."""
-        declined = self._declined(message)
-        if declined is not None:
-            self._clients.to_planner(declined)
+        refusal = self._refusal(message)
+        if refusal is not None:
+            self._clients.to_planner(Declined(message.program, refusal.data))
             return
         self._program = message.program
         begin = message.begin or now
@@ -126,29 +129,29 @@ class Requests:
         self._modes.enter("executing", message.name)
         self._clients.to_planner(Accepted(message.program, begin))
 
-    def _declined(self, message: Program) -> Declined | None:
+    def _refusal(self, message: Program) -> Refusal | None:
         """Returns why a program is declined, or None."""
-        number, mode = message.program, self._modes.mode
-        if self.quitting or mode not in ("ready", "executing"):
-            reason = "the executor is shutting down" if self.quitting else f"the arm is {mode}: {self._modes.reason}"
-            return Declined(number, "mode", reason[:1_000])
+        if self.quitting:
+            return Refusal(Reason.EXECUTOR_SHUTTING_DOWN)
+        if self._modes.mode not in ("ready", "executing"):
+            return no_motion(self._modes.mode, self._modes.reason)
         if message.epoch != self._modes.epoch:
-            return Declined(
-                number, "epoch", "a cancel, stop, reset or fault, or the loss of the planner, came before it began"
-            )
-        if number <= self._program:
-            return Declined(number, "malformed", f"a program of number {self._program} came before")
+            return Refusal(Reason.OVERTAKEN)
+        if message.program <= self._program:
+            return Refusal(Reason.PROGRAM_MALFORMED, misfit=f"a program of number {self._program} came before")
         try:
             start = checked_states(message.start, self._size)
             if message.homed:
                 checked_states(message.homed, self._size)
             check_stages(message.stages, start, -1e12, self._arm.most, self._locked.mask, self._size)
-        except Misfit as misfit:
-            return Declined(number, "locked" if misfit.locked else "malformed", str(misfit))
+        except StageMisfit as misfit:
+            if misfit.locked:
+                return Refusal(Reason.PROGRAM_LOCKED, misfit=str(misfit))
+            return Refusal(Reason.PROGRAM_MALFORMED, misfit=str(misfit))
         if self._motion.busy:
-            return Declined(number, "moved", "the boards have not confirmed the last switch yet")
+            return Refusal(Reason.SWITCH_NOT_CONFIRMED)
         if start != self._motion.actuation.states:
-            return Declined(number, "moved", "the arm has moved since the program was planned")
+            return Refusal(Reason.MOVED_SINCE_PLANNED)
         return None
 
     def _replace(self, message: Replacement) -> None:
@@ -159,7 +162,7 @@ class Requests:
             try:
                 execution.replace(message, self._arm.most, self._size)
                 self._motion.clearances.forget()  # the planner may know other obstacles now
-            except Misfit as misfit:
+            except StageMisfit as misfit:
                 accepted = False
                 self._act(Log(logging.INFO, f"replacement of {execution.program.name} refused: {misfit}"))
         self._clients.to_planner(Replaced(message.program, message.generation, accepted))
@@ -171,7 +174,7 @@ class Requests:
             return
         try:
             stream = SetpointStream(message, self._arm.most, self._locked, self._size)
-        except Misfit as misfit:
+        except StageMisfit as misfit:
             self._act(Log(logging.WARNING, f"set-point refused: {misfit}"))
             return
         self._stream = message.stream
@@ -179,13 +182,13 @@ class Requests:
         if (self._modes.mode, self._modes.reason) != ("executing", message.reason):
             self._modes.enter("executing", message.reason)
 
-    # --- cancel, halt, reset, lock
+    # --- cancel, stop, reset, lock
 
-    def _cancel(self, client: Client, message: Cancel, now: float) -> None:
+    def _cancel(self, client: ClientId, message: Cancel, now: float) -> None:
         """Ends one program, or whatever is running."""
         execution, followed = self._motion.execution, self._motion.stream is not None
         if message.program is not None and (execution is None or execution.program.program != message.program):
-            self._answer(client, message.request, True, f"program {message.program} is not running")
+            self._answer(client, message.request, f"program {message.program} is not running")
             return
         name = "following" if execution is None else execution.program.name
         if message.program is None:
@@ -194,7 +197,7 @@ class Requests:
         self._hold_answer(client, message.request, *done, now)
         self._modes.hold("canceled", message.reason or "canceled; the arm holds", f"holding; {name} was canceled")
 
-    def _halt(self, client: Client, message: Halt, now: float) -> None:
+    def _stop(self, client: ClientId, message: Stop, now: float) -> None:
         """Stops: nothing moves until a reset."""
         self._modes.new_epoch()
         self._hold_answer(client, message.request, "stopped", "the arm holds until reset", now)
@@ -202,7 +205,7 @@ class Requests:
             "aborted", "stopped; the arm holds", "a stop was requested; the arm holds until reset", "stopped"
         )
 
-    def _hold_answer(self, client: Client, request: int, done: str, follows: str, now: float) -> None:
+    def _hold_answer(self, client: ClientId, request: int, done: str, follows: str, now: float) -> None:
         self._motion.conclude(None, now)  # what was switched before the request is not "under way"
         held = HeldAnswer(client, request, done, follows, self._motion.actuation.switches, now + self._longest)
         self._held.append(held)
@@ -226,27 +229,30 @@ class Requests:
                 told = f"{_switches(done + leaving)} under way, and the bus has not sent {leaving} of them yet"
             text = "; ".join(part for part in (held.done, told, held.follows) if part)
             if held.client in self._clients.roles:
-                self._answer(held.client, held.request, True, text)
+                self._answer(held.client, held.request, text)
 
-    def _reset(self, now: float) -> tuple[bool, str]:
-        """Boots the boards after a fault or a halt; returns whether the request is accepted, and the answer."""
+    def _reset(self, client: ClientId, message: Reset, now: float) -> None:
+        """Boots the boards after a fault or a stop."""
         if self._modes.mode not in ("fault", "stopped"):
-            return True, f"nothing to reset: the arm is {self._modes.mode}"
-        if opened := self._motion.interlocks():
-            return False, opened[0].message + (f" (and {len(opened) - 1} more)" if opened[1:] else "")
+            self._answer(client, message.request, f"nothing to reset: the arm is {self._modes.mode}")
+            return
+        if opened := self._motion.readings.interlock_faults():
+            interlock = opened[0].message + (f" (and {len(opened) - 1} more)" if opened[1:] else "")
+            self._refuse(client, message.request, Refusal(Reason.INTERLOCK_OPEN, interlock=interlock))
+            return
         self._modes.new_epoch()
         self._modes.boot("the boards are being booted after a reset", now)
-        return True, "resetting; the mode will be ready, or fault with the reason"
+        self._answer(client, message.request, "resetting; the mode will be ready, or fault with the reason")
 
-    def _lock(self, client: Client, message: Lock, now: float) -> None:
+    def _lock(self, client: ClientId, message: Lock, now: float) -> None:
         """Locks or unlocks an actuator; nothing moves."""
         motion = self._motion
-        refusal = self._locked.refusal(message.actuator, message.state, motion.read, motion.definite)
+        refusal = self._locked.refusal(message.actuator, message.state, motion.readings.read, motion.readings.definite)
         mode = self._modes.mode
         if mode == "executing" or self._motion.moving or self._motion.busy:
-            refusal = f"the arm is {mode}, and may not move while locks change: cancel, then try again"
+            refusal = Refusal(Reason.LOCK_WHILE_MOVING, mode=mode)
         if refusal is not None:
-            self._answer(client, message.request, False, refusal)
+            self._refuse(client, message.request, refusal)
             return
         self._locked.change(message.actuator, message.state)
         waits = mode in ("fault", "stopped")
@@ -254,10 +260,13 @@ class Requests:
             self._modes.hold_measured(now)
         self._modes.new_epoch()
         text = f"{self._locked.sentence()}{', after a reset' if waits else ''}"
-        self._answer(client, message.request, True, text)
+        self._answer(client, message.request, text)
 
-    def _answer(self, client: Client, request: int, accepted: bool, message: str) -> None:
-        self._act(ToClient(client, Answer(request, accepted, message[:1_000])))
+    def _answer(self, client: ClientId, request: int, message: str) -> None:
+        self._act(ToClient(client, Answer(request, message[:1_000])))
+
+    def _refuse(self, client: ClientId, request: int, refusal: Refusal) -> None:
+        self._act(ToClient(client, Answer(request, str(refusal), refusal.data)))
 
 
 def _switches(number: int) -> str:

@@ -9,7 +9,7 @@ from controller.program import MOST_TRAVELS, Counted, Ended, Up
 MOST_STORED = 1_000
 
 
-class Results:
+class ProgramResults:
     """Sends the results of programs, and stores them until the planner acknowledges them.
 
     Args:

@@ -7,7 +7,7 @@ from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.bits import indices, merged
 from controller.executor.core.kinds import Kinds
 from controller.executor.process.switch_journal import SwitchJournal
-from drivers.canopen.faults import Busy, Fault
+from drivers.canopen.faults import ArmFault, Busy
 from drivers.canopen.run.master import Master
 
 BUSY_FOR = 0.25  # [s]; a bus that accepts no command for longer is a fault
@@ -15,8 +15,8 @@ LATE = 0.1  # [s] after its end at which a pulse is overdue, and no longer waite
 EARLY = 0.004  # [s] that a pulse may end early; without it a slow bus could make a pulse longer by a whole period
 
 
-class Commit(NamedTuple):
-    """The result of a commit.
+class CommitOutcome(NamedTuple):
+    """How a commit has ended.
 
     Attributes:
         states: commanded states.
@@ -53,7 +53,7 @@ class Actuation:
         self.target: int | None = None
         self.uncertain = kinds.paired
         self.switches = 0
-        self.fault: Fault | None = None
+        self.fault: ArmFault | None = None
         self._master, self._arm, self._kinds, self._journal = master, arm, kinds, journal
         self._arrives_at = [-1e12] * len(arm.actuators)
         self._states = 0  # last states; they count for paired actuators whose outputs are both off
@@ -148,7 +148,7 @@ class Actuation:
         except Busy:
             return  # the next tick tries again; a board without its master switches its outputs off itself
 
-    def overdue(self, now: float) -> list[Fault]:
+    def overdue(self, now: float) -> list[ArmFault]:
         """Returns a fault for each pulse that has not ended in time, once until the next boot has ended.
 
         A pulse has ended when its outputs are off and its board is ready, so that it is read back. Call every period.
@@ -181,7 +181,7 @@ class Actuation:
         self.switches += moved.bit_count()
         return moved
 
-    def conclude(self, now: float) -> Commit | None:
+    def conclude(self, now: float) -> CommitOutcome | None:
         """Returns the result of the commit that has ended, and counts its switches; None if no commit has ended."""
         if self.target is None or self._master.committing or not self._master.outputs_known:
             return None
@@ -194,7 +194,7 @@ class Actuation:
             self._refused(why, now)
         reached = self.states == states and not self._doubtful
         self._doubtful = 0
-        return Commit(states, reached)
+        return CommitOutcome(states, reached)
 
     def adopt(self, measured: int, definite: int, now: float) -> None:
         """Adopts the outputs that the boards read back, and counts the switches of an interrupted commit.
@@ -245,10 +245,10 @@ class Actuation:
         self._watched |= pulses
         return pulses
 
-    def _overdue(self, k: int) -> Fault:
+    def _overdue(self, k: int) -> ArmFault:
         place = self._arm.wiring.channels[k].place
         text = f"the pulse of actuator {place} could not be ended in time: its coil may be on"
-        return Fault("pulse-overdue", place, f"{text}; it is ended as soon as its bus and its board can be reached")
+        return ArmFault("pulse-overdue", place, f"{text}; it is ended as soon as its bus and its board can be reached")
 
     def _rebooted(self) -> int:
         """Returns the mask of the paired actuators whose board has restarted since the last adoption."""
@@ -269,5 +269,5 @@ class Actuation:
         if self._busy_since is None:
             self._busy_since = now
         if now - self._busy_since > BUSY_FOR:
-            self.fault = Fault("bus-busy", "bus", f"no command could be sent for {BUSY_FOR:g} s: {why}")
+            self.fault = ArmFault("bus-busy", "bus", f"no command could be sent for {BUSY_FOR:g} s: {why}")
             self._busy_since = None

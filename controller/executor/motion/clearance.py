@@ -33,18 +33,18 @@ class ClearanceQuestions:
         """Whether a question is open."""
         return self._way is not None and not self._answered
 
-    def known(self, start: int, stage: int, now: float) -> bool:
-        """Returns whether the answer for `stage` from `start` is known; `touched` has it. Asks the planner if not."""
+    def ask(self, start: int, stage: int, now: float) -> bool:
+        """Asks the planner about `stage` from `start`, once; returns whether the answer is there, in `touched`."""
         if (start, stage) != self._way:
             self._number += 1
             self._way, self._answered, self._asked_at = (start, stage), False, now
             self._ask(Question(self._number, pack(start, self._actuators), pack(stage, self._actuators)))
         if not self._answered and now - self._asked_at > ANSWER_WITHIN:
             unknown = f"the planner did not tell within {ANSWER_WITHIN:g} s whether the stage is clear"
-            self.answer(Clearance(self._number, unknown))
+            self.receive_answer(Clearance(self._number, unknown))
         return self._answered
 
-    def answer(self, message: Clearance) -> None:
+    def receive_answer(self, message: Clearance) -> None:
         """Takes the planner's answer; ignores an answer to an earlier question."""
         if message.question == self._number and self._way is not None:
             self._answered, self.touched = True, message.touched

@@ -1,28 +1,42 @@
 """The motion on the boards: the running program, or the set-point that is followed; never both."""
 
 from collections.abc import Callable
+from enum import Enum, auto
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.bits import first, merged
-from controller.executor.core.kinds import Ends, Kinds
+from controller.executor.core.kinds import Kinds
 from controller.executor.core.locked import LockedActuators
-from controller.executor.core.results import Results
-from controller.executor.motion.actuation import Actuation, Commit
+from controller.executor.core.results import ProgramResults
+from controller.executor.motion.actuation import Actuation, CommitOutcome
 from controller.executor.motion.clearance import ClearanceQuestions
 from controller.executor.motion.motion_supervision import Finding, MotionSupervision
-from controller.executor.motion.program_execution import End, ProgramExecution
+from controller.executor.motion.program_execution import EPSILON, End, ProgramExecution
+from controller.executor.motion.readings import Readings
 from controller.executor.motion.setpoint_stream import SetpointStream
 from controller.executor.motion.travel_times import TravelTimes
 from controller.executor.process.switch_journal import SwitchJournal
 from controller.program import MOST_TRAVELS, Begun, Settled, Up, pack
-from drivers.canopen.faults import Fault
 from drivers.canopen.run.master import Master
 
 REALIGNMENT = -1  # in place of the index of a stage
-NOT_CLEAR = "the next stage cannot begin: "
 
 
-class Motion:
+class StageBegin(Enum):
+    """What became of a stage that is due.
+
+    Attributes:
+        BEGUN: its switch has begun, or its states were reached already.
+        WAITS: it is tried again at the next tick: for actuators, the boards, or the planner's answer.
+        NOT_CLEAR: it touches what `ArmMotion.clearances.touched` says.
+    """
+
+    BEGUN = auto()
+    WAITS = auto()
+    NOT_CLEAR = auto()
+
+
+class ArmMotion:
     """Switches the boards to the stages of the running program or stream, and supervises the actuators.
 
     Attributes:
@@ -30,6 +44,7 @@ class Motion:
         stream: stream of set-points; None if none is followed.
         kinds: outputs and end-stops of the actuators.
         actuation: switches the outputs.
+        readings: what end-stops and outputs tell.
         supervision: compares end-stops with commanded states.
         clearances: questions to the planner.
         clock: awake time of the executor at the last event [s].
@@ -49,7 +64,7 @@ class Motion:
         master: Master,
         journal: SwitchJournal,
         locked: LockedActuators,
-        results: Results,
+        results: ProgramResults,
         send: Callable[[Up], None],
     ) -> None:
         self.execution: ProgramExecution | None = None
@@ -58,50 +73,21 @@ class Motion:
         self.actuation = Actuation(master, arm, self.kinds, journal)
         places = [channel.place for channel in arm.wiring.channels]
         self.supervision = MotionSupervision(master, places, self.kinds)
+        self.readings = Readings(master, self.kinds, self.actuation, locked, len(arm.actuators))
         self._travel_times = TravelTimes()
         self.clearances = ClearanceQuestions(send, len(arm.actuators))
         self.clock = 0.0
         self._arm, self._master, self._locked, self._results, self._send = arm, master, locked, results, send
         self._index, self._before = 0, 0  # the stage whose commit runs; states before it
         self._homes = False  # whether actuators of unknown state travel to a known one
-        self._closing: tuple[ProgramExecution, str, str] | None = None  # its result waits for the running commit
+        self._ended: tuple[ProgramExecution, str, str] | None = None  # its result waits for the running commit
 
-    # --- what is measured
-
-    @property
-    def ends(self) -> Ends:
-        """What the end-stops read."""
-        return self.kinds.ends(self._master.ends)
-
-    @property
-    def read(self) -> int:
-        """States that the end-stops tell, else the commanded ones; 0 where the board is not operational."""
-        return self.kinds.measured(self.ends, self.actuation.states) & self._master.known
-
-    @property
-    def definite(self) -> int:
-        """Mask of the actuators whose end-stops tell their state now."""
-        return self.kinds.definite(self.ends) & self._master.known
-
-    @property
-    def measured(self) -> int:
-        """As `read`, but the locked state for a locked actuator without an end-stop."""
-        return merged(self._locked.mask & ~self.kinds.sensed, self._locked.states, self.read)
-
-    @property
-    def known(self) -> int:
-        """Mask of the actuators whose measured state is known."""
-        return self._master.known & ~self.homing
-
-    @property
-    def homing(self) -> int:
-        """Mask of the actuators of unknown state, which the next program homes first."""
-        return self.actuation.uncertain & ~self._locked.mask
+    # --- what moves
 
     @property
     def moving(self) -> bool:
         """Whether a switched actuator has not arrived."""
-        return self.supervision.moving(self.ends, self.clock)
+        return self.supervision.moving(self.readings.ends, self.clock)
 
     @property
     def busy(self) -> bool:
@@ -113,25 +99,14 @@ class Motion:
         """Whether frames of a commit still wait to be sent."""
         return self.busy and self._master.committing
 
-    def packed(self) -> tuple[bytes, bytes]:
-        """Returns the measured states and the mask of the known ones, packed."""
-        actuators = len(self._arm.actuators)
-        return pack(self.measured & self.known, actuators), pack(self.known, actuators)
-
     def supervise(self, now: float) -> list[Finding]:
         """Returns new findings of the motion supervision. Call every period."""
-        return self.supervision.tick(self.ends, self._master.known, self.clock, now)
+        return self.supervision.tick(self.readings.ends, self._master.known, self.clock, now)
 
     def adopt(self, now: float) -> None:
         """Adopts outputs and end-stops as they are now; switches nothing."""
         self._travel_times.forget(-1)
-        self.actuation.adopt(self.read, self.definite, now)
-
-    def interlocks(self) -> list[Fault]:
-        """Returns a fault for each open interlock."""
-        opened = self.kinds.open(self._master.ends, self._master.inputs_known)
-        places = (f"{lock.name} ({lock.bus}/{lock.node} input {lock.input})" for lock in opened)
-        return [Fault("interlock", place, f"interlock {place} is open: close it, then reset") for place in places]
+        self.actuation.adopt(self.readings.read, self.readings.definite, now)
 
     # --- begin and end
 
@@ -170,17 +145,17 @@ class Motion:
         self.actuation.rest()
         if execution is None:
             return
-        self._closing = execution, status, message
+        self._ended = execution, status, message
         if not self.busy:
-            self.close()
+            self.send_result()
 
-    def close(self) -> None:
+    def send_result(self) -> None:
         """Sends the result of a program that has ended."""
-        if self._closing is not None:
-            execution, status, message = self._closing
-            self._closing = None
+        if self._ended is not None:
+            execution, status, message = self._ended
+            self._ended = None
             try:
-                measured, known = self.packed()
+                measured, known = self.readings.packed()
             except Exception:  # a defect must not keep a program from its result
                 measured = known = pack(0, len(self._arm.actuators))
             self._results.add(execution, status, message, measured, known)
@@ -194,70 +169,70 @@ class Motion:
             at: time of the event's frame on the bus [s]; None: unknown.
             now: [s].
         """
-        running = self.execution if self._closing is None else self._closing[0]
-        for lines, switched_at in self._master.take_switched():
+        running = self.execution if self._ended is None else self._ended[0]
+        for lines, switched_at in self._master.drain_switched():
             mask = self.actuation.switched(lines, switched_at)
-            self.supervision.switched(mask, self.actuation.states, self.ends, self.clock, now)
-            self._travel_times.begin(mask, self.actuation.states, self.ends, at)
+            self.supervision.switched(mask, self.actuation.states, self.readings.ends, self.clock, now)
+            self._travel_times.begin(mask, self.actuation.states, self.readings.ends, at)
             if running is not None:
                 running.switches += mask.bit_count()
         if self._travel_times.measuring:
-            travels = self._travel_times.arrived(self.ends, at)
+            travels = self._travel_times.arrived(self.readings.ends, at)
             if running is not None and len(running.travels) < MOST_TRAVELS:
                 running.travels += travels
         commit = self.actuation.conclude(now)
         if not self.committing:
-            self.close()
+            self.send_result()
         if commit is not None and commit.reached and self._index != REALIGNMENT:
             self._took(commit, now)
 
     def advance(self, now: float) -> End | None:
         """Starts what is due; returns an end if the program or stream has ended by itself."""
         if self.stream is not None:
-            return self._pursue(self.stream, now)
+            return self._advance_stream(self.stream, now)
         execution = self.execution
         if execution is None:
             return None
         if execution.waiting and not self.busy and not self.moving and execution.settles(now):
             self._send(self._settled(execution))
-        if execution.idle and now >= self.actuation.free_at - 1e-9 and not self.busy and not self.moving:
+        if execution.idle and now >= self.actuation.free_at - EPSILON and not self.busy and not self.moving:
             end = execution.end(self.clock)
             if end is not None:
                 return end
-        return None if self._realigns(now, *execution.homed) else self._switch(execution, now)
+        return self._advance_program(execution, now) if self._realign(*execution.homed, now) else None
 
-    def _realigns(self, now: float, homed: int, target: int) -> bool:
+    def _realign(self, homed: int, target: int, now: float) -> bool:
         """Sets the outputs of locked actuators to their locked states, and homes others, before any stage.
 
         A locked actuator that comes loose then stays in its locked state.
 
         Args:
-            now: [s].
             homed: mask of the actuators to home if their state is unknown.
             target: states to home them to.
+            now: [s].
 
         Returns:
-            Whether this realignment still runs.
+            Whether this is done, so that a stage may begin.
         """
         before, most = self.actuation.states, self._arm.most
         states = self._locked.realigned(before, most)
-        homing = first(self.homing & homed, most - (states ^ before).bit_count())
+        homing = first(self.readings.homing & homed, most - (states ^ before).bit_count())
         states = merged(homing, target, states)
         differ = self.actuation.differ(states, homing)
         if differ:
-            if not self.busy and now >= self.actuation.ready_at(differ, strict=False) - 1e-9:
+            if not self.busy and now >= self.actuation.ready_at(differ, strict=False) - EPSILON:
                 self._index = REALIGNMENT
                 if self.actuation.switch(states, now, homing):
                     self._homes |= bool(homing)
-            return True
-        if self._homes and (self.busy or self.moving or now < self.actuation.free_at - 1e-9):
-            return True
+            return False
+        if self._homes and (self.busy or self.moving or now < self.actuation.free_at - EPSILON):
+            return False
         if self._homes and self.execution is not None:
             self.execution.delay(now)
         self._homes = False
-        return False
+        return True
 
-    def _switch(self, execution: ProgramExecution, now: float) -> End | None:
+    def _advance_program(self, execution: ProgramExecution, now: float) -> End | None:
         """Begins the due stage of a program; returns an end if the program cannot continue."""
         index = None if self.busy else execution.due(now, self.actuation.states, self._arm.most)
         if index is None:
@@ -266,30 +241,30 @@ class Motion:
         if (states ^ self.actuation.states).bit_count() > self._arm.most:
             reason = f"holding; {execution.program.name} was aborted: the outputs are too far from its next stage"
             return End("aborted", "the outputs are too far from the next stage; the arm holds", reason)
-        touched = self._begin(index, execution.state(execution.taken), states, execution.strict, now)
-        if touched is None:
+        planned = execution.state(execution.taken)
+        if self._begin_stage(index, planned, states, execution.strict, now) is not StageBegin.NOT_CLEAR:
             return None
-        reason = f"holding; {execution.program.name} was aborted: {NOT_CLEAR}{touched}"
-        return End("aborted", f"{NOT_CLEAR}{touched}; the arm holds", reason)
+        why = f"the next stage cannot begin: {self.clearances.touched}"
+        return End("aborted", f"{why}; the arm holds", f"holding; {execution.program.name} was aborted: {why}")
 
-    def _pursue(self, stream: SetpointStream, now: float) -> End | None:
+    def _advance_stream(self, stream: SetpointStream, now: float) -> End | None:
         """Begins the due stage of a stream; returns an end if the stream has stopped."""
         if now > stream.until:
             return End("canceled", "", "holding; the stream of setpoints has stopped")
-        if self.busy or (stream.stages and self._realigns(now, self.kinds.everything, stream.start)):
+        if self.busy or (stream.stages and not self._realign(self.kinds.everything, stream.start, now)):
             return None
         index = stream.due(self.actuation.states, self._arm.most)
         if index is None:
             self.clearances.forget()
             self.actuation.rest()
         elif now >= self.actuation.free_at and not self.moving:
-            touched = self._begin(index, stream.start, stream.stages[index], stream.strict, now)
-            if touched is not None:
+            begin = self._begin_stage(index, stream.start, stream.stages[index], stream.strict, now)
+            if begin is StageBegin.NOT_CLEAR:
                 stream.stages = []  # the planner's follower must find other stages
         return None
 
-    def _begin(self, index: int, planned: int, states: int, strict: bool, now: float) -> str | None:
-        """Starts the switch of a stage if it may begin now; returns what the stage touches, if known.
+    def _begin_stage(self, index: int, planned: int, states: int, strict: bool, now: float) -> StageBegin:
+        """Starts the switch of a stage if it may begin now.
 
         Args:
             index: of the stage.
@@ -299,39 +274,43 @@ class Motion:
             now: [s].
         """
         self._index, self._before = index, self.actuation.states
-        if states == self._before and not (strict and self.moving):
-            self._took(Commit(states, reached=True), now)
-            return None
-        differ = self.actuation.differ(states, 0)
-        if now < self.actuation.ready_at(differ, strict) - 1e-9 or (strict and self.moving):
-            return None
-        if strict:
-            # A stuck actuator may come free during the stage.
-            start = merged(self.measured ^ states, self.measured, self._before)
-            if start not in (planned, states):
-                if not self.clearances.known(start, states, now):
-                    self.clearances.waits += 1
-                    self.actuation.rest()
-                    return None
-                if self.clearances.touched is not None:
-                    return self.clearances.touched
-        if self.actuation.switch(states, now):
-            self.clearances.forget()  # if the stage must begin again, obstacles may have changed
-            if self.execution is not None:
-                self.execution.begins(index)
-        return None
+        if strict and self.moving:
+            return StageBegin.WAITS
+        if states == self._before:
+            self._took(CommitOutcome(states, reached=True), now)
+            return StageBegin.BEGUN
+        if now < self.actuation.ready_at(self.actuation.differ(states, 0), strict) - EPSILON:
+            return StageBegin.WAITS
+        if strict and (start := self._start_of(states)) not in (planned, states):
+            if not self.clearances.ask(start, states, now):
+                self.clearances.waits += 1
+                self.actuation.rest()
+                return StageBegin.WAITS
+            if self.clearances.touched is not None:
+                return StageBegin.NOT_CLEAR
+        if not self.actuation.switch(states, now):
+            return StageBegin.WAITS
+        self.clearances.forget()  # if the stage must begin again, obstacles may have changed
+        if self.execution is not None:
+            self.execution.begins(index)
+        return StageBegin.BEGUN
 
-    def _took(self, commit: Commit, now: float) -> None:
+    def _start_of(self, states: int) -> int:
+        """Returns the states from which a stage moves to `states`: a stuck actuator may come free during the stage."""
+        measured = self.readings.measured
+        return merged(measured ^ states, measured, self._before)
+
+    def _took(self, commit: CommitOutcome, now: float) -> None:
         """Records that the outputs have reached the stage begun last."""
-        self.supervision.await_anew(commit.states, self.ends, self.clock, now)
+        self.supervision.await_anew(commit.states, self.readings.ends, self.clock, now)
         execution, stream = self.execution, self.stream
         if stream is not None and self._index < len(stream.stages) and stream.stages[self._index] == commit.states:
             stream.took(self._index)
         if execution is not None:
             switched = commit.states != self._before
             execution.took(self._index, self._before, switched, self.actuation.free_at)
-            self._send(Begun(execution.program.program, self._index, execution.switches))
+            self._send(Begun(execution.program.program, self._index))
 
     def _settled(self, execution: ProgramExecution) -> Settled:
         counted = execution.switches, execution.stages
-        return Settled(execution.program.program, execution.mark, *self.packed(), *counted, execution.planned)
+        return Settled(execution.program.program, execution.mark, *self.readings.packed(), *counted, execution.planned)

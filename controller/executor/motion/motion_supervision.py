@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from controller.executor.core.arm import WORDS
+from controller.armfile.locks import WORDS
 from controller.executor.core.bits import indices, merged
 from controller.executor.core.kinds import Ends, Kinds
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.master import Master
 
 MOST_MISSED = 3  # successive commands that an actuator may miss, each reversed before it counts as stuck
@@ -17,7 +17,7 @@ class Finding(NamedTuple):
     """A fault and the index of its actuator."""
 
     actuator: int
-    fault: Fault
+    fault: ArmFault
 
 
 class MotionSupervision:
@@ -247,16 +247,16 @@ class MotionSupervision:
             text = f"actuator {place} missed {self._missed[k]} commands; its end-stop did not change"
         else:
             text = f"actuator {place} did not become {should} within {limit:g} s; {self._reads(k, ends)}"
-        return Finding(k, Fault("stuck", place, text))
+        return Finding(k, ArmFault("stuck", place, text))
 
     def _stray(self, k: int, ends: Ends) -> Finding:
         should, other = WORDS[self._commanded >> k & 1], WORDS[1 - (self._commanded >> k & 1)]
         place = self._places[k]
         reads = f"reads {other}" if self._at_other_end(ends) >> k & 1 else f"does not read {should} any more"
         text = f"actuator {place} moved without a command: its end-stop {reads}; check it, then reset"
-        return Finding(k, Fault("unexpected-motion", place, text))
+        return Finding(k, ArmFault("unexpected-motion", place, text))
 
     def _broken(self, k: int) -> Finding:
         place = self._places[k]
         text = f"both end-stops of actuator {place} read 1 at once: check their wires and switches, then reset"
-        return Finding(k, Fault("end-stops", place, text))
+        return Finding(k, ArmFault("end-stops", place, text))

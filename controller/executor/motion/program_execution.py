@@ -27,7 +27,7 @@ class End(NamedTuple):
     reason: str
 
 
-class Misfit(ValueError):
+class StageMisfit(ValueError):
     """Stages do not fit the arm or the running program; the text says why.
 
     Attributes:
@@ -181,19 +181,19 @@ class ProgramExecution:
         """Replaces the stages from `message.first` on, see `Replacement`.
 
         Raises:
-            Misfit: the stages do not fit; nothing has changed.
+            StageMisfit: the stages do not fit; nothing has changed.
         """
         first = message.first
         if message.generation <= self._generation:
-            raise Misfit("it is older than the last replacement")
+            raise StageMisfit("it is older than the last replacement")
         if not self._begun < first <= len(self._stages):
-            raise Misfit(f"stage {first} has begun, or is not the next to append")
+            raise StageMisfit(f"stage {first} has begun, or is not the next to append")
         if first + len(message.stages) > MOST_PROGRAM_STAGES:
-            raise Misfit(f"a program may have {MOST_PROGRAM_STAGES} stages")
+            raise StageMisfit(f"a program may have {MOST_PROGRAM_STAGES} stages")
         earliest = self._at[first - 1] if first else -1e12
         start = checked_states(message.start, actuators)
         if self._locked.aligned(start) != self.state(first - 1):
-            raise Misfit("its stages were planned from other states")
+            raise StageMisfit("its stages were planned from other states")
         check_stages(message.stages, start, earliest, most, self._locked.mask, actuators)
         self._generation, self.final = message.generation, message.final
         self.strict |= message.strict
@@ -216,17 +216,17 @@ def check_stages(stages: Sequence[Stage], before: int, earliest: float, most: in
         actuators: number.
 
     Raises:
-        Misfit: a stage does not fit; the text says why.
+        StageMisfit: a stage does not fit; the text says why.
     """
     for k, stage in enumerate(stages):
         states = checked_states(stage.states, actuators)
         differ = states ^ before
         if differ & locked:
-            raise Misfit(f"stage {k} switches a locked actuator", locked=True)
+            raise StageMisfit(f"stage {k} switches a locked actuator", locked=True)
         if differ.bit_count() > most:
-            raise Misfit(f"stage {k} switches {differ.bit_count()} actuators, {most} may switch at once")
+            raise StageMisfit(f"stage {k} switches {differ.bit_count()} actuators, {most} may switch at once")
         if stage.at < earliest:
-            raise Misfit(f"stage {k} begins before the stage before it")
+            raise StageMisfit(f"stage {k} begins before the stage before it")
         before, earliest = states, stage.at
 
 
@@ -234,9 +234,9 @@ def checked_states(states: bytes, actuators: int) -> int:
     """Returns packed states as an integer.
 
     Raises:
-        Misfit: they are states of another number of actuators.
+        StageMisfit: they are states of another number of actuators.
     """
     bits = unpack(states)
     if len(states) != (actuators + 7) // 8 or bits >> actuators:
-        raise Misfit(f"states of {actuators} actuators are needed")
+        raise StageMisfit(f"states of {actuators} actuators are needed")
     return bits

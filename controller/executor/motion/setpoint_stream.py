@@ -1,7 +1,7 @@
 """The stream of set-points: the stages of the latest set-point."""
 
 from controller.executor.core.locked import LockedActuators
-from controller.executor.motion.program_execution import Misfit, checked_states
+from controller.executor.motion.program_execution import StageMisfit, checked_states
 from controller.program import Setpoint
 
 
@@ -23,7 +23,7 @@ class SetpointStream:
         actuators: number of actuators.
 
     Raises:
-        Misfit: a stage does not fit the arm.
+        StageMisfit: a stage does not fit the arm.
     """
 
     def __init__(self, message: Setpoint, most: int, locked: LockedActuators, actuators: int) -> None:
@@ -37,9 +37,9 @@ class SetpointStream:
         self.start, self.stages = locked.aligned(before), list[int]()
         for states in (checked_states(packed, actuators) for packed in message.stages):
             if (states ^ before) & locked.mask:
-                raise Misfit("a set-point switches a locked actuator", locked=True)
+                raise StageMisfit("a set-point switches a locked actuator", locked=True)
             if (states ^ before).bit_count() > most:
-                raise Misfit(f"a stage of a set-point switches more than {most} actuators at once")
+                raise StageMisfit(f"a stage of a set-point switches more than {most} actuators at once")
             self.stages.append(locked.aligned(states))
             before = states
 

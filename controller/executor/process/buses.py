@@ -10,7 +10,7 @@ from drivers.canopen.faults import BusError
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Event, SendFailed
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 log = logging.getLogger(__name__)
 
@@ -30,7 +30,7 @@ class Buses(Protocol):
     def poll(self, now: float) -> Sequence[Event]:
         """Returns the events since the last call."""
 
-    def send(self, bus: str, frame: Frame, now: float) -> None:
+    def send_frame(self, bus: str, frame: Frame, now: float) -> None:
         """Sends a frame; an event tells whether it was sent."""
 
     def close(self) -> None:
@@ -40,7 +40,7 @@ class Buses(Protocol):
 class CanBuses:
     """CAN buses over python-can. See `Buses`. A missing bus is opened as soon as it exists."""
 
-    def __init__(self, settings: Sequence[BusSettings]) -> None:
+    def __init__(self, settings: Sequence[BusWiring]) -> None:
         """Takes the settings of each bus."""
         self._buses = {one.name: CanBus(one) for one in settings}
         self._unopened = set(self._buses)
@@ -68,9 +68,9 @@ class CanBuses:
             events += bus.poll()
         return events
 
-    def send(self, bus: str, frame: Frame, now: float) -> None:
+    def send_frame(self, bus: str, frame: Frame, now: float) -> None:
         """See `Buses`."""
-        why = self._buses[bus].send(frame)
+        why = self._buses[bus].send_frame(frame)
         if why is not None:
             self._failed.append(SendFailed(bus, frame, why))
 

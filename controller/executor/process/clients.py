@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Literal
 
-from controller.executor.core.events import Client
+from controller.executor.core.events import ClientId
 from controller.program import VERSION, Goodbye, Hello, Up
 
 Role = Literal["planner", "operator"]
@@ -22,9 +22,9 @@ class Clients:
         send: sends a message to a client.
     """
 
-    def __init__(self, arm: str, timeout: float, send: Callable[[Client, Up], None]) -> None:
-        self.planner: Client | None = None
-        self.roles: dict[Client, Role] = {}
+    def __init__(self, arm: str, timeout: float, send: Callable[[ClientId, Up], None]) -> None:
+        self.planner: ClientId | None = None
+        self.roles: dict[ClientId, Role] = {}
         self._arm, self._timeout, self._send = arm, timeout, send
         self._heard = 0.0
         self._silent = False
@@ -39,7 +39,7 @@ class Clients:
         for client in self.roles:
             self._send(client, message)
 
-    def greet(self, client: Client, hello: Hello, clock: float) -> bool:
+    def greet(self, client: ClientId, hello: Hello, clock: float) -> bool:
         """Returns whether a client is accepted; a refused client gets a Goodbye with the reason."""
         reason = self._refusal(client, hello)
         if reason is not None:
@@ -62,7 +62,7 @@ class Clients:
         self._silent = True
         return True
 
-    def remove(self, client: Client) -> bool:
+    def remove(self, client: ClientId) -> bool:
         """Removes a client; returns whether it was the planner."""
         self.roles.pop(client, None)
         if client != self.planner:
@@ -70,7 +70,7 @@ class Clients:
         self.planner = None
         return True
 
-    def _refusal(self, client: Client, hello: Hello) -> str | None:
+    def _refusal(self, client: ClientId, hello: Hello) -> str | None:
         if client in self.roles:
             return "Hello was sent before"
         if hello.version != VERSION:

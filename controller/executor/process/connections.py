@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from typing import Literal
 
-from controller.executor.core.events import Client
+from controller.executor.core.events import ClientId
 
 HELLO_TIMEOUT = 1.0  # [s] from the connection to its Hello
 PLACES = {"silent": 16, "operator": 15}  # the core refuses a second planner, and its connection ends at once
@@ -15,7 +15,7 @@ LINES_EVERY = 1.0  # [s] between two lines of the log
 CREDENTIALS = struct.Struct("3i")  # SO_PEERCRED: pid, uid, gid
 
 
-class Connection:
+class ClientConnection:
     """The connection of one client, with the messages that wait to be sent.
 
     Attributes:
@@ -29,7 +29,7 @@ class Connection:
         """Takes the number of the connection, its socket and the time [s]."""
         connected.setblocking(False)
         options = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
-        self.client = Client(number, CREDENTIALS.unpack(options)[0])
+        self.client = ClientId(number, CREDENTIALS.unpack(options)[0])
         self.socket, self.since = connected, now
         self.waiting: deque[bytes] = deque()
         self.role: Literal["planner", "operator"] | None = None
@@ -53,12 +53,12 @@ class Connection:
         return not self.closing
 
 
-def late(connection: Connection, now: float) -> bool:
+def late(connection: ClientConnection, now: float) -> bool:
     """Returns whether a connection has no role, or does not read its Goodbye, after HELLO_TIMEOUT."""
     return connection.place == "silent" and now - connection.since >= HELLO_TIMEOUT
 
 
-def superfluous(connections: Iterable[Connection]) -> Iterator[Connection]:
+def superfluous(connections: Iterable[ClientConnection]) -> Iterator[ClientConnection]:
     """Yields the connections that are too many for PLACES.
 
     The process with the most connections of a kind gives way, with its oldest one. A process with one connection keeps

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from controller.executor.process import journal_copy
-from controller.executor.process.journal_copy import DiskCopy, Layout
+from controller.executor.process.journal_copy import DiskCopy, JournalLayout
 
 ENDING = 1.0  # [s] for the last copy
 MOST = 1 << 16  # bytes of messages, the size of a pipe
@@ -31,7 +31,7 @@ class Copier:
         OSError: the process cannot be started.
     """
 
-    def __init__(self, path: Path, layout: Layout, memory: int, disk: DiskCopy, interval: float) -> None:
+    def __init__(self, path: Path, layout: JournalLayout, memory: int, disk: DiskCopy, interval: float) -> None:
         own = os.open(f"/proc/self/fd/{memory}", os.O_RDONLY | os.O_CLOEXEC)
         kept = -1 if disk.file is None else disk.file.fileno()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # the process inherits the mask

@@ -13,13 +13,13 @@ from pathlib import Path
 from controller.armfile.strict import InputFaults
 from controller.executor.core.arm import ExecutedArm
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Echoed, Event, Received
+from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
 from drivers.canopen.wiring import Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses, board_names
 from drivers.simulation.fault_commands import perform
 from drivers.simulation.variants import Variant, choose
 
-PATIENCE = 10.0  # [s] added to the heartbeat timeout of simulated boards, which stall with this process
+STALL_ALLOWANCE = 10.0  # [s] added to the heartbeat timeout of simulated boards, which stall with this process
 INPUT = 0  # file descriptor of the standard input
 MOST_STEPS = 100  # of the boards in one poll
 LONGEST = 0.02  # [s] of simulated time between two calls: a stall of the process stalls the boards as well
@@ -35,7 +35,7 @@ def simulated(arm: ExecutedArm, board: Sequence[str]) -> tuple[ExecutedArm, "Emb
     Raises:
         InputFaults: a board or variant is unknown.
     """
-    arm = replace(arm, timing=replace(arm.timing, heartbeat_timeout=arm.timing.heartbeat_timeout + PATIENCE))
+    arm = replace(arm, timing=replace(arm.timing, heartbeat_timeout=arm.timing.heartbeat_timeout + STALL_ALLOWANCE))
     try:
         variants = choose(board, board_names(arm.wiring))
     except ValueError as error:
@@ -51,9 +51,9 @@ class EmbeddedBoards:
 
     def __init__(self, wiring: Wiring, timing: Timing, variants: Mapping[str, Variant] | None = None) -> None:
         """Takes wiring and times of the arm, and the variant of each board by the board's name."""
-        self._events: deque[Event] = deque(Changed(bus.name, "active", "", None) for bus in wiring.buses)
+        self._events: deque[Event] = deque(BusChanged(bus.name, "active", "", None) for bus in wiring.buses)
         self._boards = SimulatedBuses(
-            wiring, timing, lambda bus, frame: self._events.append(Received(bus, frame, self._at)), variants
+            wiring, timing, lambda bus, frame: self._events.append(FrameReceived(bus, frame, self._at)), variants
         )
         self._lines = FaultLines(self._boards)
         self._clock = self._last = self._at = -math.inf
@@ -82,10 +82,10 @@ class EmbeddedBoards:
         self._events.clear()
         return events
 
-    def send(self, bus: str, frame: Frame, now: float) -> None:
+    def send_frame(self, bus: str, frame: Frame, now: float) -> None:
         """See `Buses`."""
         self._at = self._time(now)
-        self._events.append(Echoed(bus, frame, self._at))
+        self._events.append(FrameEchoed(bus, frame, self._at))
         self._boards.receive(bus, frame, self._at)
 
     def close(self) -> None:

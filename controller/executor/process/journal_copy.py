@@ -33,7 +33,7 @@ class JournalInUse(Exception):
     """Another process uses the file."""
 
 
-class Record(NamedTuple):
+class JournalRecord(NamedTuple):
     """An intact record.
 
     Attributes:
@@ -47,7 +47,7 @@ class Record(NamedTuple):
     body: bytes
 
 
-class Layout(NamedTuple):
+class JournalLayout(NamedTuple):
     """Places of the records in a file.
 
     Attributes:
@@ -70,16 +70,16 @@ class Layout(NamedTuple):
         """Returns the place of slot `number` (0 or 1)."""
         return PAGE + number * self.slot
 
-    def records(self, content: bytes) -> list[Record | None]:
+    def records(self, content: bytes) -> list[JournalRecord | None]:
         """Returns the records of both slots, None for a slot without an intact record."""
         return [self._record(content[begin : begin + CRC + self.size]) for begin in map(self.begin, range(2))]
 
-    def _record(self, content: bytes) -> Record | None:
+    def _record(self, content: bytes) -> JournalRecord | None:
         body = content[CRC:]
         if len(body) < self.size or content != packed(body):
             return None
         number, labels = HEAD.unpack_from(body)
-        return Record(number, labels, body)
+        return JournalRecord(number, labels, body)
 
 
 def packed(body: bytes) -> bytes:
@@ -96,7 +96,7 @@ class DiskCopy:
         file: the file, if it is open and locked already; otherwise it is opened when it is needed.
     """
 
-    def __init__(self, path: Path, layout: Layout, file: IO[bytes] | None = None) -> None:
+    def __init__(self, path: Path, layout: JournalLayout, file: IO[bytes] | None = None) -> None:
         self.file = file
         self._path, self._layout = path, layout
         self._copied = 0  # number of the record that this object has brought to the disk
@@ -194,7 +194,7 @@ def locked_file(path: Path, timeout: float = 0.0, journal: Path | None = None) -
         time.sleep(RETRY)
 
 
-def content_of(memory: int, layout: Layout) -> bytes:
+def content_of(memory: int, layout: JournalLayout) -> bytes:
     """Returns the content of the file in memory with an intact record, unless there is none.
 
     Args:
@@ -208,7 +208,7 @@ def content_of(memory: int, layout: Layout) -> bytes:
     return content
 
 
-def run(disk: DiskCopy, layout: Layout, memory: int, interval: float) -> None:
+def run(disk: DiskCopy, layout: JournalLayout, memory: int, interval: float) -> None:
     """Copies the newest record at each interval, and a last time when the standard input ends.
 
     The standard output has a line for each change: why the last copy failed, or an empty line if it succeeded.
@@ -237,7 +237,7 @@ def main(path: str, size: str, memory: str, disk: str, interval: str) -> None:
     """Runs the copier; `disk` is the descriptor of the locked file on the disk, or -1. See `run`."""
     with contextlib.suppress(OSError):  # of a real-time executor whose unit lets children inherit its priority
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    layout, file = Layout(int(size)), None if int(disk) < 0 else os.fdopen(int(disk), "r+b", buffering=0)
+    layout, file = JournalLayout(int(size)), None if int(disk) < 0 else os.fdopen(int(disk), "r+b", buffering=0)
     run(DiskCopy(Path(path), layout, file), layout, int(memory), float(interval))
 
 

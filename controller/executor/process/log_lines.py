@@ -19,7 +19,7 @@ from controller.host.journal import JournalHandler, is_journal
 
 MOST_WAITING = 1_000  # log lines; more are dropped
 MOST_WRITTEN = 4_096  # bytes in one write; a writable pipe accepts them without blocking
-PATIENCE = 0.5  # [s] for the waiting lines at the end
+LAST_LINES_TIMEOUT = 0.5  # [s] for the waiting lines at the end
 
 
 class LogLines(logging.Handler):
@@ -45,13 +45,13 @@ class LogLines(logging.Handler):
 
     def close(self) -> None:
         """Writes the waiting lines, as far as the reader accepts them."""
-        self._write(PATIENCE)
+        self._write(LAST_LINES_TIMEOUT)
         super().close()
 
-    def _write(self, patience: float) -> None:
-        """Writes while the output accepts lines; waits for `patience` before each write [s]."""
+    def _write(self, timeout: float) -> None:
+        """Writes while the output accepts lines; waits for `timeout` before each write [s]."""
         try:
-            while self._waiting and select.select([], [self._output], [], patience)[1]:
+            while self._waiting and select.select([], [self._output], [], timeout)[1]:
                 line = self._waiting.popleft()
                 written = os.write(self._output, line[:MOST_WRITTEN])
                 if written < len(line):

@@ -1,6 +1,5 @@
 """Real time: SCHED_FIFO and locked memory, given by the service's unit or requested by the arm's file."""
 
-import contextlib
 import ctypes
 import logging
 import os
@@ -37,13 +36,6 @@ def enter_real_time(settings: RealTimeSettings | None) -> str:
     for word in missing:
         log.warning("real time: %s; continuing without it", word)
     return "; ".join(missing) or "on"
-
-
-def leave_real_time() -> None:
-    """Returns to normal scheduling and unlocks the memory; for tests."""
-    ctypes.CDLL(None).munlockall()
-    with contextlib.suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def is_real_time() -> bool:

@@ -11,12 +11,13 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 
-from controller.executor.core.core import PERIOD, Executor
-from controller.executor.core.events import Action, Defect, Event, Health, Log, Notify, Quit, Send, Tick, ToClient
+from controller.executor.core.core import Executor
+from controller.executor.core.events import TICK, Action, Defect, Event, ExecutorTick, Health, SendFrame, ToClient
 from controller.executor.process.buses import Buses
-from controller.executor.process.server import Server
+from controller.executor.process.server import ExecutorServer
 from controller.flight_recorder import FlightRecorder
 from controller.host.notify import Notifier
+from controller.host.process import Log, Notify, Quit
 
 log = logging.getLogger("executor")
 
@@ -52,14 +53,14 @@ class EventLoop:
         self,
         core: Executor,
         buses: Buses,
-        server: Server,
+        server: ExecutorServer,
         notifier: Notifier,
         clock: Callable[[], float] = time.monotonic,
         recorder: FlightRecorder | None = None,
     ) -> None:
         self._core, self._buses, self._server, self._notifier = core, buses, server, notifier
         self._clock, self._recorder = clock, recorder
-        self._time = Timekeeper(PERIOD)
+        self._time = Timekeeper(TICK)
         self._garbage = Garbage()
         self._quitting = False
         self._queued = deque[Action]()
@@ -91,19 +92,19 @@ class EventLoop:
 
     def _may_report(self, now: float) -> bool:
         """Whether a message waits and may be sent now."""
-        return bool(self._queued) and not self._core.collecting and not self._time.close(now)
+        return bool(self._queued) and not self._core.collecting and not self._time.tick_is_near(now)
 
     def _round(self) -> None:
         """Waits for events and handles them."""
         try:
             ready = self._wait()
-            self._take_frames()
+            self._receive_frames()
             began = self._clock()
             if self._time.remaining(began) <= 0:
                 self._tick(began)
             for event in self._server.poll(ready):
                 self._step(event)
-                self._take_frames()
+                self._receive_frames()
             if not ready and self._may_report(self._clock()):
                 self._report(self._queued.popleft())
         except Exception:  # the arm holds, and the boards keep their master
@@ -112,18 +113,18 @@ class EventLoop:
     def _wait(self) -> list[int]:
         """Waits for a readable or writable file descriptor or the tick; returns the readable ones."""
         now = self._clock()
-        patience = 0.0 if self._may_report(now) else max(min(self._time.remaining(now), self._buses.wait(now)), 0.0)
-        clients = [] if self._time.close(now) else self._server.readable()
+        timeout = 0.0 if self._may_report(now) else max(min(self._time.remaining(now), self._buses.wait(now)), 0.0)
+        clients = [] if self._time.tick_is_near(now) else self._server.readable()
         readable = [self._wake, *self._buses.filenos(), *clients]
         writable = self._server.writable()
-        read, written, _ = select.select(readable, writable, [], patience)
+        read, written, _ = select.select(readable, writable, [], timeout)
         if written:
             self._server.flush()
         if self._wake in read:
             os.read(self._wake, 4096)
         return read
 
-    def _take_frames(self) -> None:
+    def _receive_frames(self) -> None:
         """Handles events of the buses until there are no more, or the tick is due."""
         for _ in range(MOST_ROUNDS):
             events = self._buses.poll(self._clock())
@@ -135,9 +136,9 @@ class EventLoop:
     def _tick(self, began: float) -> None:
         self._report_all()
         if self._core.reports.diagnostics_due(began + SOON):
-            self._step(Health(self._time.take(), self._server.dropped, self._core.journal.problem))
-        self._step(Tick())
-        self._take_frames()
+            self._step(Health(self._time.drain_figures(), self._server.dropped, self._core.journal.problem))
+        self._step(ExecutorTick())
+        self._receive_frames()
         self._time.ticked(began, self._clock())
         if self._recorder is not None:
             self._recorder.flush()
@@ -152,8 +153,8 @@ class EventLoop:
             self._record(event, now, None)
             raise
         for action in actions:
-            if isinstance(action, Send):
-                self._buses.send(action.bus, action.frame, self._clock())
+            if isinstance(action, SendFrame):
+                self._buses.send_frame(action.bus, action.frame, self._clock())
             else:
                 self._queued.append(action)
         self._record(event, now, actions)
@@ -170,9 +171,9 @@ class EventLoop:
     def _report(self, action: Action) -> None:
         match action:
             case ToClient():
-                self._server.send(action.client, action.message)
+                self._server.send_message(action.client, action.message)
             case Notify():
-                self._notifier.send(action.text)
+                self._notifier.notify(action.text)
             case Log():
                 log.log(action.level, "%s", action.text, extra={"journal": action.fields})
             case _:
@@ -186,7 +187,7 @@ class EventLoop:
         """Ends the program with a result, and closes everything. A second `quit` waits for no stage and contraction."""
         self._quitting = False
         self._step(Quit())
-        until = self._clock() + CLOSING + self._core.ending.patience
+        until = self._clock() + CLOSING + self._core.ending.timeout
         while not (self._core.ended or self._quitting) and self._clock() < until:
             self._round()
         self._step(Quit())
@@ -225,7 +226,7 @@ class Timekeeper:
         """Returns the time until the next tick [s], 0 if it is due."""
         return max(self._next - now, 0.0)
 
-    def close(self, now: float) -> bool:
+    def tick_is_near(self, now: float) -> bool:
         """Returns whether a tick comes soon, but is not due yet: what takes long would delay it."""
         return 0.0 < self._next - now < CLOSE
 
@@ -241,7 +242,7 @@ class Timekeeper:
             self._overruns += missed
             self._next += missed * self._period
 
-    def take(self) -> dict[str, float]:
+    def drain_figures(self) -> dict[str, float]:
         """Returns the figures since the last call [s], and resets them; see `Diagnostics.loop`."""
         count = max(len(self._works), 1)
         late = sorted(self._late)

@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from controller.executor.core.events import Client, ClientGone, FromClient
-from controller.executor.process.connections import Connection, LimitedLog, late, superfluous
+from controller.executor.core.events import ClientGone, ClientId, FromClient
+from controller.executor.process.connections import ClientConnection, LimitedLog, late, superfluous
 from controller.program import MOST_BYTES, Diagnostics, Goodbye, Hello, Malformed, Snapshot, Up, decode_down, encode
 
 log = logging.getLogger(__name__)
@@ -24,7 +24,7 @@ class SocketInUse(Exception):
     """Another executor uses the socket."""
 
 
-class Server:
+class ExecutorServer:
     """Listens on a Unix socket of the type SOCK_SEQPACKET.
 
     Snapshots and diagnostics are dropped for a client that does not read; other messages are queued.
@@ -46,8 +46,8 @@ class Server:
         self.dropped = 0
         self._clock, self._log = clock, LimitedLog(log)
         self._path, self._number = path, 0
-        self._connections: dict[Client, Connection] = {}
-        self._gone: list[Client] = []
+        self._connections: dict[ClientId, ClientConnection] = {}
+        self._gone: list[ClientId] = []
         self._buffer = memoryview(bytearray(MOST_BYTES + 1))
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._lock = lock(path.with_name(path.name + ".lock"))
@@ -86,7 +86,7 @@ class Server:
         self._gone = []
         return events
 
-    def send(self, client: Client, message: Up) -> None:
+    def send_message(self, client: ClientId, message: Up) -> None:
         """Sends a message to a client, or queues it."""
         connection = self._connections.get(client)
         if connection is None or connection.closing:
@@ -131,7 +131,7 @@ class Server:
                 self._log.warning(f"a client cannot connect: {error}", now)
                 return
             self._number += 1
-            connection = Connection(self._number, connected, now)
+            connection = ClientConnection(self._number, connected, now)
             self._connections[connection.client] = connection
             self._read(connection, events)
             self._make_room(events, now)
@@ -143,7 +143,7 @@ class Server:
         for connection in superfluous(self._connections.values()):
             self._close(connection, f"too many {connection.place} connections", now)
 
-    def _read(self, connection: Connection, events: list[FromClient | ClientGone]) -> None:
+    def _read(self, connection: ClientConnection, events: list[FromClient | ClientGone]) -> None:
         """Reads the messages of a client; drops a connection that was closed."""
         for _ in range(MOST_MESSAGES):
             try:
@@ -159,19 +159,19 @@ class Server:
                 message = decode_down(bytes(self._buffer[:size]))
             except Malformed as error:
                 self._log.warning(f"process {connection.client.pid}: {error}", self._clock())
-                self.send(connection.client, Goodbye(str(error)[:1_000]))
+                self.send_message(connection.client, Goodbye(str(error)[:1_000]))
                 return
             if not connection.closing:
                 if isinstance(message, Hello):
                     connection.role = message.role
                 events.append(FromClient(connection.client, message))
 
-    def _close(self, connection: Connection, why: str, now: float) -> None:
+    def _close(self, connection: ClientConnection, why: str, now: float) -> None:
         """Closes a connection and logs the reason."""
         self._log.warning(f"the connection of process {connection.client.pid} is closed: {why}", now)
         self._drop(connection)
 
-    def _drop(self, connection: Connection) -> None:
+    def _drop(self, connection: ClientConnection) -> None:
         if self._connections.pop(connection.client, None) is not None:
             connection.socket.close()
             self._gone.append(connection.client)

@@ -19,7 +19,15 @@ from typing import IO, Protocol
 
 from controller.executor.core.bits import indices
 from controller.executor.process.copier import Copier
-from controller.executor.process.journal_copy import MAGIC, PAGE, DiskCopy, JournalInUse, Layout, locked_file, packed
+from controller.executor.process.journal_copy import (
+    MAGIC,
+    PAGE,
+    DiskCopy,
+    JournalInUse,
+    JournalLayout,
+    locked_file,
+    packed,
+)
 
 log = logging.getLogger(__name__)
 
@@ -128,7 +136,7 @@ class FileJournal(MemoryJournal):
         self._labels, self._number = zlib.crc32("\n".join(actuators).encode()), 0
         self._octets = (len(actuators) + 7) // 8
         self._record = struct.Struct(f"<QI{len(actuators)}Q{self._octets}s{self._octets}s")
-        self._path, self._layout = path, Layout(self._record.size)
+        self._path, self._layout = path, JournalLayout(self._record.size)
         self._shared = shared_path(path) if memory is None else None
         self._disk = DiskCopy(path, self._layout)
         self._copier: Copier | None = None

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.armfile.strict import UNIT
-from controller.motion.codes import INVALID_GOAL, Refusal
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 if TYPE_CHECKING:
     from controller.manipulator.manipulator import Manipulator
@@ -32,11 +33,11 @@ def destination(
     from controller.manipulator.notation import parse_configuration
 
     if manipulator is None:
-        raise Refusal(INVALID_GOAL, f"{where}: only positions are accepted here")
+        raise Refusal(Reason.POSITIONS_ONLY, where=where)
     try:
         configuration = parse_configuration(manipulator, text)
     except ValueError as error:
-        raise Refusal(INVALID_GOAL, f"{where}: {str(error)[:LONGEST]}") from None
+        raise Refusal(Reason.NO_CONFIGURATION, where=where, error=str(error)[:LONGEST]) from None
     tip = manipulator.tip(configuration)
     return tip[: manipulator.dimension, 3], manipulator.actuator_states(configuration)
 
@@ -53,13 +54,10 @@ def rotation(orientation: float | list[float] | None, dimension: int, where: str
         return np.eye(3)
     if dimension == 2:
         if isinstance(orientation, list):
-            raise Refusal(
-                INVALID_GOAL,
-                f"{where}: a planar arm's orientation is an angle in radians, got {len(orientation)} numbers",
-            )
+            raise Refusal(Reason.NO_ANGLE, where=where, count=len(orientation))
         return frames.planar(0.0, 0.0, orientation)[:3, :3]
     length = math.hypot(*orientation) if isinstance(orientation, list) and len(orientation) == 4 else 0.0
     if not isinstance(orientation, list) or abs(length - 1.0) > UNIT:
         got = f"one of length {length:.4g}" if length else f"{json.dumps(orientation)[:60]}"
-        raise Refusal(INVALID_GOAL, f"{where}: a quaternion x, y, z, w of length 1 is needed, got {got}")
+        raise Refusal(Reason.NO_QUATERNION, where=where, got=got)
     return frames.spatial((0.0, 0.0, 0.0), orientation)[:3, :3]

@@ -16,16 +16,16 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from controller.armfile.strict import check
-from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.decoding.destinations import destination, rotation
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal, all_faults
 
 if TYPE_CHECKING:  # its kernels take a second to import; clients that only decode messages need not wait
     from controller.manipulator.manipulator import Manipulator
     from controller.motion.stages.pacing import Pace
 
 MOST_BYTES = 1_000_000
-LONGEST_SENTENCE = 1_000
 FARTHEST_AHEAD = 86_400.0  # [s]; a stamp in milliseconds would lie centuries ahead
 
 # The bounds exclude infinity and NaN. Greater lengths are mistakes of the unit and overflow when they are squared.
@@ -91,18 +91,33 @@ def parse(payload: bytes) -> GoalMessage:
 
 
 class Undecodable(Refusal):
-    """A payload does not decode as a goal. The reason takes a hundred times as long, so only `str` looks for it."""
+    """A payload does not decode as a goal. The reason takes a hundred times as long, so it is found when asked for."""
 
     def __init__(self, payload: bytes) -> None:
-        super().__init__(INVALID_GOAL, "")
-        self._payload = payload
+        super().__init__(Reason.NOT_UNICODE, what="goal")
+        self._payload: bytes | None = payload
 
-    def __str__(self) -> str:
+    @property
+    def reason(self) -> Reason:
+        """Why the payload is no goal."""
+        self._find()
+        return super().reason
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The facts as texts."""
+        self._find()
+        return super().facts
+
+    def _find(self) -> None:
+        """Finds the reason at the first call."""
+        payload, self._payload = self._payload, None
+        if payload is None:
+            return
         try:
-            parse_strictly(self._payload)
+            parse_strictly(payload)
         except Refusal as refusal:
-            return str(refusal)
-        return "goal: a text in it is no Unicode"
+            self._reason, self._facts = refusal.reason, refusal.facts
 
 
 def parse_quickly(payload: bytes) -> GoalMessage | None:
@@ -125,13 +140,14 @@ def parse_strictly(payload: bytes) -> GoalMessage:
     try:
         value: Any = json.loads(payload.decode("utf-8"), object_pairs_hook=once)
     except UnicodeDecodeError as error:
-        raise refusal(f"goal is not UTF-8: byte {error.start} is 0x{payload[error.start]:02x}") from None
+        byte = f"{payload[error.start]:02x}"
+        raise Refusal(Reason.NOT_UTF8, what="goal", byte=error.start, value=byte) from None
     except (ValueError, RecursionError) as error:
-        raise refusal(f"goal is not JSON: {error}") from None
+        raise Refusal(Reason.NOT_JSON, what="goal", error=str(error)) from None
     if not isinstance(value, dict):
-        raise refusal("goal: an object with `waypoints` is needed")
+        raise Refusal(Reason.NO_OBJECT, what="goal", fields="`waypoints`")
     if isinstance(value.get("waypoints"), list) and len(value["waypoints"]) > MOST_POINTS:
-        raise refusal(f"waypoints: {len(value['waypoints'])}, at most {MOST_POINTS} are accepted")
+        raise Refusal(Reason.TOO_MANY_WAYPOINTS, count=len(value["waypoints"]), most=MOST_POINTS)
     try:
         message = msgspec.convert(value, GoalMessage)
     except (
@@ -139,7 +155,7 @@ def parse_strictly(payload: bytes) -> GoalMessage:
         RecursionError,
         UnicodeError,
     ):  # the slower check names each fault by its field
-        raise refusal(faults_of(value)) from None
+        raise refusal_of(value, GoalMessage, "goal") from None
     return message
 
 
@@ -153,36 +169,35 @@ def check_destinations(message: GoalMessage) -> None:
         where = f"waypoints[{k}]"
         if waypoint.configuration is None:
             if waypoint.position is None:
-                raise refusal(f"{where}.position: required, but missing; a `configuration` may replace it")
+                raise Refusal(Reason.NO_DESTINATION, where=f"{where}.position")
             continue
         for name, given in (("position", waypoint.position), ("orientation", waypoint.orientation)):
             if given is not None:
-                raise refusal(f"{where}.{name}: a configuration already determines it, leave out one of them")
+                raise Refusal(Reason.TWO_DESTINATIONS, where=f"{where}.{name}")
         if message.path_tolerance is not None:
-            raise refusal(f"{where}.configuration: lines are followed by position only, leave out path_tolerance")
+            raise Refusal(Reason.LINE_WITH_POSE, where=f"{where}.configuration")
 
 
-def check_reach(message: GoalMessage, manipulator: Manipulator, farthest: float, tolerance: float) -> None:
+def check_reach(message: GoalMessage, base: Sequence[float], farthest: float, tolerance: float) -> None:
     """Checks the distances of a goal's positions from the base.
 
     Args:
         message: the goal.
-        manipulator: the whole arm.
+        base: position of the arm's base, shape (dimension,). Positions of another dimension are not checked.
         farthest: greatest distance of the tip from the base.
         tolerance: default tolerance of the position.
 
     Raises:
         Refusal: a position is farther than the tip can be; the message names the field.
     """
-    base, most = manipulator.base[: manipulator.dimension, 3].tolist(), message.tolerance.position or tolerance
+    most = message.tolerance.position or tolerance
     for k, waypoint in enumerate(message.waypoints):
         position = waypoint.position
         if position is None or len(position) != len(base):
             continue
         if (away := math.dist(position, base)) > farthest + most:
-            where = f"waypoints[{k}].position: ({', '.join(f'{x:g}' for x in position)}) is out of reach"
-            words = f"{where}: {away:g} from the base, and no tip is farther from it than {farthest:g}"
-            raise Refusal(GOAL_TOLERANCE_VIOLATED, words, message.id)
+            where, numbers = f"waypoints[{k}].position", ", ".join(f"{x:g}" for x in position)
+            raise Refusal(Reason.BEYOND_LENGTH, message.id, where=where, position=numbers, away=away, farthest=farthest)
 
 
 def check_size(size: int) -> None:
@@ -192,7 +207,7 @@ def check_size(size: int) -> None:
         Refusal: the payload is too large.
     """
     if size > MOST_BYTES:
-        raise refusal(f"goal of {size} bytes, at most {MOST_BYTES} are accepted")
+        raise Refusal(Reason.TOO_LARGE, what="goal", size=size, most=MOST_BYTES)
 
 
 def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -209,22 +224,14 @@ def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return fields
 
 
-def faults_of(value: Any) -> str:
-    """Returns the first three faults of a value that is no goal, named by field."""
+def refusal_of(value: Any, kind: type[Struct], name: str) -> Refusal:
+    """Returns the refusal of a value that is no message of a kind, which is called `name`; it names the fields."""
     faults: list[str] = []
     try:
-        check(value, GoalMessage, faults)
+        check(value, kind, faults)
     except RecursionError:
-        return "goal is nested too deeply"
-    more = f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else ""
-    return "; ".join(faults[:3]) + more
-
-
-def refusal(message: str) -> Refusal:
-    """Returns the refusal of an invalid goal; the message is cut at LONGEST_SENTENCE and made printable."""
-    if len(message) > LONGEST_SENTENCE:
-        message = message[:LONGEST_SENTENCE] + "..."
-    return Refusal(INVALID_GOAL, message.encode("utf-8", "backslashreplace").decode())
+        return Refusal(Reason.NESTED_TOO_DEEPLY, what=name)
+    return Refusal(Reason.INVALID_FIELDS, faults=all_faults(faults))
 
 
 class GoalRules(NamedTuple):
@@ -257,7 +264,7 @@ def schedule(message: GoalMessage, rules: GoalRules, now: float) -> Trajectory:
         Refusal: the goal is invalid; the message names the field.
     """
     if not message.waypoints:
-        raise refusal("waypoints: empty; at least one is needed")
+        raise Refusal(Reason.NO_WAYPOINTS)
     dimension, tolerance, angle_tolerance, pace, manipulator = rules
     places, fixed = list[Position](), dict[int, NDArray[np.uint8]]()
     for k, waypoint in enumerate(message.waypoints):
@@ -265,9 +272,11 @@ def schedule(message: GoalMessage, rules: GoalRules, now: float) -> Trajectory:
         if waypoint.configuration is not None:
             position, fixed[k] = destination(waypoint.configuration, manipulator, f"waypoints[{k}].configuration")
         elif len(position) != dimension:
-            raise refusal(f"waypoints[{k}].position: {len(position)} coordinates, this arm's goals have {dimension}")
+            raise Refusal(
+                Reason.WRONG_DIMENSION, where=f"waypoints[{k}].position", count=len(position), dimension=dimension
+            )
         elif waypoint.orientation is not None and message.path_tolerance is not None:
-            raise refusal(f"waypoints[{k}].orientation: lines are followed by position only, leave out path_tolerance")
+            raise Refusal(Reason.LINE_WITH_POSE, where=f"waypoints[{k}].orientation")
         places.append(position)
     moments = [waypoint.t for waypoint in message.waypoints]
     check_times(moments, message.stamp, pace.shortest, now)
@@ -293,16 +302,16 @@ def check_times(times: Sequence[float], stamp: float, shortest: float, now: floa
     """
     for k, (before, after) in enumerate(pairwise(times)):
         if after <= before:
-            raise refusal(f"waypoints[{k + 1}].t: {after:g} does not come after waypoints[{k}].t = {before:g}")
+            earlier = f"waypoints[{k}].t = {before:g}"
+            raise Refusal(Reason.TIMES_NOT_INCREASING, where=f"waypoints[{k + 1}]", t=after, earlier=earlier)
         if after - before < shortest - 1e-9:
-            apart = f"{after - before:.3g} s apart, the actuators need {shortest:.3g} s"
-            raise refusal(f"waypoints[{k}] to waypoints[{k + 1}]: {apart}")
+            apart, needed = f"{after - before:.3g}", f"{shortest:.3g}"
+            raise Refusal(
+                Reason.TIMES_TOO_CLOSE, where=f"waypoints[{k}] to waypoints[{k + 1}]", apart=apart, needed=needed
+            )
     if stamp and stamp + times[-1] < now:
         late = now - stamp - times[-1]
-        raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: the trajectory ended {late:.3f} s before it arrived")
+        raise Refusal(Reason.ARRIVED_TOO_LATE, late=f"{late:.3f}")
     ahead = max(stamp - now if stamp else 0.0, 0.0) + times[-1]
     if ahead > FARTHEST_AHEAD:
-        raise refusal(
-            f"stamp: the trajectory would end {ahead:.3g} s from now, at most {FARTHEST_AHEAD:g} s are accepted;"
-            " stamps are UNIX seconds"
-        )
+        raise Refusal(Reason.TOO_FAR_AHEAD, ahead=f"{ahead:.3g}", most=FARTHEST_AHEAD)

@@ -6,10 +6,11 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from controller.manipulator.locked import STATES
-from controller.motion.decoding.goal import refusal
 from controller.motion.decoding.setpoint import parse
 from controller.obstacles.notation import ObstacleList, parse_obstacles
 from controller.obstacles.obstacles import Obstacles
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal, all_faults
 
 MOST_OBSTACLE_BYTES = 200_000  # 256 obstacles with long names and all digits
 
@@ -46,10 +47,14 @@ def decode_jog(payload: bytes, actuators: Sequence[str]) -> dict[int, int]:
     message = parse(payload, JogMessage, "jog")
     indices = {label: k for k, label in enumerate(actuators)}
     if unknown := [label for label in message.actuators if label not in indices]:
-        shown = unknown[0] if len(unknown[0]) <= 60 else unknown[0][:57] + "..."
-        known = f"{actuators[0]} to {actuators[-1]}"
-        raise refusal(f"actuators: {shown!r} is no actuator of this arm; they are {known}")
+        raise no_actuator("actuators", unknown[0], actuators)
     return {indices[label]: STATES.index(state) for label, state in message.actuators.items()}
+
+
+def no_actuator(field: str, label: str, actuators: Sequence[str]) -> Refusal:
+    """Returns the refusal of a label in a field that is none of the labels of the arm."""
+    shown = repr(label if len(label) <= 60 else label[:57] + "...")
+    return Refusal(Reason.UNKNOWN_ACTUATOR, field=field, actuator=shown, first=actuators[0], last=actuators[-1])
 
 
 def decode_degrade(payload: bytes) -> DegradeMessage:
@@ -75,5 +80,5 @@ def decode_obstacles(payload: bytes, dimension: int) -> Obstacles:
     faults = list[str]()
     obstacles = parse_obstacles(message.regions, dimension, "regions", faults)
     if faults:
-        raise refusal("; ".join(faults[:3]) + (f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else ""))
+        raise Refusal(Reason.INVALID_FIELDS, faults=all_faults(faults))
     return obstacles

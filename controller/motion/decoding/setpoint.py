@@ -9,9 +9,9 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from controller.armfile.strict import check
-from controller.motion.codes import Refusal
-from controller.motion.decoding.goal import Coordinate, Time, Tolerance, once, refusal
+from controller.motion.decoding.goal import Coordinate, Time, Tolerance, once, refusal_of
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 S = TypeVar("S", bound=Struct)
 
@@ -54,9 +54,9 @@ def decode(payload: bytes, dimension: int, tolerance: float) -> TrackedSetpoint:
     """
     message = parse(payload, SetpointMessage, "setpoint")
     if len(message.position) != dimension:
-        raise refusal(f"position: {len(message.position)} coordinates, this arm's goals have {dimension}")
+        raise Refusal(Reason.WRONG_DIMENSION, where="position", count=len(message.position), dimension=dimension)
     if message.tolerance.orientation is not None:
-        raise refusal("tolerance.orientation: this arm follows positions only, leave it out")
+        raise Refusal(Reason.NO_ORIENTATION)
     return TrackedSetpoint(
         position=np.array(message.position),
         stamp=message.stamp or None,
@@ -77,27 +77,18 @@ def parse(payload: bytes, kind: type[S], name: str, most: int = MOST_BYTES) -> S
         Refusal: too large, not UTF-8, not JSON, or not a message of this kind.
     """
     if len(payload) > most:
-        raise refusal(f"{name} of {len(payload)} bytes, at most {most} are accepted")
+        raise Refusal(Reason.TOO_LARGE, what=name, size=len(payload), most=most)
     try:
         value: Any = json.loads(payload.decode("utf-8"), object_pairs_hook=once)
     except UnicodeDecodeError as error:
-        raise refusal(f"{name} is not UTF-8: byte {error.start} is 0x{payload[error.start]:02x}") from None
+        byte = f"{payload[error.start]:02x}"
+        raise Refusal(Reason.NOT_UTF8, what=name, byte=error.start, value=byte) from None
     except (ValueError, RecursionError) as error:
-        raise refusal(f"{name} is not JSON: {error}") from None
+        raise Refusal(Reason.NOT_JSON, what=name, error=str(error)) from None
     if not isinstance(value, dict):
         needed = " and ".join(f"`{field.name}`" for field in msgspec.structs.fields(kind) if field.required)
-        raise refusal(f"{name}: an object with {needed} is needed")
+        raise Refusal(Reason.NO_OBJECT, what=name, fields=needed)
     try:
         return msgspec.convert(value, kind)
     except (msgspec.ValidationError, RecursionError, UnicodeError):  # the slower check names each fault
-        raise _refusal_of(value, kind, name) from None
-
-
-def _refusal_of(value: Any, kind: type[Struct], name: str) -> Refusal:
-    """Returns the refusal of a value that is no message of a kind; it names the first three faults."""
-    faults: list[str] = []
-    try:
-        check(value, kind, faults)
-    except RecursionError:
-        faults = [f"{name} is nested too deeply"]
-    return refusal("; ".join(faults[:3]) + (f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else ""))
+        raise refusal_of(value, kind, name) from None

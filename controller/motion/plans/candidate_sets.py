@@ -7,6 +7,7 @@ import numpy as np
 from numba import int64, njit, types
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1
 from controller.manipulator.manipulator import Manipulator
 from controller.motion.plans.halves import (
     CANDIDATES,
@@ -23,7 +24,7 @@ from controller.motion.plans.halves import (
     match,
 )
 from controller.obstacles.scene import Scene, for_scenes
-from controller.search.frame_rows import F1, motions
+from controller.search.frame_rows import motions
 from controller.search.method import costs_between_states
 from controller.search.segment import ROWS, Rows, Sets, grow, room
 from controller.search.target import SearchTarget

@@ -6,9 +6,10 @@ import numpy as np
 from numba import boolean, float64, int32, int64, njit, types, uint16
 from numpy.typing import NDArray
 
+from controller.manipulator.kernel_types import F1, F2, F3, I1, named
 from controller.manipulator.manipulator import Configuration
 from controller.obstacles.scene import Scene, collides, for_scenes
-from controller.search.frame_rows import F1, F2, F3, I1, compose, named
+from controller.search.frame_rows import compose
 from controller.search.segment import ROWS, Rows
 from controller.search.target import QUERY, SearchQuery, reaches
 

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
-from controller.motion.codes import Refusal
 from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import Infeasible, Staged
 from controller.motion.trajectory import Trajectory
+from controller.refusals.refusal import Refusal
 from controller.search.solution import Certificate, Solution, certificate, proof
 
 

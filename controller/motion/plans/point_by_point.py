@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from controller.manipulator.manipulator import Configuration
-from controller.motion.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, Refusal
 from controller.motion.plans.plan import TrajectoryPlan
 from controller.motion.plans.points import States, TrajectoryPoint
 from controller.motion.plans.transitions import PlannedTransition, TransitionPlanner
 from controller.motion.stages.pacing import Blocked
 from controller.motion.stages.stage_sequencer import DETOUR_TIME
-from controller.search.method import Method
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
+from controller.search.method import MINIMUM_SWITCH, Method
 from controller.search.solution import Solution
 from controller.search.solver import TIMEOUT
 from controller.search.target import distance
@@ -53,7 +54,7 @@ class PointByPoint:
                 was found, the time is too short, or the arm collides where it stands.
         """
         if self._solver.clearance is not None and (where := self._solver.clearance.where(previous)) is not None:
-            raise Refusal(INVALID_GOAL, f"the arm may not move from where it stands: {where}")
+            raise Refusal(Reason.ARM_IN_OBSTACLE, collision=where)
         self._deadline = time.perf_counter() + self._seconds
         planned = list[PlannedTransition]()
         for point in self._planner.points:
@@ -78,15 +79,14 @@ class PointByPoint:
         try:
             configuration = self._solver.manipulator.configuration(states)
         except ValueError as error:
-            raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{point.place}: a locked actuator: {error}") from None
+            raise Refusal(Reason.LOCKED_CONFIGURATION, where=point.place, error=str(error)) from None
         if self._solver.clearance is not None and (where := self._solver.clearance.where(configuration)) is not None:
-            raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{point.place}: {where}")
+            raise Refusal(Reason.GOAL_IN_OBSTACLE, where=point.place, collision=where)
         solution = self._planner.solution_of(point, previous, configuration)
         try:
             return self._planner.transition(point, previous, solution, self._with_deviation(), DETOUR_TIME)
         except Blocked as blocked:
-            what = f"no collision-free transition to it was found: {blocked}"
-            raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{point.place}: {what}") from None
+            raise Refusal(Reason.NO_CLEAR_PATH, where=point.place, blocked=str(blocked)) from None
 
     def _to_found(self, point: TrajectoryPoint, previous: Configuration) -> PlannedTransition:
         """Returns the transition to a configuration that is searched for a point.
@@ -97,7 +97,7 @@ class PointByPoint:
         remaining, with_deviation = self._remaining(), self._with_deviation()
         solution = self._solver.solve(point.target, previous, self._method, min(self._longest, remaining))
         if not solution.within_tolerance:
-            raise Refusal(GOAL_TOLERANCE_VIOLATED, out_of_reach(point, solution))
+            raise out_of_reach(point, solution)
         try:
             return self._planner.transition(point, previous, solution, with_deviation)
         except Blocked as blocked:
@@ -127,8 +127,7 @@ class PointByPoint:
                     return self._planner.transition(point, previous, solution, detour_time=detour_time)
                 except (Blocked, Refusal):
                     continue
-        what = f"no collision-free transition to it was found: {blocked}"
-        raise Refusal(GOAL_TOLERANCE_VIOLATED, f"{point.place}: {what}") from None
+        raise Refusal(Reason.NO_CLEAR_PATH, where=point.place, blocked=str(blocked)) from None
 
     def _ranked(self, point: TrajectoryPoint, previous: Configuration, cheapest: Solution) -> list[Solution]:
         """Returns solutions of a point: the cheapest, then others by their cost, at last those of IPOP and POP."""
@@ -146,7 +145,7 @@ class PointByPoint:
 
     def _with_deviation(self) -> bool:
         """Returns whether there is time to compute the deviation of a transition."""
-        return self._method != "minimum-switch" or self._remaining() > 0
+        return self._method != MINIMUM_SWITCH or self._remaining() > 0
 
 
 def staying(before: PlannedTransition, point: TrajectoryPoint) -> PlannedTransition | None:
@@ -159,8 +158,8 @@ def staying(before: PlannedTransition, point: TrajectoryPoint) -> PlannedTransit
     return PlannedTransition(solution, replace(staged, stages=staged.stages[-1:], deviation_source=0.0))
 
 
-def out_of_reach(point: TrajectoryPoint, nearest: Solution) -> str:
-    """Returns the message for a point without a configuration within tolerance."""
+def out_of_reach(point: TrajectoryPoint, nearest: Solution) -> Refusal:
+    """Returns the refusal of a point for which no configuration within tolerance was found."""
     trajectory, k = point.trajectory, point.index
     goal, tolerance = trajectory.positions[k], trajectory.tolerances[k]
     bias = trajectory.bias
@@ -168,10 +167,12 @@ def out_of_reach(point: TrajectoryPoint, nearest: Solution) -> str:
     tip = ", ".join(f"{x:.4f}" for x in nearest.tip[: len(goal), 3])
     if (turn := trajectory.turns[k]) < np.inf:
         away = f"{nearest.error:.4f} away and turned {nearest.angle:.4f} rad, tolerances {tolerance:g} and {turn:g}"
-        found = f"{nearest.reach} in this orientation; the nearest pose found is at ({tip}), {away}"
+        turned, found = " in this orientation", f"the nearest pose found is at ({tip}), {away}"
     else:
         away = f"{nearest.error:.4f} away, tolerance {tolerance:g}"
-        found = f"{nearest.reach}; the nearest point found is ({tip}), {away}"
+        turned, found = "", f"the nearest point found is ({tip}), {away}"
     if bias is not None and bias.any():
         found += f"; the tip bias is ({', '.join(f'{x:.4f}' for x in bias)})"
-    return f"{point.place}: ({wanted}) {found}"
+    if nearest.certificate == "unreachable":
+        return Refusal(Reason.OUT_OF_REACH, where=point.place, position=wanted, turned=turned, nearest=found)
+    return Refusal(Reason.NOT_FOUND, where=point.place, position=wanted, turned=turned, nearest=found)

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.plans.points import TrajectoryPoint, TrajectoryPoints
 from controller.motion.stages.pacing import Blocked, Infeasible, Pace, Staged, Stager
 from controller.motion.stages.restaging import restage
 from controller.motion.trajectory import Trajectory, upwards
 from controller.obstacles.keep_out import KeepOutSet
 from controller.obstacles.sweep import Sweep, sweep_of
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 from controller.search.solution import Solution
 from controller.search.solver import Solver
 
@@ -94,7 +95,7 @@ class TransitionPlanner:
         except Blocked:
             raise
         except Infeasible as error:
-            raise self._too_fast(point, solution, f"{available:.3g} s, {error}") from None
+            raise self._too_fast(point, solution, f"{available:.3g}", str(error)) from None
         if len(staged.stages) == 1:  # no actuator switches twice
             return PlannedTransition(solution, staged)
         counts = staged.switches_from(self.solver.manipulator.actuator_states(previous))
@@ -110,17 +111,17 @@ class TransitionPlanner:
             return None
         return max(stamp + float(times[0]) - time.time(), self.pace.needed(solution.switches))
 
-    def _too_fast(self, point: TrajectoryPoint, solution: Solution, words: str) -> Refusal:
-        """Returns the refusal of a point for which the time is too short."""
+    def _too_fast(self, point: TrajectoryPoint, solution: Solution, available: str, needed: str) -> Refusal:
+        """Returns the refusal of a point for which the time is too short; `available` is in seconds."""
         trajectory, number = self.trajectory, self.trajectory.next(point.index)
         if number == 0:
-            return Refusal(INVALID_GOAL, f"waypoints[0]: {words}")
-        where, whole = f"waypoints[{number - 1}] to waypoints[{number}]", ""
+            return Refusal(Reason.TIME_TOO_SHORT, where="waypoints[0]", available=available, needed=needed)
+        where = f"waypoints[{number - 1}] to waypoints[{number}]"
         parts = int(trajectory.waypoints[number] - trajectory.waypoints[number - 1])
         if parts > 1:
             where += f", one of {parts} parts"
-            whole = f", and the line {upwards(parts * self.pace.needed(solution.switches)):g} s"
-        return Refusal(INVALID_GOAL, f"{where}: {words}{whole}")
+            needed += f", and the line {upwards(parts * self.pace.needed(solution.switches)):g} s"
+        return Refusal(Reason.TIME_TOO_SHORT, where=where, available=available, needed=needed)
 
 
 def first_transition(
@@ -154,7 +155,7 @@ def first_transition(
             return planned
     stages = restage(manipulator, commanded, planned.stages, most)
     if (collision := keep_out.first_collision(commanded, stages, proceed)) is not None:
-        raise Refusal(INVALID_GOAL, f"the motion from the arm's present state would collide: {collision}")
+        raise Refusal(Reason.START_COLLIDES, collision=collision)
     return planned if np.array_equal(stages, planned.stages) else Staged(stages, None, planned.strict)
 
 

@@ -13,7 +13,7 @@ from controller.motion.plans.point_by_point import PointByPoint
 from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along
-from controller.search.method import Method
+from controller.search.method import MINIMUM_SWITCH, Method
 from controller.search.solver import TIMEOUT
 
 FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s]: most for the first answers of all points; for the search of the whole
@@ -57,7 +57,7 @@ def plan_whole(
         Refusal: see `PointByPoint.plan`.
     """
     found = PointByPoint(planner, method, first_time(planner.trajectory) if first is None else first).plan(previous)
-    return found if method != "minimum-switch" else look_ahead(planner, found, previous, seconds)
+    return found if method != MINIMUM_SWITCH else look_ahead(planner, found, previous, seconds)
 
 
 def first_time(trajectory: Trajectory) -> float:

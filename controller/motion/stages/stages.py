@@ -33,12 +33,10 @@ class Stages:
     Attributes:
         actuators: indices into the arm's actuators, for each stage, ascending within a stage.
         deviation: greatest distance of the tip from the line.
-        at_once: likewise if all actuators switched in one stage.
     """
 
     actuators: tuple[tuple[int, ...], ...]
     deviation: float
-    at_once: float
 
 
 def order_stages(
@@ -74,14 +72,12 @@ def order_stages(
             f"stages: {stages} of at most {most} actuators for {n} switches, at least {-(-n // most)} needed"
         )
     if n == 0:
-        return Stages((), 0.0, 0.0)
+        return Stages((), 0.0)
     everything, before = np.arange(n), transition.masks([])
-    skipping = replace(transition, unknown=SKIPPED)
-    for t in (transition, skipping):
+    for t in (transition, replace(transition, unknown=SKIPPED)):
         found = best_stages(t, before, everything, most, limit) if n <= EXACT else good_stages(t, most, limit)
         if found and (deviation := max(peaks(t, before, found))) < np.inf:
-            at_once = max(deviation, skipping.greatest(before, everything))
-            return Stages(tuple(tuple(sorted(t.actuators[k].tolist())) for k in found), deviation, at_once)
+            return Stages(tuple(tuple(sorted(t.actuators[k].tolist())) for k in found), deviation)
     raise ValueError(
         f"most: {most} actuators at once, in at most {limit} stages; no order was found in which every stage ends in"
         " actuator states that all modules have"

@@ -7,9 +7,9 @@ from numba import boolean, njit, types, uint8
 from numpy.typing import NDArray
 
 from controller.manipulator.frame_kernels import compose, set_identity
+from controller.manipulator.kernel_types import F2, F3, F4, I1, named
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.stages.deviation import MOVING, Array, Index, Known, MovingModules, Transition
-from controller.search.frame_rows import F2, F3, F4, I1, named
 
 
 class ModuleStates(NamedTuple):

@@ -12,11 +12,12 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from controller.motion.codes import OLD_HEADER_TIMESTAMP, Refusal
-from controller.motion.decoding.goal import Coordinate, Time, refusal
+from controller.motion.decoding.goal import Coordinate, Time
 from controller.motion.decoding.setpoint import parse
 from controller.motion.tracking.kalman import kalman_filter
 from controller.motion.tracking.tracking import GATES
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 Vector = NDArray[np.float64]
 
@@ -41,10 +42,10 @@ def decode(payload: bytes, dimension: int) -> tuple[Vector, float]:
     """
     message = parse(payload, MeasuredTipMessage, "measured tip")
     if len(message.position) != dimension:
-        raise refusal(f"position: {len(message.position)} coordinates, this arm's tip has {dimension}")
+        raise Refusal(Reason.WRONG_DIMENSION, where="position", count=len(message.position), dimension=dimension)
     if isinstance(message.orientation, list) == (dimension == 2) and message.orientation is not None:
         wanted = "an angle" if dimension == 2 else "a quaternion x, y, z, w"
-        raise refusal(f"orientation: {wanted} is needed for this arm")
+        raise Refusal(Reason.OTHER_ORIENTATION, wanted=wanted)
     return np.array(message.position), message.stamp
 
 
@@ -129,10 +130,10 @@ class TipBias:
         """
         if time <= self._estimate.time:
             early = self._estimate.time - time
-            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {early:.3f} s before the last accepted one")
+            raise Refusal(Reason.OUT_OF_ORDER, early=f"{early:.3f}")
         far, most = float(np.linalg.norm(difference)), FARTHEST * self._tracker.clamp
         if far > most:
-            raise refusal(f"position: {far:.4g} from the computed tip, at most {most:.4g} is accepted, twice the clamp")
+            raise Refusal(Reason.TIP_TOO_FAR, away=f"{far:.4g}", most=f"{most:.4g}")
         if time - self._estimate.time > self._tracker.hold:
             self._estimate.start(self._none, self._tracker.clamp, time)
         if self._estimate.fits(difference, time):

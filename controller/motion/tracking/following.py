@@ -8,7 +8,7 @@ from controller.motion.plans.transitions import sweep_for
 from controller.motion.stages.pacing import Blocked, Pace, Stager
 from controller.motion.stages.restaging import restage
 from controller.obstacles.keep_out import KeepOutSet, States
-from controller.search.method import Method
+from controller.search.method import MINIMUM_SWITCH, Method
 from controller.search.solution import Solution
 from controller.search.solver import Solver
 from controller.search.target import SearchTarget
@@ -39,7 +39,7 @@ class SetpointQuery(NamedTuple):
 def find(query: SetpointQuery, method: Method) -> Solution:
     """Searches by a method; returns IPOP's result if it misses by far, as longer searches miss, too."""
     solver, target, start = query.solver, query.target, query.start
-    if method == "minimum-switch":
+    if method == MINIMUM_SWITCH:
         first = solver.solve(target, start, "ipop-fewest-switches", hard_timeout=SEARCH_TIME)
         if first.error > FAR * target.tolerance:
             return first

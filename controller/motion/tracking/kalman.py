@@ -2,6 +2,9 @@
 
 filterpy imports scipy.stats to compute likelihoods, which hyperbit does not use. The import would cost each planner
 58 MiB and more than a second. While filterpy is imported, an empty module replaces scipy.stats.
+
+filterpy has no option against this import. A lazy module of importlib would not help: filterpy imports names from
+scipy.stats, which loads the module.
 """
 
 import sys

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.motion.codes import OLD_HEADER_TIMESTAMP, Refusal
-from controller.motion.decoding.goal import refusal
 from controller.motion.tracking.goal_motion import Tracking
 from controller.motion.tracking.kalman import kalman_filter, white_noise
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 Vector = NDArray[np.float64]
 
@@ -166,23 +166,22 @@ class GoalTracker:
         """Returns the position if the filter can take it."""
         point = np.asarray(position, dtype=float)
         if point.shape != (self._dimension,):
-            raise refusal(f"position: shape {point.shape} given, this arm's goals have shape ({self._dimension},)")
+            raise Refusal(Reason.WRONG_DIMENSION, where="position", count=str(point.shape), dimension=self._dimension)
         if not (np.abs(point) <= FARTHEST).all():
-            raise refusal(f"position: {point.tolist()} given, numbers from {-FARTHEST:g} to {FARTHEST:g} are needed")
+            needed = f"numbers from {-FARTHEST:g} to {FARTHEST:g}"
+            raise Refusal(Reason.NOT_FINITE, where="position", given=str(point.tolist()), needed=needed)
         if not math.isfinite(arrival + (stamp or 0.0)):
-            raise refusal(f"stamp: {stamp} given at {arrival}, finite times are needed")
+            raise Refusal(Reason.NOT_FINITE, where="stamp", given=f"{stamp} at {arrival}", needed="finite times")
         return point
 
     def _ordered(self, stamp: float, arrival: float) -> float:
         """Returns a stamp that passed the checks, and stores it as the last one."""
         if not stamp <= arrival + self._tracking.slack:
-            ahead = f"{stamp - arrival:.3f} s in the future, at most {self._tracking.slack:g} s are accepted"
-            raise refusal(f"stamp: {ahead}; stamps are UNIX seconds")
+            raise Refusal(Reason.FROM_THE_FUTURE, ahead=f"{stamp - arrival:.3f}", most=self._tracking.slack)
         if stamp < arrival - self._tracking.validity:
-            age = f"{arrival - stamp:.3f} s old on arrival, at most {self._tracking.validity:g} s are accepted"
-            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {age}")
+            raise Refusal(Reason.STALE, age=f"{arrival - stamp:.3f}", most=self._tracking.validity)
         if stamp <= self._stamp:
-            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {self._stamp - stamp:.3f} s before the last accepted one")
+            raise Refusal(Reason.OUT_OF_ORDER, early=f"{self._stamp - stamp:.3f}")
         self._stamp = stamp
         return stamp
 

@@ -10,13 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.locked import STATES, require_states
-from controller.motion.codes import INVALID_GOAL, Refusal
+from controller.armfile.locks import lock_warning, locks_in_words
+from controller.host.process import Log
+from controller.manipulator.locked import require_states
+from controller.motion.decoding.requests import no_actuator
 from controller.motion.stages.program import pack_states, unpack_states
-from controller.planning.core.events import LockMessage, Log
+from controller.planning.core.events import LockMessage
 from controller.planning.core.parts import Parts
 from controller.planning.core.tasks import Answer, ArmStart, BuildTables, Failed, Tables
 from controller.program import Diagnostics, Fault, Mode, Settled, Snapshot, Welcome
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal, no_motion
 
 if TYPE_CHECKING:
     from controller.manipulator.manipulator import Configuration, Manipulator
@@ -227,18 +231,13 @@ class ExecutorView:
         return snapshot.mode, self._sentence if snapshot.mode == "ready" and self._sentence else snapshot.reason
 
 
-def obstruction(state: ArmState, mode: Mode, reason: str) -> str | None:
+def obstruction(state: ArmState, mode: Mode, reason: str) -> Refusal | None:
     """Returns why no goal can be planned from a state, in the mode that users see; None if one can."""
     if state.unknown_state is not None:
-        return f"unknown state: {state.unknown_state}; switch single actuators with `jog`"
+        return Refusal(Reason.UNKNOWN_STATE, why=state.unknown_state)
     if state.known and state.configuration is None:
-        return f"unknown state: the arm moves to states that are no configuration ({reason}); send another `jog`"
-    return f"the arm is {mode}: {reason}" if state.configuration is None else None
-
-
-def no_motion(mode: Mode, reason: str) -> Refusal:
-    """Returns the refusal of a motion in a mode that allows none."""
-    return Refusal(INVALID_GOAL, f"the arm is {mode}: {reason}")
+        return Refusal(Reason.STATE_IN_BETWEEN, why=reason)
+    return no_motion(mode, reason) if state.configuration is None else None
 
 
 class Locks:
@@ -296,9 +295,7 @@ class Locks:
         """
         labels = self._view.manipulator.actuators
         if message.actuator not in labels:
-            known = f"{labels[0]} to {labels[-1]}"
-            words = f"actuator: {message.actuator[:40]!r} is no actuator of this arm; they are {known}"
-            raise Refusal(INVALID_GOAL, words)
+            raise no_actuator("actuator", message.actuator, labels)
         k, states = labels.index(message.actuator), self.states.copy()
         if message.state is None:
             return k  # also in states that are no configuration: a jog leaves them only with unlocked actuators
@@ -311,23 +308,24 @@ class Locks:
                 held = np.where((states >= 0) & ~state.sensed, states, state.measured)
                 self._view.manipulator.configuration(held)
         except ValueError as error:
-            raise Refusal(INVALID_GOAL, f"state: {error}") from None
+            raise Refusal(Reason.MODULE_WITHOUT_STATE, error=str(error)) from None
         return k
 
     def faults(self) -> Iterator[Fault]:
         """Yields the faults for `state`: each locked actuator, and tables that could not be rebuilt."""
-        labels = self._view.manipulator.actuators
-        for k in np.flatnonzero(self.states >= 0):
-            state = STATES[self.states[k]]
-            yield Fault("degraded", labels[k], f"actuator {labels[k]} is locked {state}: plans do not switch it")
+        for label, state in self._locks():
+            yield Fault("degraded", label, lock_warning(label, state))
         if self.problem is not None:
             yield Fault("internal-error", "daemon", self.problem)
 
     def sentence(self) -> str:
         """Returns the locked actuators in words, e.g. "locked: 5.left (contracted)"."""
+        return locks_in_words(self._locks())
+
+    def _locks(self) -> Iterator[tuple[str, int]]:
+        """Yields label and state of each locked actuator."""
         labels, states = self._view.manipulator.actuators, self.states
-        names = [f"{labels[k]} ({STATES[states[k]]})" for k in np.flatnonzero(states >= 0)]
-        return f"locked: {', '.join(names)}" if names else "no actuator is locked"
+        return ((labels[k], int(states[k])) for k in np.flatnonzero(states >= 0))
 
     def _rebuild(self) -> None:
         """Starts a rebuild if one is needed and none runs."""

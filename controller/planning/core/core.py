@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from controller import program
-from controller.motion.codes import INVALID_GOAL, PATH_TOLERANCE_VIOLATED
+from controller.host.process import Log, Quit
 from controller.motion.tracking.goal_motion import tracking_of
 from controller.planning.core import events
 from controller.planning.core.arm import ExecutorView, Locks
@@ -24,6 +24,10 @@ from controller.planning.core.results import Results
 from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.planning.core.tasks import ImprovePlan, Planned, Scene, Tables
+from controller.refusals.codes import PATH_TOLERANCE_VIOLATED
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
+from controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
     from controller.arm.arm import Arm
@@ -71,7 +75,7 @@ class Core:
     """
 
     def __init__(self, arm: Arm, pace: Pace, beginning: Beginning) -> None:
-        manipulator, searches = arm.manipulator, arm.settings.method == "minimum-switch"
+        manipulator, searches = arm.manipulator, arm.settings.method == MINIMUM_SWITCH
         self.ended = False
         self._actions: list[events.Action] = []
         self._counts = beginning.counts
@@ -148,7 +152,7 @@ class Core:
                 self._requests.unsent(number, reason)
             case events.Warned(warnings):
                 self._status.warned(warnings)
-            case events.Quit():
+            case Quit():
                 self._quit()
             case events.Tick():
                 pass
@@ -173,8 +177,8 @@ class Core:
                 case _:
                     self._requests.take(request)
         except Exception:
-            self._act(events.Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
-            self._act(events.Reply(request.number, events.refused(INVALID_GOAL, "internal error, see the journal")))
+            self._act(Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
+            self._act(events.Reply(request.number, events.refused(Refusal(Reason.INTERNAL_ERROR))))
 
     def _live(self) -> events.Payload:
         """Returns the fields of the arm's description that change."""
@@ -224,7 +228,7 @@ class Core:
         self._view.lost(reason)
         if was:
             self._admission.lost()
-            self._goals.lost()
+            self._goals.lost(reason)
             self._programs.lost(reason)
             self._requests.lost(reason)
 

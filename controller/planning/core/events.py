@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
-from controller.motion import codes
+from controller.host.process import Log, Notify, Quit
 from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core.tasks import Answer, Task
 from controller.program import Down, Fault, Up
+from controller.refusals import codes
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 Payload = Mapping[str, Any]
 
@@ -117,10 +119,6 @@ class Warned(NamedTuple):
 
 class Tick(NamedTuple):
     """The time of the last `Wake` has come."""
-
-
-class Quit(NamedTuple):
-    """The process is asked to end."""
 
 
 Event = Request | Unsent | Arrived | FromExecutor | LinkDown | Answered | Published | Recorded | Warned | Tick | Quit
@@ -235,20 +233,6 @@ class Wake(NamedTuple):
     at: float
 
 
-class Notify(NamedTuple):
-    """An assignment for systemd, e.g. "WATCHDOG=1"."""
-
-    text: str
-
-
-class Log(NamedTuple):
-    """A line of the log, with a level of the module logging, and fields for the journal."""
-
-    level: int
-    text: str
-    fields: Mapping[str, str] = MappingProxyType({})
-
-
 class Fail(NamedTuple):
     """The process must end with this message, because a worker does not answer; the service manager starts it again."""
 
@@ -260,7 +244,7 @@ ForLedger = Record | RecordCounts
 ForWorkers = Start | Abandon
 Action = ForClients | ForLedger | ForWorkers | ToExecutor | Disconnect | Wake | Notify | Log | Fail
 
-CLOSING = "the daemon is shutting down; the arm holds"
+CLOSING = Reason.SHUTTING_DOWN.sentence
 
 
 def done(message: str) -> Payload:
@@ -268,6 +252,13 @@ def done(message: str) -> Payload:
     return {"accepted": True, "code": codes.SUCCESSFUL, "message": message}
 
 
-def refused(code: int, message: str, goal: str | None = None) -> Payload:
-    """Returns the answer to a request that was refused; `goal` is its id, if it is known."""
-    return {"accepted": False, "id": goal, "code": code, "message": message}
+def refused(refusal: Refusal, goal: str | None = None) -> Payload:
+    """Returns the answer to a request that was refused; `goal` is its id, if the refusal does not know it."""
+    name = refusal.goal if goal is None else goal
+    return {
+        "accepted": False,
+        "id": name,
+        "code": refusal.code,
+        "reason": refusal.reason.value,
+        "message": str(refusal),
+    }

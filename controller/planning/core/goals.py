@@ -8,20 +8,23 @@ import traceback
 from collections import deque
 from functools import partial
 
-from controller.motion.codes import INVALID_GOAL, Refusal
+from controller.host.journal import fields_of_refusal
+from controller.host.process import Log
 from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core import tasks
-from controller.planning.core.arm import ArmState, no_motion, obstruction, packed
-from controller.planning.core.events import CLOSING, Log, Reply, Request, refused
+from controller.planning.core.arm import ArmState, obstruction, packed
+from controller.planning.core.events import Reply, Request, refused
 from controller.planning.core.offers import Motion, goal_program, jog_program, jog_stages
-from controller.planning.core.parts import BARRED, Parts, Ticket
+from controller.planning.core.parts import Parts, Ticket
 from controller.program import Accepted, Declined
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal, no_motion
 
 MOST_WAITING, MOST_TRIES = 16, 10  # requests; plans, and programs sent, of one goal while the arm moves
 PATIENCE = 2.0  # [s] for the executor's answer; it answers within milliseconds
 NEWER_WITHIN = 0.2  # [s]; a snapshot comes 20 times a second
 LONGEST_PLANNING = 60.0  # [s]
-LOST = "the connection to the executor was lost before it accepted the goal; the arm holds"
+MOVED = (Reason.MOVED_SINCE_PLANNED, Reason.SWITCH_NOT_CONFIRMED)  # the goal is planned again from the new state
 MOST_LINES = 5  # refusals logged in one second
 IDLE = 0.02  # [s] without a request before the next search is prepared
 REHEARSE_EVERY, REHEARSE_FOR = 0.025, 2.0  # [s] between two rehearsals, and after the last goal
@@ -107,9 +110,9 @@ class Goals:
         name = f"jog-{name}" if isinstance(wanted, dict) else wanted.id or name
         motion = Motion(request.number, ticket, wanted, name, request.wall, self._moment.now)
         if self.closing:
-            self._refuse(motion, Refusal(INVALID_GOAL, CLOSING))
+            self._refuse(motion, Refusal(Reason.SHUTTING_DOWN))
         elif len(self._waiting) >= MOST_WAITING:
-            self._refuse(motion, Refusal(INVALID_GOAL, f"busy: {MOST_WAITING} goals are waiting already"))
+            self._refuse(motion, Refusal(Reason.BUSY, most=MOST_WAITING, what="goals"))
         else:
             self._waiting.append(motion)
             self._preparation.end()
@@ -119,7 +122,7 @@ class Goals:
         """Refuses a waiting goal of this id; returns whether there was one."""
         for motion in (*self._waiting, *filter(None, [self._current])):
             if motion.id == goal and motion.program is None:
-                self._end(motion, Refusal(INVALID_GOAL, BARRED))
+                self._end(motion, Refusal(Reason.OVERTAKEN))
                 return True
         return False
 
@@ -141,7 +144,7 @@ class Goals:
                 self._end(motion, refusal)
             except Exception:
                 self._act(Log(logging.ERROR, f"{motion.id} failed\n{traceback.format_exc()}"))
-                self._end(motion, Refusal(INVALID_GOAL, "internal error, see the journal"))
+                self._end(motion, Refusal(Reason.INTERNAL_ERROR))
 
     # --- the executor
 
@@ -160,19 +163,17 @@ class Goals:
         if motion is None or motion.program != message.program:
             return
         motion.program = None
-        if message.cause == "moved" and motion.tries < MOST_TRIES:
+        if message.refused.reason in MOVED and motion.tries < MOST_TRIES:
             motion.planned = None
             motion.waits, motion.since = self._view.state, self._moment.now
-        elif message.cause == "moved":
-            self._end(motion, Refusal(INVALID_GOAL, f"{message.reason}, {MOST_TRIES} times in a row; send it again"))
         else:
-            self._end(motion, Refusal(INVALID_GOAL, BARRED if message.cause == "epoch" else message.reason))
+            self._end(motion, message.refused.refusal)
 
-    def lost(self) -> None:
+    def lost(self, reason: str) -> None:
         """Refuses the request whose program the executor has not answered, because the connection is lost."""
         motion = self._current
         if motion is not None and motion.program is not None:
-            self._end(motion, Refusal(INVALID_GOAL, LOST))
+            self._end(motion, Refusal(Reason.EXECUTOR_LOST, why=reason))
 
     # --- one request
 
@@ -187,28 +188,28 @@ class Goals:
             if self._waits(motion, PATIENCE):
                 return
             self._programs.give_up(motion.program)
-            raise Refusal(INVALID_GOAL, f"the executor did not answer within {PATIENCE:g} s")
+            raise Refusal(Reason.EXECUTOR_SILENT, seconds=PATIENCE)
         if self.closing:
-            raise Refusal(INVALID_GOAL, CLOSING)
+            raise Refusal(Reason.SHUTTING_DOWN)
         if admission.barred(motion.ticket):
-            raise Refusal(INVALID_GOAL, BARRED)
+            raise Refusal(Reason.OVERTAKEN)
         if motion.job is not None:
             if self._waits(motion, LONGEST_PLANNING):
                 return
-            raise Refusal(INVALID_GOAL, f"planning took longer than {LONGEST_PLANNING:g} s: send fewer waypoints")
+            raise Refusal(Reason.PLANNING_TOO_LONG, seconds=LONGEST_PLANNING)
         if motion.waits is not None and motion.waits is self._view.state and self._waits(motion, NEWER_WITHIN):
             return
         motion.waits = None
         if motion.ticket.epoch is None:
             if self._waits(motion, PATIENCE):
                 return
-            raise Refusal(INVALID_GOAL, "the executor has not answered an earlier request; send it again")
+            raise Refusal(Reason.EXECUTOR_BEHIND)
         state, (mode, reason) = self._view.state, self._locks.mode()
         if state is None or mode not in ("ready", "executing"):
             raise no_motion(mode, reason)
         scene, tables = self._obstacles.scene, self._locks.tables
         if tables is None:
-            raise no_motion(mode, f"{reason}; the locked actuators are changing, send it again")
+            raise Refusal(Reason.LOCKS_CHANGING)
         if scene is None:
             return
         basis = tasks.Basis(state.start, tables, scene)
@@ -230,13 +231,13 @@ class Goals:
         """
         motion.tries += 1
         if motion.tries > MOST_TRIES:
-            raise Refusal(INVALID_GOAL, "the arm moved each time before the goal could begin; send it again")
+            raise Refusal(Reason.ARM_MOVED)
         motion.basis, motion.planned = basis, None
         if isinstance(motion.wanted, dict):
             self._plan_jog(motion, motion.wanted, state, basis)
             return
-        if (words := obstruction(state, *self._locks.mode())) is not None:
-            raise Refusal(INVALID_GOAL, words)
+        if (refusal := obstruction(state, *self._locks.mode())) is not None:
+            raise refusal
         motion.since = self._moment.now
         task = tasks.PlanGoal(motion.wanted, motion.received, self._parts.correction(), basis)
         motion.job = self._parts.jobs.start(task, partial(self._answered, motion))
@@ -257,9 +258,8 @@ class Goals:
                 motion.planned = answer
             case tasks.Checked(None):
                 pass
-            case tasks.Checked(collision):
-                words = f"the motion from the arm's present state would collide: {collision}"
-                self._end(motion, Refusal(INVALID_GOAL, words))
+            case tasks.Checked(str(collision)):
+                self._end(motion, Refusal(Reason.START_COLLIDES, collision=collision))
             case _:
                 self._end(motion, tasks.refusal_of(answer))
 
@@ -274,8 +274,7 @@ class Goals:
         planned, wanted, running = motion.planned, motion.wanted, self._programs.current
         if isinstance(planned, tasks.Planned):
             if running is not None and running.report.id == motion.id:
-                words = f"id: goal {motion.id} is running already; a goal that replaces it needs another id"
-                raise Refusal(INVALID_GOAL, words)
+                raise Refusal(Reason.ALREADY_RUNNING, goal=motion.id)
             program = goal_program(self._parts, motion, planned, state, basis)
         else:
             assert planned is not None
@@ -300,10 +299,11 @@ class Goals:
 
     def _refuse(self, motion: Motion, refusal: Refusal) -> None:
         """Answers a request; logs at most MOST_LINES refusals a second."""
-        self._act(Reply(motion.request, refused(refusal.code, str(refusal), motion.id)))
+        self._act(Reply(motion.request, refused(refusal, motion.id)))
         second = int(self._moment.now)
         self._lines, self._second = 1 if second != self._second else self._lines + 1, second
         if self._lines <= MOST_LINES:
-            self._act(Log(logging.INFO, f"{motion.id} refused: {refusal}"))
+            fields = fields_of_refusal(motion.id, refusal.reason.value, refusal.code)
+            self._act(Log(logging.INFO, f"{motion.id} refused: {refusal}", fields))
         elif self._lines == MOST_LINES + 1:
             self._act(Log(logging.INFO, f"more than {MOST_LINES} requests are refused in this second"))

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from controller.motion.codes import INVALID_GOAL
 from controller.planning.core import tasks
-from controller.planning.core.events import CLOSING, ObstaclesMessage, Reply, ToExecutor, done, refused
+from controller.planning.core.events import ObstaclesMessage, Reply, ToExecutor, done, refused
 from controller.planning.core.parts import Parts
 from controller.planning.core.tasks import Answer, Checked, Scene, SceneBuilt
 from controller.program import Clearance, Question
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 LONGEST = 5.0  # [s] for which the answer to new obstacles waits for the checks of what is in flight
 
@@ -40,7 +41,7 @@ class ObstacleOwner:
 
     Attributes:
         generation: grows with each change.
-        standing: with what the arm collides where it stands, in words; None: with nothing.
+        standing: the collision of the arm at rest, in words; None: with nothing.
     """
 
     def __init__(self, parts: Parts, scene: Scene, total: int) -> None:
@@ -87,7 +88,7 @@ class ObstacleOwner:
     def answer(self, unchecked: list[str], at_once: bool = False) -> None:
         """Answers requests if all that is in flight is checked; `unchecked` are the ids of goals that are not."""
         if self.scene is None and at_once:
-            self._refuse(CLOSING)
+            self._refuse(Refusal(Reason.SHUTTING_DOWN))
         for change in list(self._changes) if self.scene is not None else []:
             checked = not unchecked and self._standing_job is None
             if checked or at_once or self._moment.now > change.at + LONGEST:
@@ -107,16 +108,16 @@ class ObstacleOwner:
             self.generation += 1
             self._built = self._built._replace(scene=self._built.scene._replace(generation=self.generation))
             self._sent = self._built_of
-            self._refuse("the obstacles cannot be checked, see the journal; those before stay in force")
+            self._refuse(Refusal(Reason.OBSTACLES_NOT_CHECKED))
         questions, self._questions = self._questions, []
         for question in questions:
             self.ask(question)
 
-    def _refuse(self, words: str) -> None:
+    def _refuse(self, refusal: Refusal) -> None:
         """Refuses all requests that are not answered."""
         changes, self._changes = self._changes, []
         for change in changes:
-            self._act(Reply(change.request, refused(INVALID_GOAL, words)))
+            self._act(Reply(change.request, refused(refusal)))
 
     # --- the executor's questions
 

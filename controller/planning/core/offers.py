@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from controller.manipulator.locked import STATES
-from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
 from controller.motion.stages.feed import Feed, PlannedPoint, PlanProof, Route
 from controller.motion.stages.program import delay_of, in_groups
 from controller.planning.core.arm import ArmState, States, packed
@@ -18,6 +17,8 @@ from controller.planning.core.programs import InFlight
 from controller.planning.core.reports import GoalReport, JogReport, Report
 from controller.planning.core.tasks import Basis, Planned
 from controller.program import Program
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 if TYPE_CHECKING:
     from controller.motion.decoding.goal import GoalMessage
@@ -84,7 +85,7 @@ def goal_program(parts: Parts, motion: Motion, planned: Planned, state: ArmState
     trajectory, moment, strict = planned.trajectory, parts.moment, not basis.scene.free
     late = 0.0 if trajectory.stamp is None else moment.wall - trajectory.stamp - float(trajectory.times[-1])
     if late > 0:
-        raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: the trajectory ended {late:.3f} s before it was planned")
+        raise Refusal(Reason.PLANNED_TOO_LATE, late=f"{late:.3f}")
     first, begin, delay = planned.points[0].stages, 0.0, 0.0
     if trajectory.stamp is not None:
         begin = trajectory.stamp + moment.now - moment.wall
@@ -114,7 +115,7 @@ def jog_stages(state: ArmState, wanted: dict[int, int], pace: Pace) -> States:
     labels = state.manipulator.actuators
     for k in wanted:
         if state.locked[k]:
-            raise Refusal(INVALID_GOAL, f"actuators: {labels[k]} is locked: unlock it with `degrade` first")
+            raise Refusal(Reason.ACTUATOR_LOCKED, actuator=labels[k])
     target = state.commanded.copy()
     target[list(wanted)] = list(wanted.values())
     return in_groups(state.commanded, target, pace.inrush or len(labels))

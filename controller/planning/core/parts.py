@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
 OnAnswer = Callable[[Answer], None]
-BARRED = "a cancel, stop, reset or fault came before it began"
 
 
 @dataclass(eq=False)

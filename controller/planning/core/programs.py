@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from controller.motion.codes import PATH_TOLERANCE_VIOLATED
 from controller.motion.stages.feed import Feed, Improved
 from controller.planning.core.arm import ArmState
 from controller.planning.core.events import Accepted as AcceptedEntry
@@ -17,6 +16,7 @@ from controller.planning.core.reports import Outcome, Report, collision_outcome
 from controller.planning.core.results import Known
 from controller.planning.core.tasks import Answer, CheckStages, Deviations, ImprovePlan, Scene, Tables, collision_of
 from controller.program import Accepted, Begun, Cancel, Ended, Program, Replaced, Settled
+from controller.refusals.codes import PATH_TOLERANCE_VIOLATED
 
 GAVE_UP = "the planner gave up waiting for the executor"
 

@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 
 from controller.manipulator.notation import format_configuration, pose
-from controller.motion import codes
 from controller.motion.stages.feed import PlanProof
 from controller.motion.targets import GoalTarget, measured_pose
 from controller.motion.trajectory import Trajectory
 from controller.planning.core.arm import Measured
 from controller.planning.core.events import Payload
 from controller.program import Settled
+from controller.refusals import codes
 
 if TYPE_CHECKING:
     from controller.manipulator.manipulator import Manipulator

@@ -5,11 +5,9 @@ from __future__ import annotations
 from functools import partial
 from typing import NamedTuple
 
-from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.decoding.goal import GoalMessage
-from controller.planning.core.arm import no_motion, obstruction
+from controller.planning.core.arm import obstruction
 from controller.planning.core.events import (
-    CLOSING,
     CancelMessage,
     LockMessage,
     Payload,
@@ -24,6 +22,8 @@ from controller.planning.core.parts import Parts
 from controller.planning.core.tasks import Answer, Described, DescribePlan, PlanGoal, refusal_of
 from controller.program import Answer as ExecutorAnswer
 from controller.program import Cancel, Down, Lock, Reset
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal, no_motion
 
 MOST_WAITING = 4
 LONGEST = 10.0  # [s] for one query, without its time in the queue
@@ -54,18 +54,17 @@ class ExecutorRequests:
 
     def unsent(self, number: int, reason: str) -> None:
         """Refuses a request that could not be sent."""
-        self._finish(number, refused(INVALID_GOAL, f"the executor is not connected: {reason}"))
+        self._finish(number, refused(Refusal(Reason.NO_EXECUTOR, why=reason)))
 
     def answered(self, message: ExecutorAnswer) -> None:
         """Passes the executor's answer on."""
-        text = message.message
-        self._finish(message.request, done(text) if message.accepted else refused(INVALID_GOAL, text))
+        refusal = message.refused
+        self._finish(message.request, done(message.message) if refusal is None else refused(refusal.refusal))
 
     def lost(self, reason: str) -> None:
         """Refuses all requests that are not answered: the connection is lost."""
         for number in list(self._pending):
-            words = f"the connection to the executor was lost before it answered: {reason}"
-            self._finish(number, refused(INVALID_GOAL, words))
+            self._finish(number, refused(Refusal(Reason.EXECUTOR_LOST, why=reason)))
 
     def overdue(self) -> bool:
         """Returns whether the executor has not answered a request in time."""
@@ -95,7 +94,7 @@ class ExecutorRequests:
                 raise no_motion(*self._locks.mode())
             actuator = self._locks.actuator(message, state)
         except Refusal as refusal:
-            self._act(Reply(number, refused(refusal.code, str(refusal))))
+            self._act(Reply(number, refused(refusal)))
             return
         self._parts.admission.fence(number)
         self._send(number, Lock(number, actuator, -1 if message.state is None else message.state))
@@ -141,8 +140,8 @@ class Queries:
         assert isinstance(message, GoalMessage)
         goal = message.id or f"{self._parts.name}{number:x}"
         if len(self._waiting) > MOST_WAITING:
-            words = f"busy: {MOST_WAITING} plan queries are waiting already"
-            self._parts.act(Reply(number, refused(INVALID_GOAL, words, goal)))
+            refusal = Refusal(Reason.BUSY, most=MOST_WAITING, what="plan queries")
+            self._parts.act(Reply(number, refused(refusal, goal)))
         else:
             self._waiting[number] = Query(number, message, goal, request.wall)
 
@@ -162,7 +161,7 @@ class Queries:
         """Refuses all queries: the process ends."""
         for query in list(self._waiting.values()):
             self._parts.jobs.abandon(query.job)
-            self._refuse(query, Refusal(INVALID_GOAL, CLOSING))
+            self._refuse(query, Refusal(Reason.SHUTTING_DOWN))
 
     def _task(self, query: Query) -> DescribePlan:
         """Returns the task of a query, as soon as the obstacles are built.
@@ -173,8 +172,8 @@ class Queries:
         parts, state, basis = self._parts, self._parts.view.state, self._parts.basis()
         if state is None or basis is None:
             raise no_motion(*parts.locks.mode())
-        if (words := obstruction(state, *parts.locks.mode())) is not None:
-            raise Refusal(INVALID_GOAL, words)
+        if (refusal := obstruction(state, *parts.locks.mode())) is not None:
+            raise refusal
         return DescribePlan(PlanGoal(query.goal, query.received, parts.correction(), basis), LONGEST)
 
     def _answered(self, query: Query, answer: Answer) -> None:
@@ -184,7 +183,7 @@ class Queries:
             self._refuse(query, refusal_of(answer))
 
     def _refuse(self, query: Query, refusal: Refusal) -> None:
-        self._answer(query.request, refused(refusal.code, str(refusal), query.id))
+        self._answer(query.request, refused(refusal, query.id))
 
     def _answer(self, request: int, payload: Payload) -> None:
         if self._waiting.pop(request, None) is not None:

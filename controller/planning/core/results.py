@@ -10,25 +10,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from controller.host.journal import fields_of_result
+from controller.host.process import Log
 from controller.manipulator.locked import STATES
-from controller.motion import codes
 from controller.motion.stages.feed import PlanProof
 from controller.motion.targets import GoalTarget, measured_pose
 from controller.planning.core.arm import Measured, measured_states
-from controller.planning.core.events import (
-    Accepted,
-    Identity,
-    Log,
-    OpenGoal,
-    Payload,
-    PublishResult,
-    Record,
-    ToExecutor,
-)
+from controller.planning.core.events import Accepted, Identity, OpenGoal, Payload, PublishResult, Record, ToExecutor
 from controller.planning.core.events import Ended as EndedEntry
 from controller.planning.core.parts import Parts
 from controller.planning.core.reports import Context, Outcome, decode_context
 from controller.program import Acknowledge, Ended
+from controller.refusals import codes
 
 if TYPE_CHECKING:
     from controller.manipulator.manipulator import Manipulator

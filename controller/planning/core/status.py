@@ -9,9 +9,10 @@ from collections.abc import Iterator
 import msgspec
 
 from controller.host.journal import fields_of_fault, message_id
+from controller.host.process import Log, Notify
 from controller.manipulator.notation import format_configuration, pose
 from controller.motion.targets import measured_tip
-from controller.planning.core.events import Log, Notify, Payload, Publish
+from controller.planning.core.events import Payload, Publish
 from controller.planning.core.goals import Goals
 from controller.planning.core.parts import Parts
 from controller.planning.core.requests import Queries

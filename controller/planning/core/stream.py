@@ -15,16 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.armfile.settings import TrackerSettings
-from controller.motion.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP, Refusal
+from controller.host.process import Log
 from controller.motion.decoding.setpoint import decode
 from controller.motion.tracking.bias import DRIFT, TipBias, Tracker
 from controller.motion.tracking.bias import decode as decode_tip
 from controller.motion.tracking.tracking import GoalTracker
 from controller.planning.core.arm import obstruction
-from controller.planning.core.events import Log, Payload, ToExecutor
+from controller.planning.core.events import Payload, ToExecutor
 from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.tasks import Answer, Basis, Failed, Followed, FollowSetpoint
 from controller.program import Setpoint
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 
 if TYPE_CHECKING:
     from controller.arm.arm import Arm
@@ -276,18 +278,16 @@ class TipBiasEstimator:
         position, stamp = decode_tip(payload, self._manipulator.dimension)
         age = self._parts.moment.wall - stamp
         if age > VALIDITY:
-            late = f"{age:.3f} s old on arrival, at most {VALIDITY:g} s are accepted"
-            raise Refusal(OLD_HEADER_TIMESTAMP, f"stamp: {late}")
+            raise Refusal(Reason.STALE, age=f"{age:.3f}", most=VALIDITY)
         if age < -SLACK:
-            ahead = f"{-age:.3f} s in the future, at most {SLACK:g} s are accepted"
-            raise Refusal(INVALID_GOAL, f"stamp: {ahead}; stamps are UNIX seconds")
+            raise Refusal(Reason.FROM_THE_FUTURE, ahead=f"{-age:.3f}", most=SLACK)
         measured_at = self._parts.moment.now - max(age, 0.0)
         state, (mode, _) = self._parts.view.state, self._parts.locks.mode()
         configuration = None if state is None else state.configuration
         if state is None or configuration is None or mode not in ("ready", "executing"):
-            raise Refusal(INVALID_GOAL, f"the arm is {mode}, or its configuration is not known")
+            raise Refusal(Reason.TIP_NOT_KNOWN, mode=mode)
         if state.snapshot.moving or measured_at < state.snapshot.free_at:
-            raise Refusal(INVALID_GOAL, "stamp: the arm was moving, or not yet settled")
+            raise Refusal(Reason.TIP_MOVING)
         computed = self._manipulator.tips(configuration[None])[0, : len(position), 3]
         return self._filter.measure(position - computed, measured_at)
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.decoding.goal import GoalMessage
 from controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
 from controller.motion.trajectory import Trajectory
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal, Refused
 
 
 class Tables(NamedTuple):
@@ -229,13 +230,6 @@ class Done(NamedTuple):
     """The task has ended; there is nothing to tell."""
 
 
-class Refused(NamedTuple):
-    """The goal cannot be carried out; a code of FollowJointTrajectory, and why."""
-
-    code: int
-    reason: str
-
-
 class Failed(NamedTuple):
     """An exception ended the task; `reason` is its last line, the log has the rest."""
 
@@ -249,8 +243,8 @@ Answer = Planned | Deviations | Improved | Described | Followed | Checked | Buil
 def refusal_of(answer: Answer) -> Refusal:
     """Returns the refusal of a goal whose task was answered without a plan."""
     if isinstance(answer, Refused):
-        return Refusal(answer.code, answer.reason)
-    return Refusal(INVALID_GOAL, "internal error while planning, see the journal")
+        return answer.refusal
+    return Refusal(Reason.PLANNING_FAILED)
 
 
 def collision_of(answer: Answer) -> str | None:

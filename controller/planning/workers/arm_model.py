@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from controller.arm.arm import Arm
 from controller.manipulator.locked import lock_actuators, transferred
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.codes import INVALID_GOAL, Refusal
 from controller.motion.decoding.goal import GoalRules
 from controller.motion.stages.pacing import pace_of
 from controller.motion.stages.program import pack_states, unpack_states
 from controller.obstacles.keep_out import KeepOutSet, States
 from controller.planning.core.tasks import ArmStart, BuildScene, BuildTables, Scene, SceneBuilt, Tables
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
@@ -88,12 +89,12 @@ class ArmModel:
         try:
             configuration = whole.configuration(self.unpack(start.states))
         except ValueError as error:
-            words = f"unknown state: what the boards measure is no configuration: {error}"
-            raise Refusal(INVALID_GOAL, f"{words}; switch single actuators with `jog`") from None
+            why = f"what the boards measure is no configuration: {error}"
+            raise Refusal(Reason.UNKNOWN_STATE, why=why) from None
         try:
             return transferred(configuration, whole, reduced)
         except ValueError:
-            raise Refusal(INVALID_GOAL, "the locked actuators are changing, send it again") from None
+            raise Refusal(Reason.LOCKS_CHANGING) from None
 
 
 def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], task: BuildTables) -> Tables:

@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.motion import codes
-from controller.motion.codes import Refusal
 from controller.motion.decoding.goal import check_reach, schedule
 from controller.motion.plans.description import describe_plan
 from controller.motion.plans.improvement import Improvement, changed_points
@@ -27,6 +25,9 @@ from controller.planning.core.events import done
 from controller.planning.core.tasks import ArmStart
 from controller.planning.workers.arm_model import ArmModel, Proceed
 from controller.program import MOST_PROGRAM_STAGES
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
+from controller.search.method import MINIMUM_SWITCH
 
 # --- goals
 
@@ -77,8 +78,9 @@ def planner_of(model: ArmModel, task: tasks.PlanGoal) -> TransitionPlanner:
         Refusal: the goal is invalid, or a position is farther than the arm's length; the message names the field.
     """
     arm, manipulator, message = model.arm, model.arm.manipulator, task.message
+    base = manipulator.base[: manipulator.dimension, 3].tolist()
     clamp = arm.settings.tracker.clamp if arm.settings.tracker else 0.0
-    check_reach(message, manipulator, manipulator.length + clamp, arm.tolerance)
+    check_reach(message, base, manipulator.length + clamp, arm.tolerance)
     scheduled = schedule(message, model.rules, task.received)
     trajectory = scheduled.corrected(None if task.bias is None else np.array(task.bias))
     return TransitionPlanner(model.solver(task.basis.tables, task.basis.scene), trajectory, model.pace)
@@ -100,7 +102,7 @@ def search_plan(
     # All stages are checked, so that the executor need not ask. Most results are known from the planning.
     before, stages = model.unpack(basis.start.states), stages_of(found.transitions)
     if (collision := basis.scene.keep_out.first_collision(before, stages, proceed)) is not None:
-        raise Refusal(codes.GOAL_TOLERANCE_VIOLATED, f"the plan would collide: {collision}")
+        raise Refusal(Reason.PLAN_COLLIDES, collision=collision)
     return found
 
 
@@ -113,8 +115,7 @@ def check_size(model: ArmModel, transitions: Sequence[Staged]) -> None:
     counts = [len(transition.stages) for transition in transitions]
     total, longest, most = sum(counts), max(counts), most_stages(len(model.arm.manipulator.actuators))
     if longest > most or total > MOST_PROGRAM_STAGES:
-        limits = f"at most {MOST_PROGRAM_STAGES} and {most} are accepted: send fewer waypoints"
-        raise Refusal(codes.INVALID_GOAL, f"the plan has {total} stages, {longest} to one point; {limits}")
+        raise Refusal(Reason.TOO_MANY_STAGES, total=total, longest=longest, most=MOST_PROGRAM_STAGES, most_to_one=most)
 
 
 def points_of(
@@ -159,7 +160,7 @@ def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Itera
         deviations.append(transition.deviation)
     yield tasks.Deviations(tuple(deviations))
     same_arm = goal.tables == task.tables.generation
-    if not task.search or not same_arm or model.arm.settings.method != "minimum-switch":
+    if not task.search or not same_arm or model.arm.settings.method != MINIMUM_SWITCH:
         return
     current, keep_out = goal.plan, task.scene.keep_out
     points = [point._replace(deviation=d) for point, d in zip(goal.points, deviations, strict=True)]
@@ -182,7 +183,7 @@ def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Itera
 def prepare_search(model: ArmModel, task: tasks.PrepareSearch, proceed: Proceed) -> tasks.Done:
     """Prepares the next search of a goal from the arm's state; `proceed` is called between two parts."""
     solver = model.solver(task.basis.tables, task.basis.scene)
-    if model.arm.settings.method != "minimum-switch":
+    if model.arm.settings.method != MINIMUM_SWITCH:
         return tasks.Done()
     with suppress(Refusal):
         previous = model.configuration(task.basis.start, solver.manipulator)
@@ -207,13 +208,13 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
     def in_time() -> None:
         proceed()
         if time.monotonic() > until:
-            raise Refusal(codes.INVALID_GOAL, f"planning took longer than {task.seconds:g} s: ask for fewer waypoints")
+            raise Refusal(Reason.PLANNING_TOO_LONG, seconds=task.seconds)
 
     planner = planner_of(model, task.goal)
     reduced = planner.solver.manipulator
     found = search_plan(model, task.goal.basis, planner, first_time(planner.trajectory), in_time)
     previous = model.configuration(task.goal.basis.start, reduced)
-    if model.arm.settings.method == "minimum-switch":
+    if model.arm.settings.method == MINIMUM_SWITCH:
         found = look_ahead(planner, found, previous, stop=hurry)
     fields = describe_plan(model.arm.manipulator, reduced, previous, found)
     return tasks.Described({**done(fields.pop("message")), **fields})

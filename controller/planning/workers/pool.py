@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.arm.arm import Arm
-from controller.motion.codes import Refusal
 from controller.planning.core import tasks
 from controller.planning.core.events import Answered, Event
 from controller.planning.core.tasks import Answer, Task
 from controller.planning.workers import computations
 from controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
+from controller.refusals.refusal import Refusal
 from controller.workspace.densities import Densities
 
 log = logging.getLogger(__name__)
@@ -128,7 +128,7 @@ class Workers:
         except Abandoned:
             pass
         except Refusal as refusal:
-            last = tasks.Refused(refusal.code, str(refusal))
+            last = refusal.data
         except Exception as error:
             log.exception("the task %s failed", type(queued.task).__name__)
             last = tasks.Failed(traceback.format_exception_only(error)[-1].strip())

@@ -10,13 +10,13 @@ from drivers.canopen.boot import configuration, inspection, pdo_search
 from drivers.canopen.boot.inspection import Inspection
 from drivers.canopen.boot.pins import settle
 from drivers.canopen.boot.undo import Undo
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Pdo, carries, subs_of
 from drivers.canopen.run.board import Board
-from drivers.canopen.run.outputs import Outputs
+from drivers.canopen.run.outputs import OutputLines
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import TIMEOUT, Outcome, Transfer
+from drivers.canopen.sdo.client import SDO_TIMEOUT, SdoOutcome, Transfer
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import Ask, BoardError, Order, Procedure, Step, Wait
 from drivers.canopen.wire.cia301 import INVALID, Command, State
@@ -24,7 +24,7 @@ from drivers.canopen.wiring import ErrorState, Timing
 
 _LAST_DUMMY = 7  # 0001h to 0007h are dummy entries (CiA 301, 7.4.7)
 _TELL_STATE = (0x100C, 0x100D, 0x1017)
-_ERROR_PATIENCE = 0.5  # [s] in which an error may end after the board hears the master
+_ERROR_TIMEOUT = 0.5  # [s] in which an error may end after the board hears the master
 
 
 @dataclass
@@ -45,7 +45,7 @@ class Boot:
 
     index: int
     board: Board
-    outputs: Outputs
+    outputs: OutputLines
     timing: Timing
     error_state: ErrorState | None
     it: Inspection
@@ -54,7 +54,9 @@ class Boot:
     stopped: bool = False
 
 
-def boot_board(index: int, board: Board, outputs: Outputs, timing: Timing, error_state: ErrorState | None) -> Procedure:
+def boot_board(
+    index: int, board: Board, outputs: OutputLines, timing: Timing, error_state: ErrorState | None
+) -> Procedure:
     """Boots a board. A board that is operational and correctly configured is not written to.
 
     A refused board gets its objects and its NMT state back, except outputs that were written off.
@@ -75,12 +77,12 @@ def _steps(boot: Boot) -> Procedure:
         yield from step(boot)
 
 
-def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator[Step, Outcome, tuple[int, bool]]:
+def find(layout: BoardLayout, timeout: float, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, bool]]:
     """Reads the device type, 1000h, until the board answers; returns it, and whether the board was in state stopped.
 
     Args:
         layout: wiring of the board.
-        patience: longest time until its answer [s].
+        timeout: longest time until its answer [s].
         board: the frames heard from it; None if nobody listens.
     """
     name, kind, ordered = layout.name, None, False
@@ -89,7 +91,7 @@ def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator
     def stopped() -> bool:  # a stopped board answers no SDO
         return board is not None and board.state is State.STOPPED and not ordered
 
-    for _ in range(1 + math.ceil(patience / TIMEOUT)):
+    for _ in range(1 + math.ceil(timeout / SDO_TIMEOUT)):
         outcome = yield Ask(Transfer(0x1000, 0, tries=1), unless=stopped)
         if outcome.silence is None:
             kind = objects.number(name, 0x1000, 0, 4, outcome)
@@ -101,10 +103,10 @@ def find(layout: BoardLayout, patience: float, board: Board | None) -> Generator
             board.guard()  # a stopped board without heartbeats answers only the remote frames of node guarding
     if kind is not None:
         return kind, ordered
-    text = f"board {name} neither booted nor answered within {patience:g} s: is it powered?"
+    text = f"board {name} neither booted nor answered within {timeout:g} s: is it powered?"
     if board is not None and board.frames > before:
-        text = f"board {name} is heard, but does not answer to 1000h sub 0 within {patience:g} s"
-    raise BoardError(Fault("board-missing", name, text))
+        text = f"board {name} is heard, but does not answer to 1000h sub 0 within {timeout:g} s"
+    raise BoardError(ArmFault("board-missing", name, text))
 
 
 def _find(boot: Boot) -> Procedure:
@@ -207,7 +209,7 @@ def _await_operational(boot: Boot) -> Procedure:
 
     A board that has just missed a heartbeat of the master does so.
     """
-    board, patience = boot.board, boot.timing.boot_timeout
+    board, timeout = boot.board, boot.timing.boot_timeout
     up = Wait(lambda: board.state is State.OPERATIONAL, 3 * boot.timing.heartbeat)
     if (yield up).data is not None:
         return
@@ -215,13 +217,13 @@ def _await_operational(boot: Boot) -> Procedure:
         yield from _order(board.layout, Command.PRE_OPERATIONAL)
     if board.state in (State.STOPPED, State.PRE_OPERATIONAL):
         yield from _configure(boot)
-    if (yield Wait(up.until, patience)).data is None:
+    if (yield Wait(up.until, timeout)).data is None:
         seen = "no heartbeat came" if board.state is None else f"it is {board.state.words}"
-        text = f"board {board.name} did not become operational within {patience:g} s; {seen}"
+        text = f"board {board.name} did not become operational within {timeout:g} s; {seen}"
         if board.state is not State.STOPPED:
             _, why, _ = yield from inspection.read_errors(boot.it, board)
             text += f"; {why}" if why else ""
-        raise BoardError(Fault("board-stopped", board.name, text))
+        raise BoardError(ArmFault("board-stopped", board.name, text))
 
 
 def _set_error_mode(boot: Boot) -> Procedure:
@@ -237,10 +239,10 @@ def _check_errors(boot: Boot) -> Procedure:
         if not register:
             board.emergency, board.emergency_register = None, 0  # its end was missed
             return
-        yield Wait(lambda: False, _ERROR_PATIENCE / 5)
+        yield Wait(lambda: False, _ERROR_TIMEOUT / 5)
     if not lost:
         text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
-        raise BoardError(Fault("board-error", board.name, text))
+        raise BoardError(ArmFault("board-error", board.name, text))
     it.warn(f"it keeps an error from before this boot: {text}")
     it.standing_errors = register
 
@@ -251,14 +253,14 @@ def _read_back(boot: Boot) -> Procedure:
     rpdos, tpdos = pdo_search.adopt(it)
     pdo_search.check_pairs(it.layout, rpdos)
     values = yield from _carried_values(board, rpdos)
-    board.take_inputs_from(tpdos)
+    board.set_tpdos(tpdos)
     before = board.input_frames
     for sub in subs_of(board.layout.input_bits):
         inputs[sub] = yield from objects.read(board.name, INPUTS, sub)
     if board.state is not State.OPERATIONAL:
         seen = "its state is unknown" if board.state is None else f"it is {board.state.words}"
         raise BoardError(
-            Fault("board-stopped", board.name, f"board {board.name} left operational while booting; {seen}")
+            ArmFault("board-stopped", board.name, f"board {board.name} left operational while booting; {seen}")
         )
     boot.outputs.adopt(boot.index, rpdos, values)
     if board.input_frames == before:  # otherwise a TPDO has brought newer values
@@ -274,7 +276,7 @@ def _read_back(boot: Boot) -> Procedure:
     board.ready = True
 
 
-def _carried_values(board: Board, rpdos: Iterable[Pdo]) -> Generator[Step, Outcome, dict[int, int]]:
+def _carried_values(board: Board, rpdos: Iterable[Pdo]) -> Generator[Step, SdoOutcome, dict[int, int]]:
     """Reads what RPDOs carry, by mapping entry. Words and single bits of outputs are read as bytes.
 
     Raises:
@@ -314,7 +316,7 @@ def _expected(it: Inspection, pdos: tuple[Pdo, ...]) -> tuple[Need, ...]:
 def _order(layout: BoardLayout, command: Command) -> Procedure:
     if (yield Order(command)).data is None:
         text = f"board {layout.name} could not be told to change its state: {layout.bus} takes no frames"
-        raise BoardError(Fault("board-missing", layout.name, text))
+        raise BoardError(ArmFault("board-missing", layout.name, text))
 
 
 _STEPS: tuple[Callable[[Boot], Procedure], ...] = (

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 
 from drivers.canopen.boot.board_boot import boot_board
-from drivers.canopen.faults import Fault
-from drivers.canopen.run.outputs import Outputs
+from drivers.canopen.faults import ArmFault
+from drivers.canopen.run.outputs import OutputLines
 from drivers.canopen.run.station import Station
 from drivers.canopen.wiring import Timing, Wiring
 
@@ -24,13 +24,13 @@ class Booting:
         timing: heartbeat and boot times.
     """
 
-    def __init__(self, stations: Sequence[Station], outputs: Outputs, wiring: Wiring, timing: Timing) -> None:
+    def __init__(self, stations: Sequence[Station], outputs: OutputLines, wiring: Wiring, timing: Timing) -> None:
         self._stations, self._outputs = stations, outputs
         self._error_state, self._timing = wiring.error_state, timing
         self._pending: set[int] = set()  # indices of boards
         self._reboots: dict[int, int] = {}
-        self._bus_faults: dict[str, Fault] = {}
-        self._board_faults: dict[int, Fault] = {}
+        self._bus_faults: dict[str, ArmFault] = {}
+        self._board_faults: dict[int, ArmFault] = {}
 
     @property
     def under_way(self) -> bool:
@@ -38,11 +38,11 @@ class Booting:
         return bool(self._pending)
 
     @property
-    def faults(self) -> list[Fault]:
+    def faults(self) -> list[ArmFault]:
         """One fault for each lost bus, then one for each board that could not be booted."""
         return [*self._bus_faults.values(), *(fault for _, fault in sorted(self._board_faults.items()))]
 
-    def begin(self, lost: Mapping[str, Fault], now: float) -> None:
+    def begin(self, lost: Mapping[str, ArmFault], now: float) -> None:
         """Starts the boot of all boards, except those on lost buses. A running boot is cancelled."""
         for station in self._stations:
             station.cancel()
@@ -67,9 +67,9 @@ class Booting:
         else:
             name = station.board.name
             text = f"board {name} restarted {self._reboots[i]} times during its boot: check its supply"
-            self._ended(i, Fault("board-rebooted", name, text), now)
+            self._ended(i, ArmFault("board-rebooted", name, text), now)
 
-    def bus_lost(self, fault: Fault) -> None:
+    def bus_lost(self, fault: ArmFault) -> None:
         """Cancels the boot of all boards of a bus; the fault of the bus replaces theirs."""
         if not self._pending:
             return
@@ -85,7 +85,7 @@ class Booting:
         procedure = boot_board(station.index, station.board, self._outputs, self._timing, self._error_state)
         station.runner.start(procedure, partial(self._ended, station.index), now)
 
-    def _ended(self, i: int, fault: Fault | None, now: float) -> None:
+    def _ended(self, i: int, fault: ArmFault | None, now: float) -> None:
         self._pending.discard(i)
         if fault is not None:
             self._board_faults[i] = fault
@@ -99,4 +99,4 @@ class Booting:
             board, i = station.board, station.index
             if not board.ready and i not in self._board_faults and board.layout.bus not in self._bus_faults:
                 text = f"board {board.name} was lost again while other boards booted: check its supply and wires"
-                self._board_faults[i] = Fault("board-lost", board.name, text)
+                self._board_faults[i] = ArmFault("board-lost", board.name, text)

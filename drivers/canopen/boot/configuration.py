@@ -7,14 +7,14 @@ import math
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import subs_of
 from drivers.canopen.sdo.objects import Need
-from drivers.canopen.wiring import MASTER, NodeSettings, Timing
+from drivers.canopen.wiring import MASTER, NodeWiring, Timing
 
 _PRE_OPERATIONAL, _STOPPED = 0, 2  # values of 1029h
 _SYNC, _PRODUCES = 0x80, 1 << 30  # in 1005h
 _CONTRACT = "with on_loss: contract, or with pulses, its outputs must go off when the master is lost"
 
 
-def identity(settings: NodeSettings) -> list[Need]:
+def identity(settings: NodeWiring) -> list[Need]:
     """Identity, 1018h, as far as the arm's file gives it."""
     named = (
         (1, "vendor", settings.vendor),

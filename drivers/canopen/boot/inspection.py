@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from drivers.canopen.boot import configuration
 from drivers.canopen.boot.pdo_setup import PdoState
 from drivers.canopen.boot.quirks import NONE, VENDORS, Quirk, quirk_of
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
 from drivers.canopen.run.board import Board
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import Outcome, Transfer
+from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import BoardError, Step
 from drivers.canopen.wire import cia301
@@ -74,7 +74,7 @@ class Inspection:
             self.warnings.append(text)
 
 
-Reading = Generator[Step, Outcome, None]
+Reading = Generator[Step, SdoOutcome, None]
 
 
 def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState | None) -> Reading:
@@ -102,7 +102,7 @@ def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState |
     yield from _read(it, configuration.interrupts(it.layout))
 
 
-def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome, tuple[int, str, bool]]:
+def read_errors(it: Inspection, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, str, bool]]:
     """Reads the error register and, if it is set, the newest entry of the error history.
 
     Returns:
@@ -124,7 +124,7 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, Outcome,
     return register, text, lost
 
 
-def _newest_error(it: Inspection) -> Generator[Step, Outcome, tuple[int, int]]:
+def _newest_error(it: Inspection) -> Generator[Step, SdoOutcome, tuple[int, int]]:
     """Returns sub-index and value of the newest error in 1003h; value 0 if there is none, or it cannot be read.
 
     Some stacks also enter the ends of errors, with the code 0000h.
@@ -172,7 +172,7 @@ def _check_type(it: Inspection, kind: int) -> Reading:
         if not count or count < subs[-1]:
             has = "no" if not count else f"{count} bytes of"
             text = f"board {it.name} has {has} {what} in {base:04X}h; sub {subs[-1]} is needed, the wiring uses it"
-            raise BoardError(Fault("wrong-device", it.name, f"{text} (1000h sub 0 is {kind:08X}h)"))
+            raise BoardError(ArmFault("wrong-device", it.name, f"{text} (1000h sub 0 is {kind:08X}h)"))
         if base in (OUTPUTS, INPUTS) and kind & 0xFFFF == _PROFILE and not kind & flag:
             it.warn(f"1000h sub 0 is {kind:08X}h, without the bit of digital {what}, but {base:04X}h is there")
 
@@ -186,7 +186,7 @@ def _check_without_profile(it: Inspection, kind: int) -> Reading:
         return
     advice = "is the node id right? A board with outputs in an object of its maker needs `object` in the arm's file"
     text = f"board {it.name} has {text} with outputs in 6200h: {advice}"
-    raise BoardError(Fault("wrong-device", it.name, text))
+    raise BoardError(ArmFault("wrong-device", it.name, text))
 
 
 def _supervision(it: Inspection, timing: Timing) -> Reading:
@@ -202,13 +202,13 @@ def _supervision(it: Inspection, timing: Timing) -> Reading:
             f"board {it.name} has neither 1016h sub 1 and 1017h (heartbeats) nor 100Ch and 100Dh (node guarding): it"
             " would not notice that the executor has ended, and would not be noticed if it fails"
         )
-        raise BoardError(Fault("wrong-device", it.name, text))
+        raise BoardError(ArmFault("wrong-device", it.name, text))
     # Some boards allow only one of the two: the other one is switched off first.
     off = [Need(n.index, n.sub, 0, n.size, n.what) for n in (beats if it.guarded else guard)]
     it.needs = [*off, *(guard if it.guarded else beats), *it.needs]
 
 
-def _entry(it: Inspection) -> Generator[Step, Outcome, int]:
+def _entry(it: Inspection) -> Generator[Step, SdoOutcome, int]:
     """Returns the entry of 1016h that watches the master already, else the first free one, else the first."""
     count = yield from objects.find(it.name, 0x1016, 0)
     for sub in range(1, 1 + (count or 0)):
@@ -243,13 +243,13 @@ def _outputs(it: Inspection, error_state: ErrorState | None) -> Reading:
     if layout.loss[0] and not goes_off:
         text = f"board {it.name} has no {missing}; it is needed: with on_loss: contract, or with pulses, its outputs"
         text += " must go off when the master is lost; if they do so by themselves, set boards.error_state to off"
-        raise BoardError(Fault("wrong-device", it.name, text))
+        raise BoardError(ArmFault("wrong-device", it.name, text))
     if state is None:
         text = (
             f"board {it.name} has no {missing}, so what its outputs do when the master is lost cannot be read or"
             " written: if you know it, set boards.error_state to off, hold or device in the arm's file"
         )
-        raise BoardError(Fault("wrong-device", it.name, text))
+        raise BoardError(ArmFault("wrong-device", it.name, text))
     does = {"off": "go off", "hold": "hold", "device": "do what the device is set to"}[state]
     it.warn(f"it has no {missing}; by the arm's file (error_state) its outputs {does} when the master is lost")
 

@@ -6,11 +6,11 @@ from collections.abc import Container, Generator, Iterable
 
 from drivers.canopen.boot.inspection import Inspection, Reading, ensure
 from drivers.canopen.boot.pdo_setup import ON_SYNC, PdoState, pdo_words, read_pdo, set_up, usable
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Pdo, carried_bits
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import Outcome
+from drivers.canopen.sdo.client import SdoOutcome
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import BoardError, Step
 from drivers.canopen.wire import cia301
@@ -35,14 +35,14 @@ def read_pdos(it: Inspection, in_full: bool) -> Reading:
             present = yield from _find_pdo(it, pdo, taken, in_full)
             if present is None:
                 what = f"{pdo_words(pdo.parameters)} ({pdo.parameters:04X}h): it is needed for its process data"
-                raise BoardError(Fault("wrong-device", it.name, f"board {it.name} has no {what}"))
+                raise BoardError(ArmFault("wrong-device", it.name, f"board {it.name} has no {what}"))
             taken.add(present.parameters)
             found.append((pdo._replace(parameters=present.parameters), present))
 
 
 def cover(
     it: Inspection, pdos: list[tuple[Pdo, PdoState]]
-) -> Generator[Step, Outcome, tuple[list[tuple[Pdo, PdoState]], list[Need]] | None]:
+) -> Generator[Step, SdoOutcome, tuple[list[tuple[Pdo, PdoState]], list[Need]] | None]:
     """Searches PDOs that carry the process data together with their present mappings.
 
     Args:
@@ -115,7 +115,7 @@ def check_pairs(layout: BoardLayout, rpdos: Iterable[Pdo]) -> None:
                 f"board {layout.name}: outputs {outputs} of one actuator are in {frames}, which do not wait for SYNC:"
                 " both could be on between two frames. Wire them to outputs of one RPDO"
             )
-            raise BoardError(Fault("wrong-device", layout.name, text))
+            raise BoardError(ArmFault("wrong-device", layout.name, text))
 
 
 def set_up_pdos(it: Inspection, pdos: list[tuple[Pdo, PdoState]]) -> Reading:
@@ -153,7 +153,9 @@ def ask_for_sync(it: Inspection) -> Reading:
                 it.rpdos[i] = wanted, present._replace(kind=(yield from objects.read(it.name, present.parameters, 2)))
 
 
-def _find_pdo(it: Inspection, wanted: Pdo, taken: set[int], in_full: bool) -> Generator[Step, Outcome, PdoState | None]:
+def _find_pdo(
+    it: Inspection, wanted: Pdo, taken: set[int], in_full: bool
+) -> Generator[Step, SdoOutcome, PdoState | None]:
     """Searches a PDO for the bits of the wanted one.
 
     Returns:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Generator
 from typing import NamedTuple
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Pdo, carried_bits
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import Outcome
+from drivers.canopen.sdo.client import SdoOutcome
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import BoardError, Step
 from drivers.canopen.wire.cia301 import INVALID, NO_REMOTE
@@ -19,7 +19,7 @@ ON_SYNC, ON_CHANGE = (1, 0), (255, 254)  # transmission types, the wanted one fi
 EVENT_TIME = 1000  # [ms] after which a TPDO is sent again: a lost message is noticed
 
 
-_Put = Callable[[int, int, int, int, int | None], Generator[Step, Outcome, bool]]
+_Put = Callable[[int, int, int, int, int | None], Generator[Step, SdoOutcome, bool]]
 
 
 class PdoState(NamedTuple):
@@ -74,7 +74,7 @@ class PdoState(NamedTuple):
         return 0 if self.parameters < 0x1800 else EVENT_TIME
 
 
-def read_pdo(board: str, parameters: int, most: int = _MOST_ENTRIES) -> Generator[Step, Outcome, PdoState | None]:
+def read_pdo(board: str, parameters: int, most: int = _MOST_ENTRIES) -> Generator[Step, SdoOutcome, PdoState | None]:
     """Reads a PDO; returns None if the board has no such PDO.
 
     Args:
@@ -97,7 +97,7 @@ def read_pdo(board: str, parameters: int, most: int = _MOST_ENTRIES) -> Generato
     return PdoState(parameters, cob_id, kind, timer, inhibit, mapping, entries)
 
 
-def _read_mapping(board: str, parameters: int, most: int) -> Generator[Step, Outcome, tuple[tuple[int, ...], int]]:
+def _read_mapping(board: str, parameters: int, most: int) -> Generator[Step, SdoOutcome, tuple[tuple[int, ...], int]]:
     """Reads the first entries of a mapping, and their number."""
     entries = yield from objects.read(board, parameters + 0x200, 0, fresh=True)
     if entries > _MOST_ENTRIES:  # a multiplexed PDO
@@ -132,7 +132,9 @@ def usable(board: BoardLayout, wanted: Pdo, present: PdoState) -> str | None:
     return None
 
 
-def set_up(board: BoardLayout, wanted: Pdo, present: PdoState, synchronous: bool) -> Generator[Step, Outcome, PdoState]:
+def set_up(
+    board: BoardLayout, wanted: Pdo, present: PdoState, synchronous: bool
+) -> Generator[Step, SdoOutcome, PdoState]:
     """Writes what differs in a PDO; returns its state afterwards, in which it may carry more than wanted.
 
     The order is: disable, unmap, map, type and times, enable. A refused value stays as it was.
@@ -151,7 +153,7 @@ def set_up(board: BoardLayout, wanted: Pdo, present: PdoState, synchronous: bool
     why: list[str] = []
     written: set[tuple[int, int]] = set()
 
-    def put(index: int, sub: int, value: int, size: int, before: int | None) -> Generator[Step, Outcome, bool]:
+    def put(index: int, sub: int, value: int, size: int, before: int | None) -> Generator[Step, SdoOutcome, bool]:
         """Writes a value that differs; returns whether the object has it now."""
         if value == before:
             return True
@@ -185,11 +187,13 @@ def set_up(board: BoardLayout, wanted: Pdo, present: PdoState, synchronous: bool
         reason = f"{pdo_words(parameters)} cannot be shared with other boards as the arm's file says (shared_rpdo)"
     if reason is not None:
         words = "; ".join(why) or "it does not keep what is written"
-        raise BoardError(Fault("sdo-refused", name, f"board {name}: {reason}; {words}"))
+        raise BoardError(ArmFault("sdo-refused", name, f"board {name}: {reason}; {words}"))
     return now
 
 
-def _read_back(name: str, present: PdoState, written: Container[tuple[int, int]]) -> Generator[Step, Outcome, PdoState]:
+def _read_back(
+    name: str, present: PdoState, written: Container[tuple[int, int]]
+) -> Generator[Step, SdoOutcome, PdoState]:
     """Reads back the written objects, also after a refusal, and mapping entries that were not read before."""
     index, now = present.parameters, present
     if (index, 1) in written:
@@ -206,7 +210,7 @@ def _read_back(name: str, present: PdoState, written: Container[tuple[int, int]]
     return now
 
 
-def _map(wanted: Pdo, present: PdoState, put: _Put) -> Generator[Step, Outcome, None]:
+def _map(wanted: Pdo, present: PdoState, put: _Put) -> Generator[Step, SdoOutcome, None]:
     """Writes the mapping; after a refusal the mapping gets its earlier number of entries back."""
     mapping = wanted.parameters + 0x200
     entries = present.mapping

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from drivers.canopen.boot.inspection import Inspection
 from drivers.canopen.pdo import OUTPUTS, subs_of, union
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import Outcome
+from drivers.canopen.sdo.client import SdoOutcome
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import Step
 from drivers.canopen.wiring import ErrorState
@@ -35,7 +35,7 @@ class ErrorMode(NamedTuple):
     told: bool
 
 
-def settle(it: Inspection, error_state: ErrorState | None, stopped: bool) -> Generator[Step, Outcome, bool]:
+def settle(it: Inspection, error_state: ErrorState | None, stopped: bool) -> Generator[Step, SdoOutcome, bool]:
     """Writes the outputs so that START changes no pin. Call in state pre-operational, before 6206h is overwritten.
 
     Args:
@@ -75,7 +75,7 @@ def _subs(it: Inspection) -> range:
     return range(1, 1 + max(count, *subs_of(it.layout.output_bits), 0))
 
 
-def _error_mode(it: Inspection, sub: int, error_state: ErrorState | None) -> Generator[Step, Outcome, ErrorMode]:
+def _error_mode(it: Inspection, sub: int, error_state: ErrorState | None) -> Generator[Step, SdoOutcome, ErrorMode]:
     """Reads what a byte of outputs does in the error state, as the board has it now."""
     if it.layout.settings.object == OUTPUTS:
         mode = yield from objects.find(it.name, 0x6206, sub)

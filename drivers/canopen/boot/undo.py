@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.canopen.sdo.client import Outcome, Transfer
+from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.procedure import Order, Procedure, Step
 from drivers.canopen.wire.cia301 import Command, State
 
@@ -27,7 +27,7 @@ class Undo:
 
     def recorded(self, procedure: Procedure) -> Procedure:
         """Runs a procedure, and records what it writes. An object that it has not read is read before its write."""
-        outcome: Outcome | None = None
+        outcome: SdoOutcome | None = None
         while True:
             try:
                 step = next(procedure) if outcome is None else procedure.send(outcome)
@@ -51,7 +51,7 @@ class Undo:
             if (yield step).silence is not None:
                 return
 
-    def _note(self, step: Step, outcome: Outcome) -> None:
+    def _note(self, step: Step, outcome: SdoOutcome) -> None:
         if isinstance(step, Order) and step.command is Command.START:
             self._back.append(Order(Command.PRE_OPERATIONAL))
         if not isinstance(step, Transfer) or outcome.abort is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Carried, Pdo, carries, union
 from drivers.canopen.sdo.objects import Need
@@ -99,7 +99,7 @@ class Board:
         report: takes faults.
     """
 
-    def __init__(self, layout: BoardLayout, image: StateImage, report: Callable[[Fault], None]) -> None:
+    def __init__(self, layout: BoardLayout, image: StateImage, report: Callable[[ArmFault], None]) -> None:
         self.layout = layout
         self.state: State | None = None
         self.frames = self.boots = self.input_frames = 0
@@ -118,7 +118,7 @@ class Board:
         self.released = False
         self._toggle: int | None = None  # toggle bit of the last answer to node guarding
         self._tpdos: dict[int, tuple[int, list[Carried]]] = {}
-        self.take_inputs_from(layout.tpdos)
+        self.set_tpdos(layout.tpdos)
         image.set_ready(layout, False)
         image.ends |= sum(bit.line for bit in layout.inputs if bit.inverted)
 
@@ -152,7 +152,7 @@ class Board:
         self.ready = self._booted = False
         self.state = self.history = None
 
-    def fail(self, fault: Fault) -> None:
+    def fail(self, fault: ArmFault) -> None:
         """Marks outputs and inputs as unknown until the next boot, and reports a fault."""
         self.ready = False
         self.report(fault)
@@ -161,16 +161,16 @@ class Board:
         """Expects answers to node guarding from now on."""
         self.guarded, self._toggle = True, None
 
-    def take_inputs_from(self, tpdos: Iterable[Pdo]) -> None:
+    def set_tpdos(self, tpdos: Iterable[Pdo]) -> None:
         """Sets the TPDOs that carry the inputs."""
         self._tpdos = {pdo.cob_id: (pdo.size, carries(pdo.mapping, INPUTS)) for pdo in tpdos}
 
     def set_input(self, sub: int, value: int) -> None:
         """Sets one byte of the inputs, 6000h, that was read by SDO."""
         shift = 8 * (sub - 1)
-        self._take_inputs(self._inputs & ~(0xFF << shift) | (value & 0xFF) << shift)
+        self._set_inputs(self._inputs & ~(0xFF << shift) | (value & 0xFF) << shift)
 
-    def receive(self, cob_id: int, data: bytes, now: float) -> bool:
+    def receive_frame(self, cob_id: int, data: bytes, now: float) -> bool:
         """Takes a frame from the board.
 
         Args:
@@ -195,7 +195,7 @@ class Board:
             for bit, place, count in carried:
                 mask = (1 << count) - 1
                 inputs = inputs & ~(mask << bit) | (number >> place & mask) << bit
-            self._take_inputs(inputs)
+            self._set_inputs(inputs)
         elif function == cia301.EMERGENCY and len(data) >= 2:
             self._receive_emergency(int.from_bytes(data[:2], "little"), data[2] if len(data) > 2 else 0)
         elif function != cia301.SDO_ANSWER or len(data) != 8:
@@ -259,7 +259,7 @@ class Board:
         if self._ready:  # before, it may be old: the boot reads 1001h
             self._fault("emergency", f"it reports {cia301.emergency_words(code)}: remove the cause, then reset")
 
-    def _take_inputs(self, inputs: int) -> None:
+    def _set_inputs(self, inputs: int) -> None:
         changed = inputs ^ self._inputs
         if not changed:
             return
@@ -276,4 +276,4 @@ class Board:
             self._fault("wrong-length", f"{what}: does another device send its TPDO?")
 
     def _fault(self, code: str, what: str) -> None:
-        self.report(Fault(code, self.name, f"board {self.name}: {what}"))
+        self.report(ArmFault(code, self.name, f"board {self.name}: {what}"))

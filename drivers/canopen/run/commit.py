@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from drivers.canopen.pdo import union
-from drivers.canopen.run.outputs import Key, Outputs
+from drivers.canopen.run.outputs import Key, OutputLines
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.link import Link
@@ -38,7 +38,7 @@ class Commit:
     """
 
     def __init__(
-        self, links: Mapping[str, Link], outputs: Outputs, note: Callable[[int], None], longest: float
+        self, links: Mapping[str, Link], outputs: OutputLines, note: Callable[[int], None], longest: float
     ) -> None:
         self.failed: str | None = None
         self.switched: list[tuple[int, float]] = []
@@ -106,13 +106,13 @@ class Commit:
             for frame, key in list(frames.items()):
                 if key is not None:
                     self._outputs.sending(key)
-                self._links[bus].send(frame, now)
+                self._links[bus].send_frame(frame, now)
         self._sync_when_sent(clock, now)
 
     def give_up(self, why: str) -> None:
         """Cancels a commit whose SYNC was not handed out: no SYNC is sent for it. Does nothing after that.
 
-        The boards may have latched its RPDOs. `Outputs.due` sends these frames anew before the next SYNC.
+        The boards may have latched its RPDOs. `OutputLines.due` sends these frames anew before the next SYNC.
         """
         if self._waiting:
             for bus, frames in self._waiting.items():
@@ -200,7 +200,7 @@ class Commit:
                 del self._waiting[bus]
             self._syncs.update(ready)
             for bus in ready:
-                self._links[bus].send(_SYNC, now)
+                self._links[bus].send_frame(_SYNC, now)
 
     def _sync_sent(self, bus: str, clock: float) -> None:
         if bus in self._syncs:

@@ -43,7 +43,7 @@ class Heartbeat:
         for link in self._links:
             due = clock >= self._sent.get(link.name, -math.inf) + self._timing.heartbeat - 1e-6
             if link.usable and (due or link.failing):  # another one shows whether the bus still fails
-                link.send(BEAT, now)
+                link.send_frame(BEAT, now)
                 self._before[link.name] = self._sent.get(link.name, -math.inf)
                 self._sent[link.name] = clock
         for station in self._stations:

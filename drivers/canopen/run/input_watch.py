@@ -9,7 +9,7 @@ from drivers.canopen.run.station import Station
 from drivers.canopen.wire.cia301 import wire_bits
 from drivers.canopen.wire.link import Link
 
-_PERIOD = 1.5  # [s] between two reads of a board; with the answer, a lost TPDO is noticed within 2 s
+_READ_EVERY = 1.5  # [s] between two reads of a board; with the answer, a lost TPDO is noticed within 2 s
 _SHARE = 0.01  # of the bit rate, for boards without interlocks
 
 
@@ -32,8 +32,8 @@ class InputWatch:
             here = [s for s in self._stations if s.board.layout.bus == link.name]
             guards = {s.index for s in here if any(bit.line & interlocks for bit in s.board.layout.inputs)}
             transfers = sum(len(subs_of(s.board.layout.input_bits)) for s in here if s.index not in guards)
-            shared = transfers * 2 * wire_bits(8) / (_SHARE * link.settings.bitrate)
-            self._periods |= {s.index: _PERIOD if s.index in guards else max(_PERIOD, shared) for s in here}
+            shared = transfers * 2 * wire_bits(8) / (_SHARE * link.wiring.bitrate)
+            self._periods |= {s.index: _READ_EVERY if s.index in guards else max(_READ_EVERY, shared) for s in here}
         self._due: dict[int, float] = {}
 
     def begin(self, now: float) -> None:

@@ -6,17 +6,17 @@ from collections.abc import Callable
 from functools import partial
 
 from drivers.canopen.boot.booting import Booting
-from drivers.canopen.faults import Busy, Fault
+from drivers.canopen.faults import ArmFault, Busy
+from drivers.canopen.run.boards import Boards
 from drivers.canopen.run.commit import Commit
 from drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
 from drivers.canopen.run.input_watch import InputWatch
-from drivers.canopen.run.network import Network
 from drivers.canopen.run.outputs import Key
 from drivers.canopen.run.verification import Verification
-from drivers.canopen.status import Status
+from drivers.canopen.status import MasterStatus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
+from drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
 from drivers.canopen.wire.load import BITS
 from drivers.canopen.wiring import Timing, Wiring
 
@@ -42,41 +42,41 @@ class Master:
     """
 
     def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
-        self._network = network = Network(wiring, timing, send)
-        self.board_of = network.layout.board_of
-        self.input_boards_of = network.layout.input_boards_of
-        self.boards = tuple(board.name for board in network.layout.boards)
-        self.sensed = network.sensed
-        self._links, self._clock, self._timing = network.links, LoopClock(), timing
-        self._booting = Booting(network.stations, network.outputs, wiring, timing)
-        self._receptions = network.receptions(self._booting.rebooted)
-        self._heartbeat = Heartbeat(network.links.values(), network.stations, timing)
-        self._verification = Verification(network)
+        self._boards = boards = Boards(wiring, timing, send)
+        self.board_of = boards.layout.board_of
+        self.input_boards_of = boards.layout.input_boards_of
+        self.boards = tuple(board.name for board in boards.layout.boards)
+        self.sensed = boards.sensed
+        self._links, self._clock, self._timing = boards.links, LoopClock(), timing
+        self._booting = Booting(boards.stations, boards.outputs, wiring, timing)
+        self._receptions = boards.receptions(self._booting.rebooted)
+        self._heartbeat = Heartbeat(boards.links.values(), boards.stations, timing)
+        self._verification = Verification(boards)
         interlocks = sum(1 << line for line in wiring.interlock_lines)
-        self._inputs = InputWatch(network.stations, network.links.values(), interlocks)
-        self._commit = Commit(network.links, network.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
+        self._inputs = InputWatch(boards.stations, boards.links.values(), interlocks)
+        self._commit = Commit(boards.links, boards.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
         self._releasing = 0, 0  # levels and lines of the last release
 
-    def take(self, event: Event, now: float) -> None:
+    def receive_event(self, event: Event, now: float) -> None:
         """Passes an event of a bus to one of the six methods below."""
-        if isinstance(event, Received):
-            self.receive(event.bus, event.frame, now)
-        elif isinstance(event, Echoed):
+        if isinstance(event, FrameReceived):
+            self.receive_frame(event.bus, event.frame, now)
+        elif isinstance(event, FrameEchoed):
             self.echoed(event.bus, event.frame, now)
-        elif isinstance(event, Ignored):
+        elif isinstance(event, FrameIgnored):
             self.ignore(event.bus, event.bits, now)
-        elif isinstance(event, Changed):
+        elif isinstance(event, BusChanged):
             self.bus_changed(event.bus, event.state, event.why, event.errors, now)
-        elif isinstance(event, Overrun):
+        elif isinstance(event, BusOverrun):
             self.overrun(event.bus, now)
         else:
             self.send_failed(event.bus, event.frame, event.why, now)
 
-    def receive(self, bus: str, frame: Frame, now: float) -> None:
+    def receive_frame(self, bus: str, frame: Frame, now: float) -> None:
         """Takes a data frame with an 11 bit identifier from another node."""
         link = self._links[bus]
         link.received(BITS[min(len(frame.data), 8)])
-        if not self._receptions[bus].receive(frame, self._clock.at(now)):
+        if not self._receptions[bus].receive_frame(frame, self._clock.at(now)):
             link.ignored()
 
     def ignore(self, bus: str, bits: int, now: float) -> None:
@@ -89,7 +89,7 @@ class Master:
         """Takes the echo of a sent frame; a frame of another program counts as received."""
         time = self._clock.at(now)
         if not self._links[bus].echoed(frame, time):
-            self.receive(bus, frame, now)
+            self.receive_frame(bus, frame, now)
             return
         if self._commit.under_way:
             self._commit.sent(bus, frame, now, time)
@@ -133,42 +133,42 @@ class Master:
                 self._lose(fault)
         self._heartbeat.tick(now, time)
         self._commit.tick(now, time)
-        self._network.tick(time, self._timing.heartbeat_timeout, self._clock.stalled)
+        self._boards.tick(time, self._timing.heartbeat_timeout, self._clock.stalled)
         if not self._booting.under_way:
             self._verification.tick(time)
             self._inputs.tick(time)
 
-    def halted(self, now: float) -> Fault | None:
+    def halted(self, now: float) -> ArmFault | None:
         """Returns a fault if `tick` was not called for so long that the boards lost their master.
 
         Then the states of all boards are unknown until `boot`. A running boot begins again, without a fault. Call this
-        before any event is handled. `tick` and `commit` check this as well, and report it in `take_faults`.
+        before any event is handled. `tick` and `commit` check this as well, and report it in `drain_faults`.
         """
         if (pause := self._heartbeat.halted(now)) is None:
             return None
         if self._booting.under_way:
             self.boot(now)
             return None
-        self._network.forget()  # the boards' states are unknown after the halt
+        self._boards.forget()  # the boards' states are unknown after the halt
         text = f"the executor was halted for {pause:.2f} s, and the boards lost their master: the arm holds"
-        return Fault("halted", "executor", text)
+        return ArmFault("halted", "executor", text)
 
     def boot(self, now: float) -> None:
         """Boots all boards of all buses in parallel; switches no output.
 
         Correctly configured boards are not written to. A running boot begins again. Earlier faults are forgotten.
         """
-        self._network.log.clear()
+        self._boards.log.clear()
         self._commit.forget()
         self._verification.begin()
         self._inputs.begin(self._clock.at(now))
-        self._booting.begin(self._network.rearm(), self._clock.at(now))
+        self._booting.begin(self._boards.rearm(), self._clock.at(now))
 
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
         """Switches all output lines to `outputs`: sends RPDOs, and one SYNC on each bus after them, see `Commit`.
 
-        Nothing is sent if nothing changes. `committing`, `commit_failed` and `take_switched` tell the result. The first
-        commit after a boot ends when the outputs of boards without end-stops were read back.
+        Nothing is sent if nothing changes. `committing`, `commit_failed` and `drain_switched` tell the result. After a
+        boot, the first commit ends when the outputs of boards without end-stops were read back.
 
         Args:
             outputs: levels of all lines.
@@ -188,7 +188,7 @@ class Master:
             raise Busy("frames of the previous commit were not sent yet")
         if self._verification.blocking:
             raise Busy("the outputs of the previous commit are being read back")
-        due = self._network.outputs.due(outputs)
+        due = self._boards.outputs.due(outputs)
         self._verification.failed = None
         if not due:
             self._commit.failed = None
@@ -206,11 +206,11 @@ class Master:
     def question(self, board: int, now: float) -> None:
         """Asks a board for its inputs by SDO; see `questioning`."""
         if not self._booting.under_way:
-            self._network.stations[board].question(self._clock.at(now))
+            self._boards.stations[board].question(self._clock.at(now))
 
     def probe_silent(self, now: float) -> None:
         """Asks lost boards whether they are back; see `back`. Call about once a second."""
-        self._network.probe_silent(self._clock.at(now))
+        self._boards.probe_silent(self._clock.at(now))
 
     @property
     def booting(self) -> bool:
@@ -218,24 +218,24 @@ class Master:
         return self._booting.under_way
 
     @property
-    def boot_faults(self) -> list[Fault]:
+    def boot_faults(self) -> list[ArmFault]:
         """Faults of the last boot: one for each board or bus that is not ready."""
         return self._booting.faults
 
     @property
     def ready(self) -> bool:
         """Whether all boards are ready, and all buses are armed."""
-        return self._network.ready
+        return self._boards.ready
 
     @property
     def back(self) -> bool:
         """Whether `boot` may succeed: all buses send, and all boards are heard."""
-        return self._network.back(self._clock.now)
+        return self._boards.back(self._clock.now)
 
     @property
     def calm(self) -> bool:
         """Whether no commit, boot, read or question is under way. Only then the master can be pickled."""
-        return not (self.committing or self.booting) and not any(s.runner.running for s in self._network.stations)
+        return not (self.committing or self.booting) and not any(s.runner.running for s in self._boards.stations)
 
     @property
     def committing(self) -> bool:
@@ -260,91 +260,91 @@ class Master:
     @property
     def outputs(self) -> int:
         """Levels of the output lines after the last SYNC that was sent, or as read back by `boot`."""
-        return self._network.outputs.states
+        return self._boards.outputs.states
 
     @property
     def doubtful(self) -> int:
         """Mask of the output lines that a SYNC may have switched: their bus was lost while it was being sent."""
-        return self._network.outputs.doubtful
+        return self._boards.outputs.doubtful
 
     @property
     def outputs_known(self) -> bool:
         """Whether `outputs` are known: all boards are ready, and no SYNC is being sent."""
-        return self._network.all_known and not self._commit.unknown
+        return self._boards.all_known and not self._commit.unknown
 
     @property
     def ends(self) -> int:
         """Levels of the input lines; 0 where unknown."""
-        return self._network.image.ends & self._network.image.up
+        return self._boards.image.ends & self._boards.image.up
 
     @property
     def inputs_known(self) -> int:
         """Mask of the input lines whose board is ready."""
-        return self._network.image.up
+        return self._boards.image.up
 
     @property
     def boots(self) -> tuple[int, ...]:
         """Number of boot-up messages of each board so far."""
-        return tuple(station.board.boots for station in self._network.stations)
+        return tuple(station.board.boots for station in self._boards.stations)
 
     @property
     def known(self) -> int:
         """Mask of the actuators whose boards are all ready: that of the outputs and those of the end-stops."""
-        return self._network.image.known
+        return self._boards.image.known
 
     def questioning(self, board: int) -> bool:
         """Returns whether a question to a board still waits for its answer."""
-        return self._network.stations[board].questioning
+        return self._boards.stations[board].questioning
 
-    def take_faults(self) -> list[Fault]:
+    def drain_faults(self) -> list[ArmFault]:
         """Returns the faults since the last call; each code and source once until the next `boot`."""
-        return self._network.log.take()
+        return self._boards.log.drain()
 
-    def take_switched(self) -> list[tuple[int, float]]:
+    def drain_switched(self) -> list[tuple[int, float]]:
         """Returns the switches since the last call: mask of lines, and time when their SYNC was known as sent [s]."""
         switched, self._commit.switched = self._commit.switched, []
         return switched
 
-    def warnings(self) -> tuple[Fault, ...]:
+    def warnings(self) -> tuple[ArmFault, ...]:
         """Returns a warning for each error-passive bus, and for each board with limits."""
         passive = tuple(fault for link in self._links.values() if (fault := link.passive()) is not None)
-        return passive + self._network.warnings()
+        return passive + self._boards.warnings()
 
-    def status(self) -> Status:
+    def status(self) -> MasterStatus:
         """Returns state and counters for diagnostics."""
-        return self._network.status(self._clock.now)
+        return self._boards.status(self._clock.now)
 
     def _look_halted(self, now: float) -> None:
         if (fault := self.halted(now)) is not None:
-            self._network.log.report(fault)
+            self._boards.log.report(fault)
 
     def _release(self, outputs: int, now: float) -> None:
         """Switches the lines off that are not in `outputs`; a release that waits for its echoes goes on."""
-        network = self._network
-        states, off = network.released(~outputs)
+        boards = self._boards
+        states, off = boards.released(~outputs)
         if not off or (self._commit.collecting and self._releasing == (states, off)):
             return
         self._commit.give_up("an output had to be switched off first")
         if self._commit.under_way:
             raise Busy("the SYNC of the previous commit was not sent yet")
-        due = network.outputs.due(states, off)
-        booted = [i for bus in due for i in network.left_out(bus, off)] if self._booting.under_way else []
+        due = boards.outputs.due(states, off)
+        booted = [i for bus in due for i in boards.left_out(bus, off)] if self._booting.under_way else []
         self._begin(states, due, off, now)
         self._releasing = states, off
-        for station in (network.stations[i] for i in booted):
+        for station in (boards.stations[i] for i in booted):
             if station.board.heard:  # it was told to leave operational, in which its boot may have put it
                 self._booting.rebooted(station, self._clock.at(now))
 
     def _begin(self, states: int, due: dict[str, list[Key]], off: int | None, now: float) -> None:
         """Starts a commit; `off`: mask of lines if they only go off, else None."""
-        if refusal := self._network.refusal(off):
+        if refusal := self._boards.refusal(off):
             raise Busy(refusal)
-        frames = {bus: self._network.frames_of(bus, keys, off) for bus, keys in due.items()}
-        self._releasing, refuses = (0, 0), partial(self._network.refusal, off)
+        frames = {bus: self._boards.frames_of(bus, keys, off) for bus, keys in due.items()}
+        self._releasing, refuses = (0, 0), partial(self._boards.refusal, off)
         self._commit.begin(states, frames, refuses, now, self._clock.at(now), together=off is None)
 
-    def _lose(self, fault: Fault) -> None:
-        self._network.forget(fault.source)  # one fault for the bus, not one for each board
+    def _lose(self, fault: ArmFault) -> None:
+        self._boards.forget(fault.source)  # one fault for the bus, not one for each board
         self._commit.bus_lost(fault.source)
         self._booting.bus_lost(fault)
-        self._network.log.report(fault)
+        self._boards.log.report(fault)

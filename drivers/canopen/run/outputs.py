@@ -12,7 +12,7 @@ from drivers.canopen.wire.cia301 import Frame
 Key = tuple[str, int]  # bus and COB-ID of a frame
 
 
-class Outputs:
+class OutputLines:
     """The output lines of all boards.
 
     The bytes of a frame are one little-endian number. Bits without a line keep the value that was read back.

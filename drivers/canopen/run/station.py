@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.pdo import subs_of
 from drivers.canopen.run.board import Board
 from drivers.canopen.sdo.client import Transfer
 from drivers.canopen.sdo.procedure import Procedure, Runner
 from drivers.canopen.wire.link import Link
 
-_PATIENCE = 0.3  # [s] for an answer to a question
+_INPUT_TIMEOUT = 0.3  # [s] for the inputs
 
 
 class Station:
@@ -46,7 +46,7 @@ class Station:
         if not self.runner.running:
             self.runner.start(_ask_presence(), None, now)
 
-    def _answered(self, fault: Fault | None, now: float) -> None:
+    def _answered(self, fault: ArmFault | None, now: float) -> None:
         self.questioning = False
         if self._again:
             self.question(now)
@@ -55,7 +55,7 @@ class Station:
 def _ask_inputs(board: Board) -> Procedure:
     before = board.input_frames
     for sub in subs_of(board.layout.input_bits):
-        outcome = yield Transfer(0x6000, sub, timeout=_PATIENCE, tries=2, fresh=True)
+        outcome = yield Transfer(0x6000, sub, timeout=_INPUT_TIMEOUT, tries=2, fresh=True)
         if outcome.data and board.input_frames == before:  # otherwise a TPDO has brought newer values
             board.set_input(sub, outcome.data[0])
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Generator
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.pdo import subs_of
 from drivers.canopen.run.board import Board
-from drivers.canopen.run.network import Network
+from drivers.canopen.run.boards import Boards
 from drivers.canopen.run.station import Station
-from drivers.canopen.sdo.client import Outcome, Transfer
+from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.objects import Need, abort_words
 from drivers.canopen.sdo.procedure import Step, Wait
 from drivers.canopen.wire import cia301
@@ -31,30 +31,29 @@ class Verification:
         failed: why the outputs of such a board did not switch; None if they did.
 
     Args:
-        network: the boards.
+        boards: the boards.
     """
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, boards: Boards) -> None:
         self.blocking: set[int] = set()
         self.failed: str | None = None
-        self._network = network
-        self._unverified = set(range(len(network.stations)))  # boards not verified since their boot
+        self._boards = boards
+        self._unverified = set(range(len(boards.stations)))  # boards not verified since their boot
         self._pulses: set[int] = set()  # boards with a pulse that was not read back
-        self._silent = [0] * len(network.stations)  # reads in a row without a result
-        self._missed = [0] * len(network.stations)  # pulses in a row that were not read back
+        self._silent = [0] * len(boards.stations)  # reads in a row without a result
+        self._missed = [0] * len(boards.stations)  # pulses in a row that were not read back
         self._due: dict[int, None] = {}  # boards whose outputs must be read back, the oldest first
-        self._next = dict.fromkeys(network.links, 0.0)  # time of the next read on each bus
-        self._turns = dict.fromkeys(network.links, 0)
+        self._next = dict.fromkeys(boards.links, 0.0)  # time of the next read on each bus
+        self._turns = dict.fromkeys(boards.links, 0)
         self._of_bus = {
-            name: [station for station in network.stations if station.board.layout.bus == name]
-            for name in network.links
+            name: [station for station in boards.stations if station.board.layout.bus == name] for name in boards.links
         }
-        bitrates = {name: link.settings.bitrate for name, link in network.links.items()}
+        bitrates = {name: link.wiring.bitrate for name, link in boards.links.items()}
         self._pace = {name: max(_SHORTEST, 2 * wire_bits(8) / (_SHARE * rate)) for name, rate in bitrates.items()}
 
     def begin(self) -> None:
         """Records that a boot of all boards has begun."""
-        self._unverified = set(range(len(self._network.stations)))
+        self._unverified = set(range(len(self._boards.stations)))
         self._due.clear()
         self._pulses.clear()
         self.blocking.clear()
@@ -62,23 +61,23 @@ class Verification:
 
     def switched(self, lines: int) -> None:
         """Records that output lines were switched."""
-        for station in self._network.stations:
+        for station in self._boards.stations:
             layout, i = station.board.layout, station.index
             if switched := layout.output_lines & lines:
                 self._due[i] = None
-                if switched & self._network.pulsed & self._network.outputs.states:
+                if switched & self._boards.pulsed & self._boards.outputs.states:
                     self._pulses.add(i)
                 if i in self._unverified and switched & ~layout.sensed:
                     self.blocking.add(i)
 
     def tick(self, now: float) -> None:
         """Starts the reads that are due; `now` stands still while the loop stalls [s]."""
-        stations = self._network.stations
+        stations = self._boards.stations
         for i in [i for i in self._due if not stations[i].board.ready]:
             self._end(i)
         for i in [i for i in sorted(self.blocking | self._pulses) if not stations[i].runner.running]:
             self._start(stations[i], self._outputs(stations[i]), now)
-        for bus, link in self._network.links.items():
+        for bus, link in self._boards.links.items():
             if not link.armed:
                 continue
             due = [i for i in self._due if stations[i].board.layout.bus == bus and not stations[i].runner.running]
@@ -113,7 +112,7 @@ class Verification:
         else:
             self._start(station, self._errors(station), now)
 
-    def _start(self, station: Station, reading: Generator[Step, Outcome, None], now: float) -> None:
+    def _start(self, station: Station, reading: Generator[Step, SdoOutcome, None], now: float) -> None:
         station.runner.start(reading, None, now)
 
     def _end(self, i: int) -> None:
@@ -121,12 +120,12 @@ class Verification:
         self.blocking.discard(i)
         self._pulses.discard(i)
 
-    def _outputs(self, station: Station) -> Generator[Step, Outcome, None]:
+    def _outputs(self, station: Station) -> Generator[Step, SdoOutcome, None]:
         """Compares the outputs of a board with the switched levels; a board may need some time."""
-        board, i, outputs = station.board, station.index, self._network.outputs
+        board, i, outputs = station.board, station.index, self._boards.outputs
         changes, wrong = outputs.changes[i], list[tuple[int, int]]()
         for _ in range(_TRIES):
-            pulsing = bool(outputs.states & self._network.pulsed & board.layout.output_lines)
+            pulsing = bool(outputs.states & self._boards.pulsed & board.layout.output_lines)
             bits = yield from self._read(station)
             if bits is None:
                 return
@@ -142,7 +141,7 @@ class Verification:
         if missed and board.ready:
             self._not_switched(station, *wrong[-1])
 
-    def _read(self, station: Station) -> Generator[Step, Outcome, int | None]:
+    def _read(self, station: Station) -> Generator[Step, SdoOutcome, int | None]:
         """Reads the used outputs of a board; None, and a fault the third time, if the board does not tell them."""
         board, bits = station.board, 0
         for sub in subs_of(board.layout.output_bits):
@@ -154,7 +153,7 @@ class Verification:
         self._silent[station.index] = 0
         return bits & board.layout.output_bits
 
-    def _unread(self, station: Station, sub: int, outcome: Outcome) -> None:
+    def _unread(self, station: Station, sub: int, outcome: SdoOutcome) -> None:
         """Counts a read without a result; it verifies nothing, so the board stays due."""
         board, i = station.board, station.index
         board.unverified += 1
@@ -168,7 +167,7 @@ class Verification:
             self.failed = text
         self._silent[i] = 0
         self._end(i)
-        board.fail(Fault("not-verified", board.name, text))
+        board.fail(ArmFault("not-verified", board.name, text))
 
     def _right(self, station: Station, pulsing: bool) -> None:
         """Records that the outputs are right; after the end of a pulse, this tells nothing of the pulse."""
@@ -177,7 +176,7 @@ class Verification:
         self._end(i)
         if pulsing:
             self._missed[i] = 0
-        if pulsing or not board.layout.output_lines & self._network.pulsed:
+        if pulsing or not board.layout.output_lines & self._boards.pulsed:
             self._unverified.discard(i)
         elif pulsed:
             board.unverified += 1
@@ -188,7 +187,7 @@ class Verification:
 
     def _warn(self, board: Board) -> None:
         """Warns that the pulses of a board are not verified, unless end-stops tell of all of them."""
-        if board.layout.output_lines & self._network.pulsed & ~board.layout.sensed:
+        if board.layout.output_lines & self._boards.pulsed & ~board.layout.sensed:
             text = "its pulses are too short to be read back; only end-stops tell whether its outputs follow"
             board.warnings = (*board.warnings, text)
 
@@ -204,9 +203,9 @@ class Verification:
         if station.index in self.blocking:
             self.failed = text
         self._end(station.index)
-        board.fail(Fault("not-switched", board.name, text))
+        board.fail(ArmFault("not-switched", board.name, text))
 
-    def _object(self, station: Station, need: Need) -> Generator[Step, Outcome, None]:
+    def _object(self, station: Station, need: Need) -> Generator[Step, SdoOutcome, None]:
         """Checks that an object still has its value from the end of the boot."""
         board = station.board
         for _ in range(2):
@@ -218,9 +217,9 @@ class Verification:
                 f"board {board.name} has {need.words(present)} in {need.place}; {need.words(need.value)} is needed"
                 " and was there: another program writes to it, or it has restarted; reset configures it again"
             )
-            board.fail(Fault("board-changed", board.name, text))
+            board.fail(ArmFault("board-changed", board.name, text))
 
-    def _errors(self, station: Station) -> Generator[Step, Outcome, None]:
+    def _errors(self, station: Station) -> Generator[Step, SdoOutcome, None]:
         """Checks the error register, 1001h, for an error without an emergency."""
         board = station.board
         for _ in range(2):
@@ -238,9 +237,9 @@ class Verification:
             text += f"; 1003h sub 1 tells {cia301.emergency_words(code)}"
         if board.ready:
             text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
-            board.report(Fault("board-error", board.name, text))
+            board.report(ArmFault("board-error", board.name, text))
 
-    def _new_error(self, board: Board) -> Generator[Step, Outcome, bool]:
+    def _new_error(self, board: Board) -> Generator[Step, SdoOutcome, bool]:
         """Returns whether the error history, 1003h sub 1, has a new error since the boot; an entry 0000h is an end."""
         if board.history is None or board.emergency is not None:
             return False

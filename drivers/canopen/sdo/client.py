@@ -10,8 +10,11 @@ from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.link import Link, Outgoing
 
-TIMEOUT, TRIES = 0.5, 3  # [s] for one answer, and attempts
-_PATIENCE, _LONGEST = 2.5, 3.0  # timeout of a slow board: factor on its longest answer time, and its limit [s]
+SDO_TIMEOUT, TRIES = 0.5, 3  # [s] for one answer, and attempts
+_SLOW_FACTOR, _LONGEST_TIMEOUT = (
+    2.5,
+    3.0,
+)  # timeout of a slow board: factor on its longest answer time, and its limit [s]
 _LATE = 4.0  # [s] for which an answer to an earlier request may still come
 _MOST_SEGMENTS = 8  # of one answer; a number of four bytes takes one
 _WINDOW, _MOST_TWICE = 20, 15  # transfers, and of them those that one board alone never has answered twice
@@ -34,12 +37,12 @@ class Transfer:
     index: int
     sub: int
     data: bytes | None = None
-    timeout: float = TIMEOUT
+    timeout: float = SDO_TIMEOUT
     tries: int = TRIES
     fresh: bool = False
 
 
-class Outcome(NamedTuple):
+class SdoOutcome(NamedTuple):
     """The result of a transfer: exactly one of its fields is set.
 
     Attributes:
@@ -66,7 +69,7 @@ class SdoClient:
     """
 
     def __init__(self, node: int, link: Link) -> None:
-        self.outcome: Outcome | None = None
+        self.outcome: SdoOutcome | None = None
         self._request_id = cia301.SDO_REQUEST + node
         self._link = link
         self._transfer: Transfer | None = None
@@ -100,23 +103,23 @@ class SdoClient:
             self._outgoing.cancelled = True
         self._transfer = self._outgoing = self._segments = self.outcome = None
 
-    def receive(self, data: bytes, now: float) -> None:
+    def receive_answer(self, data: bytes, now: float) -> None:
         """Takes a frame of 8 bytes from the board's SDO server."""
         transfer, outgoing = self._transfer, self._outgoing
         if transfer is None or outgoing is None or outgoing.first_at is None:
-            self._take_late(data[1:4])
+            self._receive_late(data[1:4])
             return
         kind = data[0] & 0xE0
         if self._segments is not None and kind == 0x00:
             self._link.answered(outgoing, now)
-            self._take_segment(data, now)
+            self._receive_segment(data, now)
             return
         if data[1:4] != self._multiplexer:
-            self._take_late(data[1:4])
+            self._receive_late(data[1:4])
             return
         if self._skip > 0:  # late or not: the answer to a new request is right in both cases
             self._skip -= 1
-            self._take_late(data[1:4])
+            self._receive_late(data[1:4])
             self._link.answered(outgoing, now)
             self._request(now)
             return
@@ -127,14 +130,14 @@ class SdoClient:
         else:
             self._count_answer()
         if kind == 0x80:
-            self._end(Outcome(abort=int.from_bytes(data[4:], "little")))
+            self._end(SdoOutcome(abort=int.from_bytes(data[4:], "little")))
         elif self._segments is not None:
             return
         elif transfer.data is not None and kind == 0x60:
-            self._end(Outcome(data=b""))
+            self._end(SdoOutcome(data=b""))
         elif transfer.data is None and kind == 0x40:
             if data[0] & 0x02:  # expedited; without a size, four bytes
-                self._end(Outcome(data=data[4 : 8 - (data[0] >> 2 & 3 if data[0] & 1 else 0)]))
+                self._end(SdoOutcome(data=data[4 : 8 - (data[0] >> 2 & 3 if data[0] & 1 else 0)]))
             else:
                 self._segments, self._expected = b"", 0
                 self._send(bytes((0x60, 0, 0, 0, 0, 0, 0, 0)), now)
@@ -144,7 +147,7 @@ class SdoClient:
         transfer, outgoing = self._transfer, self._outgoing
         if transfer is None or outgoing is None or outgoing.first_at is None:
             return
-        if now - outgoing.first_at < max(transfer.timeout, min(_PATIENCE * self._slowest, _LONGEST)):
+        if now - outgoing.first_at < max(transfer.timeout, min(_SLOW_FACTOR * self._slowest, _LONGEST_TIMEOUT)):
             return
         outgoing.cancelled = True
         if self._segments is not None:
@@ -154,7 +157,7 @@ class SdoClient:
             self._request(now)
         else:
             self._owe(self._asked, now)
-            self._end(Outcome(silence=f"no SDO answer within {transfer.timeout:g} s, asked {transfer.tries} times"))
+            self._end(SdoOutcome(silence=f"no SDO answer within {transfer.timeout:g} s, asked {transfer.tries} times"))
 
     def _request(self, now: float) -> None:
         assert self._transfer is not None
@@ -173,7 +176,7 @@ class SdoClient:
         owed = self._owed.get(self._multiplexer, (0, 0.0))[0]
         self._owed[self._multiplexer] = owed + answers, now + _LATE
 
-    def _take_late(self, multiplexer: bytes) -> None:
+    def _receive_late(self, multiplexer: bytes) -> None:
         """Takes a late answer to another object, or to an earlier request."""
         if (owed := self._owed.get(multiplexer)) is not None:
             if owed[0] > 1:
@@ -192,17 +195,17 @@ class SdoClient:
         self._answered += 1
         self._last = self._multiplexer
 
-    def _take_segment(self, data: bytes, now: float) -> None:
+    def _receive_segment(self, data: bytes, now: float) -> None:
         assert self._segments is not None
         if data[0] >> 4 & 1 != self._expected & 1:
             return  # a repeated segment
         self._segments += data[1 : 8 - (data[0] >> 1 & 7)]
         self._expected += 1
         if data[0] & 1:
-            self._end(Outcome(data=self._segments))
+            self._end(SdoOutcome(data=self._segments))
         elif self._expected >= _MOST_SEGMENTS:
             self._abort(_TOO_LONG, now)
-            self._end(Outcome(silence=f"its answer is longer than {_MOST_SEGMENTS} segments"))
+            self._end(SdoOutcome(silence=f"its answer is longer than {_MOST_SEGMENTS} segments"))
         else:
             self._send(bytes((0x60 | (self._expected & 1) << 4, 0, 0, 0, 0, 0, 0, 0)), now)
 
@@ -214,6 +217,6 @@ class SdoClient:
         self._outgoing = Outgoing(Frame(self._request_id, data))
         self._link.queue(self._outgoing, now)
 
-    def _end(self, outcome: Outcome) -> None:
+    def _end(self, outcome: SdoOutcome) -> None:
         self.cancel()
         self.outcome = outcome

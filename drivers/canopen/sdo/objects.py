@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass
 
-from drivers.canopen.faults import Fault
-from drivers.canopen.sdo.client import Outcome, Transfer
+from drivers.canopen.faults import ArmFault
+from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.procedure import BoardError, Step
 
 # SDO abort codes (CiA 301, 7.2.4.3.17).
@@ -102,7 +102,7 @@ class Need:
         return (present & ~self.mask | self.value & self.mask) & (1 << 8 * self.size) - 1
 
 
-def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -> Generator[Step, Outcome, int]:
+def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -> Generator[Step, SdoOutcome, int]:
     """Reads an unsigned value of `size` bytes; `board` is the name for messages.
 
     Raises:
@@ -112,7 +112,7 @@ def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -
     return number(board, index, sub, size, outcome)
 
 
-def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, Outcome, int | None]:
+def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, SdoOutcome, int | None]:
     """Reads an unsigned value like `read`; returns None if the board has no such object.
 
     Raises:
@@ -124,7 +124,7 @@ def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, Out
     return number(board, index, sub, size, outcome)
 
 
-def number(board: str, index: int, sub: int, size: int, outcome: Outcome) -> int:
+def number(board: str, index: int, sub: int, size: int, outcome: SdoOutcome) -> int:
     """Returns the value that a transfer has read.
 
     Raises:
@@ -132,17 +132,17 @@ def number(board: str, index: int, sub: int, size: int, outcome: Outcome) -> int
     """
     if outcome.abort is not None:
         text = f"board {board} refuses to read {index:04X}h sub {sub}: {abort_words(outcome.abort)}"
-        raise BoardError(Fault("sdo-refused", board, text))
+        raise BoardError(ArmFault("sdo-refused", board, text))
     if outcome.data is None:
         message = f"board {board} does not answer to {index:04X}h sub {sub}: {outcome.silence}"
-        raise BoardError(Fault("board-missing", board, message))
+        raise BoardError(ArmFault("board-missing", board, message))
     if len(outcome.data) not in (size, 4):  # some boards send four bytes for any number
         text = f"board {board} answers {len(outcome.data)} bytes to {index:04X}h sub {sub}; {size} are needed"
-        raise BoardError(Fault("wrong-device", board, text))
+        raise BoardError(ArmFault("wrong-device", board, text))
     return int.from_bytes(outcome.data[:size], "little")
 
 
-def write(board: str, need: Need, value: int) -> Generator[Step, Outcome, int | None]:
+def write(board: str, need: Need, value: int) -> Generator[Step, SdoOutcome, int | None]:
     """Writes a value; returns None, or the abort code of the board.
 
     Raises:
@@ -151,11 +151,11 @@ def write(board: str, need: Need, value: int) -> Generator[Step, Outcome, int | 
     outcome = yield Transfer(need.index, need.sub, value.to_bytes(need.size, "little"))
     if outcome.abort is None and outcome.data is None:
         message = f"board {board} does not answer to {need.index:04X}h sub {need.sub}: {outcome.silence}"
-        raise BoardError(Fault("board-missing", board, message))
+        raise BoardError(ArmFault("board-missing", board, message))
     return outcome.abort
 
 
-def ensure(board: str, need: Need, present: int) -> Generator[Step, Outcome, None]:
+def ensure(board: str, need: Need, present: int) -> Generator[Step, SdoOutcome, None]:
     """Writes the needed value into an object with another value, and reads it back.
 
     Raises:
@@ -168,16 +168,16 @@ def ensure(board: str, need: Need, present: int) -> Generator[Step, Outcome, Non
     confirmed = yield from read(board, need.index, need.sub, need.size, fresh=True)
     if not need.met(confirmed):
         text = f"board {board} has {need.words(confirmed)} in {need.place} after {need.words(value)} was written"
-        raise BoardError(Fault("sdo-refused", board, f"{text}: does another program write to it?"))
+        raise BoardError(ArmFault("sdo-refused", board, f"{text}: does another program write to it?"))
 
 
 def refused(board: str, need: Need, present: int, abort: int) -> BoardError:
     """Returns the error of a board that refuses a value."""
     text = f"board {board} has {need.words(present)} in {need.place}; {need.words(need.corrected(present))} is needed"
-    return BoardError(Fault("sdo-refused", board, f"{text}, which it refuses: {abort_words(abort)}"))
+    return BoardError(ArmFault("sdo-refused", board, f"{text}, which it refuses: {abort_words(abort)}"))
 
 
-def check(board: str, need: Need) -> Generator[Step, Outcome, int | None]:
+def check(board: str, need: Need) -> Generator[Step, SdoOutcome, int | None]:
     """Reads an object; returns its value, or None if the board has no such object.
 
     Raises:
@@ -186,9 +186,9 @@ def check(board: str, need: Need) -> Generator[Step, Outcome, int | None]:
     present = yield from find(board, need.index, need.sub, need.size)
     if present is None and need.required is not None:
         text = f"board {board} has no {need.place}; {need.words(need.value)} is needed there: {need.required}"
-        raise BoardError(Fault("wrong-device", board, text))
+        raise BoardError(ArmFault("wrong-device", board, text))
     if present is not None and need.fixed is not None and not need.met(present):
         needed = need.words(need.corrected(present))
         text = f"board {board} has {need.words(present)} in {need.place}; {needed} is needed: {need.fixed}"
-        raise BoardError(Fault("wrong-device", board, text))
+        raise BoardError(ArmFault("wrong-device", board, text))
     return present

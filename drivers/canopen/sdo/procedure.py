@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
-from drivers.canopen.faults import Fault
-from drivers.canopen.sdo.client import Outcome, SdoClient, Transfer
+from drivers.canopen.faults import ArmFault
+from drivers.canopen.sdo.client import SdoClient, SdoOutcome, Transfer
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command
 from drivers.canopen.wire.link import Link, Outgoing
@@ -23,10 +23,10 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """Waits for a condition, at most `patience` [s]; checks it after each frame of the board and at each tick."""
+    """Waits for a condition, at most `timeout` [s]; checks it after each frame of the board and at each tick."""
 
     until: Callable[[], bool]
-    patience: float
+    timeout: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,15 +38,15 @@ class Ask:
 
 
 Step = Transfer | Ask | Order | Wait
-Procedure = Generator[Step, Outcome, None]
+Procedure = Generator[Step, SdoOutcome, None]
 
-DONE = Outcome(data=b"")
+DONE = SdoOutcome(data=b"")
 
 
 class BoardError(Exception):
     """A procedure cannot continue; `fault` says why."""
 
-    def __init__(self, fault: Fault) -> None:
+    def __init__(self, fault: ArmFault) -> None:
         super().__init__(fault.message)
         self.fault = fault
 
@@ -58,7 +58,7 @@ class Runner:
         self._node, self._link = node, link
         self._sdo = SdoClient(node, link)
         self._procedure: Procedure | None = None
-        self._ended: Callable[[Fault | None, float], None] | None = None
+        self._ended: Callable[[ArmFault | None, float], None] | None = None
         self._step: Step | None = None
         self._outgoing: Outgoing | None = None  # frame of an NMT command
         self._since = 0.0  # when the step began
@@ -73,7 +73,7 @@ class Runner:
         """Whether two boards answer; see `SdoClient.twice`."""
         return self._sdo.twice
 
-    def start(self, procedure: Procedure, ended: Callable[[Fault | None, float], None] | None, now: float) -> None:
+    def start(self, procedure: Procedure, ended: Callable[[ArmFault | None, float], None] | None, now: float) -> None:
         """Starts a procedure in place of the running one; `ended`, if any, takes its fault, or None, and the time."""
         self.cancel()
         self._procedure, self._ended = procedure, ended
@@ -91,7 +91,7 @@ class Runner:
 
     def receive_sdo(self, data: bytes, now: float) -> None:
         """Takes an SDO answer of 8 bytes. Call `check` afterwards."""
-        self._sdo.receive(data, now)
+        self._sdo.receive_answer(data, now)
 
     def tick(self, now: float) -> None:
         """Call every period: handles timeouts."""
@@ -104,7 +104,7 @@ class Runner:
         if self._procedure is not None and (outcome := self._outcome(now)) is not None:
             self._resume(outcome, now)
 
-    def _resume(self, outcome: Outcome | None, now: float) -> None:
+    def _resume(self, outcome: SdoOutcome | None, now: float) -> None:
         """Continues until a step must wait."""
         procedure, fault = self._procedure, None
         assert procedure is not None
@@ -133,7 +133,7 @@ class Runner:
             self._outgoing = Outgoing(cia301.command(step.command, self._node))
             self._link.queue(self._outgoing, now)
 
-    def _outcome(self, now: float) -> Outcome | None:
+    def _outcome(self, now: float) -> SdoOutcome | None:
         """Returns the outcome of the step; None while it runs."""
         step = self._step
         if isinstance(step, Transfer):
@@ -141,15 +141,15 @@ class Runner:
         if isinstance(step, Ask):
             if self._sdo.outcome is None and step.unless():
                 self._sdo.cancel()
-                return Outcome(silence="cancelled")
+                return SdoOutcome(silence="cancelled")
             return self._sdo.outcome
         if isinstance(step, Wait):
             if step.until():
                 return DONE
-            return Outcome(silence="timed out") if now - self._since >= step.patience else None
+            return SdoOutcome(silence="timed out") if now - self._since >= step.timeout else None
         if self._outgoing is None or self._outgoing.sent:
             return DONE
         if now - self._since < _ORDER_TIMEOUT:
             return None
         self._outgoing.cancelled = True
-        return Outcome(silence="the bus takes no frames")
+        return SdoOutcome(silence="the bus takes no frames")

@@ -23,7 +23,7 @@ class Conversation(Protocol):
     def start(self, now: float) -> None:
         """Begins. All buses are open."""
 
-    def take(self, event: Event, now: float) -> None:
+    def receive_event(self, event: Event, now: float) -> None:
         """Takes an event of a bus."""
 
     def send_failed(self, bus: str, frame: Frame, now: float) -> None:
@@ -49,7 +49,7 @@ def converse(it: Conversation, outbox: list[tuple[str, Frame]], buses: Sequence[
     def flush(now: float) -> None:
         while outbox:
             bus, frame = outbox.pop(0)
-            if by_name[bus].send(frame) is not None:
+            if by_name[bus].send_frame(frame) is not None:
                 it.send_failed(bus, frame, now)
 
     try:
@@ -62,7 +62,7 @@ def converse(it: Conversation, outbox: list[tuple[str, Frame]], buses: Sequence[
             now = time.monotonic()
             for bus in buses:
                 for event in bus.poll():
-                    it.take(event, now)
+                    it.receive_event(event, now)
                     flush(now)
             it.tick(now)
             flush(now)

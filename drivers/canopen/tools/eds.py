@@ -10,7 +10,7 @@ from canopen.objectdictionary import ODVariable
 from canopen.objectdictionary.datatypes import NUMBER_TYPES
 
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import Outcome, Transfer
+from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.procedure import DONE, Ask, Step
 
 # SDO abort codes (CiA 301, 7.2.4.3.17).
@@ -33,7 +33,7 @@ def is_mapping(index: int) -> bool:
 
 
 @dataclass(frozen=True)
-class Asked:
+class EdsTransfer:
     """One transfer, as the board has answered it.
 
     Attributes:
@@ -144,11 +144,11 @@ class EdsBoard:
     def __init__(
         self, eds: Eds, assumed: dict[tuple[int, int], int], absent: set[int], writable: set[tuple[int, int]]
     ) -> None:
-        self.asked: list[Asked] = []
+        self.asked: list[EdsTransfer] = []
         self._eds, self._absent, self._writable = eds, absent, writable
         self._values = dict(assumed)
 
-    def answer(self, step: Step) -> Outcome:
+    def answer(self, step: Step) -> SdoOutcome:
         """Answers a step of a procedure at once. NMT commands and waits succeed."""
         transfer = step.transfer if isinstance(step, Ask) else step
         if not isinstance(transfer, Transfer):
@@ -165,8 +165,8 @@ class EdsBoard:
             abort = None if self._free(*place) else self._writing(*place, written, len(transfer.data))
             if abort is None:
                 self._values[place] = written
-        self.asked.append(Asked(*place, written, abort))
-        return Outcome(data=data) if abort is None else Outcome(abort=abort)
+        self.asked.append(EdsTransfer(*place, written, abort))
+        return SdoOutcome(data=data) if abort is None else SdoOutcome(abort=abort)
 
     def _free(self, index: int, sub: int) -> bool:
         return index in self._absent or (index, sub) in self._writable

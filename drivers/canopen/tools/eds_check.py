@@ -9,9 +9,9 @@ from drivers.canopen.boot.inspection import Inspection
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, subs_of
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import Outcome
+from drivers.canopen.sdo.client import SdoOutcome
 from drivers.canopen.sdo.procedure import BoardError, Procedure
-from drivers.canopen.tools.eds import Asked, Eds, EdsBoard, is_mapping
+from drivers.canopen.tools.eds import Eds, EdsBoard, EdsTransfer, is_mapping
 from drivers.canopen.wiring import ErrorState, Timing
 
 _MOST_LACKS = 64
@@ -85,7 +85,7 @@ def _boot(board: BoardLayout, timing: Timing, error_state: ErrorState | None) ->
 
 def _refusal(board: EdsBoard, procedure: Procedure) -> str | None:
     """Runs a procedure against a board in process; returns why it ended early, or None."""
-    outcome: Outcome | None = None
+    outcome: SdoOutcome | None = None
     try:
         while True:
             step = next(procedure) if outcome is None else procedure.send(outcome)
@@ -102,7 +102,7 @@ def _identity(eds: Eds, board: BoardLayout) -> dict[tuple[int, int], int]:
     return {(need.index, need.sub): need.value for need in needs if not eds.default(need.index, need.sub)}
 
 
-def _causes(asked: list[Asked], refusal: str) -> list[Asked]:
+def _causes(asked: list[EdsTransfer], refusal: str) -> list[EdsTransfer]:
     """Returns the transfers that led to a refusal, among those whose objects it names.
 
     These are the refused writes, else the refused reads, else the last read.
@@ -113,19 +113,19 @@ def _causes(asked: list[Asked], refusal: str) -> list[Asked]:
     return writes or refused or named[-1:] or asked[-1:]
 
 
-def _named(asked: Asked, refusal: str) -> bool:
+def _named(asked: EdsTransfer, refusal: str) -> bool:
     index = f"{asked.index:04X}h"
     return f"{index} sub {asked.sub}" in refusal or (asked.written is None and index in refusal)
 
 
-def _mapped(cause: Asked) -> tuple[int, int] | None:
+def _mapped(cause: EdsTransfer) -> tuple[int, int] | None:
     """Returns the object that a refused mapping entry names."""
     if cause.written is None or not is_mapping(cause.index) or not cause.sub or cause.abort == objects.READ_ONLY:
         return None
     return cause.written >> 16, cause.written >> 8 & 0xFF
 
 
-def _lack(eds: Eds, board: BoardLayout, cause: Asked, refusal: str) -> Lack:
+def _lack(eds: Eds, board: BoardLayout, cause: EdsTransfer, refusal: str) -> Lack:
     index, sub = _mapped(cause) or (cause.index, cause.sub)
     text = refusal.removeprefix(f"board {board.name}: ")
     if text.startswith(own := f"board {board.name} "):
@@ -136,7 +136,7 @@ def _lack(eds: Eds, board: BoardLayout, cause: Asked, refusal: str) -> Lack:
 def _take_as_met(
     eds: Eds,
     board: BoardLayout,
-    cause: Asked,
+    cause: EdsTransfer,
     assumed: dict[tuple[int, int], int],
     absent: set[int],
     writable: set[tuple[int, int]],

@@ -8,8 +8,8 @@ from drivers.canopen.tools.conversation import converse
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Echoed, Event, Received
-from drivers.canopen.wiring import MASTER, BusSettings
+from drivers.canopen.wire.events import Event, FrameEchoed, FrameReceived
+from drivers.canopen.wiring import MASTER, BusWiring
 
 _SHORTEST, _PERIODS = 1.2, 1.5  # [s], and heartbeats of the master
 
@@ -37,9 +37,13 @@ class Listening:
         """Begins. All buses are open."""
         self._begun = self._now = now
 
-    def take(self, event: Event, now: float) -> None:
+    def receive_event(self, event: Event, now: float) -> None:
         """Takes an event of a bus. Frames of an executor on this computer are echoes."""
-        if isinstance(event, Echoed | Received) and event.frame.id == cia301.HEARTBEAT + MASTER and event.frame.data:
+        if (
+            isinstance(event, FrameEchoed | FrameReceived)
+            and event.frame.id == cia301.HEARTBEAT + MASTER
+            and event.frame.data
+        ):
             self.master_on = event.bus
 
     def send_failed(self, bus: str, frame: Frame, now: float) -> None:
@@ -50,7 +54,7 @@ class Listening:
         self._now = now
 
 
-def master_on(buses: Iterable[BusSettings], heartbeat: float = 0.0) -> str | None:
+def master_on(buses: Iterable[BusWiring], heartbeat: float = 0.0) -> str | None:
     """Listens on buses; returns the name of one on which a master sends its heartbeat, or None.
 
     Args:

@@ -24,11 +24,11 @@ from canopen.lss import (
 
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Echoed, Received
+from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
 _REQUEST, _ANSWER = LssMaster.LSS_TX_COBID, LssMaster.LSS_RX_COBID
-_PATIENCE, _TRIES = 1.0, 3  # [s] for an answer, and attempts
-_SCAN_PATIENCE = 0.2  # [s] for an answer in a fast scan, where silence is an answer
+_LSS_TIMEOUT, _TRIES = 1.0, 3  # [s] for an answer, and attempts
+_SCAN_TIMEOUT = 0.2  # [s] for an answer in a fast scan, where silence is an answer
 _PAUSE = 0.02  # [s] after a request without an answer: some boards keep only one request
 _MORE = 0.05  # [s] for the answers of other boards after the first one
 _POLL = 0.001  # [s]
@@ -60,15 +60,15 @@ _ANSWERS = {  # first byte of an answer by that of its request, where the two di
 Exchange = Callable[[bytes, int | None, float], list[bytes]]
 
 
-class Refused(Exception):
+class LssRefused(Exception):
     """A board does not answer, or refuses; the text says which request."""
 
 
-class Silent(Refused):
+class LssSilent(LssRefused):
     """No board answers."""
 
 
-class Identity(NamedTuple):
+class LssIdentity(NamedTuple):
     """The identity of a board, 1018h."""
 
     vendor: int
@@ -91,52 +91,52 @@ class Lss:
         self._master = cast(Any, LssMaster())
         self._master.network = self  # the package's master uses only send_message of its network
         self._master.RESPONSE_TIMEOUT = 0.001  # the answers are there before it waits
-        self._exchange, self._patience, self._tries = exchange, _PATIENCE, _TRIES
+        self._exchange, self._timeout, self._tries = exchange, _LSS_TIMEOUT, _TRIES
         self._identity: dict[int, bytes] = {}  # answers with the parts of the selected board's identity, by first byte
 
     def send_message(self, cob_id: int, data: bytes, remote: bool = False) -> None:
         """Sends a request of the package's master and passes the answer to it.
 
         Raises:
-            Refused: several boards answer differently.
+            LssRefused: several boards answer differently.
         """
         due = data[0] in ListMessageNeedResponse
         code = _ANSWERS.get(data[0], data[0]) if due else None
         for _ in range(self._tries if due else 1):
-            heard = {answer for answer in self._exchange(bytes(data), code, self._patience) if answer}
+            heard = {answer for answer in self._exchange(bytes(data), code, self._timeout) if answer}
             own = [answer for answer in heard if answer[0] == code]
             if len(own) > 1 or any(self._identity.get(late[0], late) != late for late in heard):
-                raise Refused("several boards answer: connect one alone, or name one by its identity")
+                raise LssRefused("several boards answer: connect one alone, or name one by its identity")
             if own:
                 if data[0] in _PARTS:
                     self._identity[data[0]] = own[0]
                 self._master.on_message_received(_ANSWER, own[0], 0.0)
                 return
 
-    def unconfigured(self) -> list[Identity]:
+    def unconfigured(self) -> list[LssIdentity]:
         """Returns the boards without a node id, by LSS fast scan."""
         self.release()  # an earlier session may have ended in the configuration state
-        self._patience, self._tries = _SCAN_PATIENCE, 1
-        found: list[Identity] = []
+        self._timeout, self._tries = _SCAN_TIMEOUT, 1
+        found: list[LssIdentity] = []
         try:
             while len(found) < _MOST_BOARDS:
                 one, numbers = self._master.fast_scan()
                 if not one:
                     break
-                found.append(Identity(*numbers))  # this board is silent in the next scan
+                found.append(LssIdentity(*numbers))  # this board is silent in the next scan
         finally:
-            self._patience, self._tries = _PATIENCE, _TRIES
+            self._timeout, self._tries = _LSS_TIMEOUT, _TRIES
             self.release()
         return found
 
-    def select(self, identity: Identity | None) -> tuple[Identity, int]:
+    def select(self, identity: LssIdentity | None) -> tuple[LssIdentity, int]:
         """Selects one board for configuration; returns its identity and node id.
 
         Args:
             identity: identity of the board; None: the only board on the bus.
 
         Raises:
-            Refused: no such board answers, or several do.
+            LssRefused: no such board answers, or several do.
         """
         self._tries = 1  # of a single request: after a lost frame the board must be selected again
         for attempt in range(_TRIES):
@@ -144,15 +144,15 @@ class Lss:
             try:
                 self._switch(identity)
                 break
-            except Silent:
+            except LssSilent:
                 if attempt == _TRIES - 1:
                     raise
             finally:
                 self._tries = _TRIES
         told = [self._ask("inquire identity", partial(self._master.inquire_lss_address, part)) for part in _PARTS]
-        return Identity(*told), self._ask("inquire node id", self._master.inquire_node_id)
+        return LssIdentity(*told), self._ask("inquire node id", self._master.inquire_node_id)
 
-    def _switch(self, identity: Identity | None) -> None:
+    def _switch(self, identity: LssIdentity | None) -> None:
         """Switches one board to the configuration state, which it must prove by an answer."""
         if identity is None:
             self._master.send_switch_state_global(LssMaster.CONFIGURATION_STATE)
@@ -172,7 +172,7 @@ class Lss:
             bitrate: new bit rate [bit/s].
 
         Raises:
-            Refused: the board refuses, or does not confirm that it has stored.
+            LssRefused: the board refuses, or does not confirm that it has stored.
         """
         stored = False
         try:
@@ -185,7 +185,7 @@ class Lss:
             stored = True
         finally:
             if not stored and node is not None:
-                with contextlib.suppress(Refused):
+                with contextlib.suppress(LssRefused):
                     self._ask(f"node id {old}", lambda: self._master.configure_node_id(old))
 
     def release(self) -> None:
@@ -198,8 +198,8 @@ class Lss:
             answer = request()
         except LssError as error:
             if "No LSS response" in str(error):
-                raise Silent(f"{what}: no board answers by LSS") from None
-            raise Refused(f"{what}: the board refuses ({error})") from None
+                raise LssSilent(f"{what}: no board answers by LSS") from None
+            raise LssRefused(f"{what}: the board refuses ({error})") from None
         return answer if isinstance(answer, int) else 0
 
 
@@ -208,15 +208,15 @@ def over(bus: CanBus) -> Exchange:
 
     def heard() -> list[bytes]:
         # The frames of a board that runs on this computer are echoes, as those of this process.
-        frames = [event.frame for event in bus.poll() if isinstance(event, Echoed | Received)]
+        frames = [event.frame for event in bus.poll() if isinstance(event, FrameEchoed | FrameReceived)]
         return [frame.data for frame in frames if frame.id == _ANSWER]
 
-    def exchange(request: bytes, code: int | None, patience: float) -> list[bytes]:
+    def exchange(request: bytes, code: int | None, timeout: float) -> list[bytes]:
         answers = heard()
         answered = False
-        if (why := bus.send(Frame(_REQUEST, request))) is not None:
-            raise Refused(f"{bus.name}: {why}")
-        until = time.monotonic() + (_PAUSE if code is None else patience)
+        if (why := bus.send_frame(Frame(_REQUEST, request))) is not None:
+            raise LssRefused(f"{bus.name}: {why}")
+        until = time.monotonic() + (_PAUSE if code is None else timeout)
         while time.monotonic() < until:
             answers += (got := heard())
             if not answered and any(answer[:1] == bytes((code,)) for answer in got if code is not None):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.tools.conversation import converse
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Command, Frame, State
-from drivers.canopen.wire.events import Changed, Echoed, Event, Received
+from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
 from drivers.canopen.wire.link import Link, Outgoing
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 _STUCK_AFTER = 0.5  # [s]
 
@@ -26,15 +26,15 @@ class NodeReset:
     Args:
         bus: the bus.
         node: node id.
-        patience: longest wait for the boot-up message [s].
+        timeout: longest wait for the boot-up message [s].
         send: hands out a frame for a bus, by its name; must not call this object.
     """
 
-    def __init__(self, bus: BusSettings, node: int, patience: float, send: Callable[[str, Frame], None]) -> None:
+    def __init__(self, bus: BusWiring, node: int, timeout: float, send: Callable[[str, Frame], None]) -> None:
         self.booted_after: float | None = None
-        self.fault: Fault | None = None
+        self.fault: ArmFault | None = None
         self._link = Link(bus, send, _STUCK_AFTER)
-        self._node, self._patience = node, patience
+        self._node, self._timeout = node, timeout
         self._begun = 0.0
         self._silent = False
 
@@ -49,13 +49,15 @@ class NodeReset:
         self._note(self._link.changed("active", "", None, now))
         self._link.queue(Outgoing(cia301.command(Command.RESET_NODE, self._node)), now)
 
-    def take(self, event: Event, now: float) -> None:
+    def receive_event(self, event: Event, now: float) -> None:
         """Takes an event of the bus."""
-        if isinstance(event, Changed):
+        if isinstance(event, BusChanged):
             self._note(self._link.changed(event.state, event.why, event.errors, now))
-        elif isinstance(event, Echoed) and self._link.echoed(event.frame, now):
+        elif isinstance(event, FrameEchoed) and self._link.echoed(event.frame, now):
             return
-        elif isinstance(event, Echoed | Received) and event.frame == cia301.heartbeat(self._node, State.BOOT_UP):
+        elif isinstance(event, FrameEchoed | FrameReceived) and event.frame == cia301.heartbeat(
+            self._node, State.BOOT_UP
+        ):
             self.booted_after = now - self._begun
 
     def send_failed(self, bus: str, frame: Frame, now: float) -> None:
@@ -66,19 +68,19 @@ class NodeReset:
         """Call every millisecond: handles timeouts."""
         self._link.armed = self._link.usable  # so that a stuck bus is found
         self._note(self._link.tick(now, now))
-        self._silent = now - self._begun >= self._patience
+        self._silent = now - self._begun >= self._timeout
 
-    def _note(self, fault: Fault | None) -> None:
+    def _note(self, fault: ArmFault | None) -> None:
         self.fault = self.fault or fault
 
 
-def reset_node(bus: BusSettings, node: int, patience: float) -> NodeReset:
+def reset_node(bus: BusWiring, node: int, timeout: float) -> NodeReset:
     """Resets a node; blocks until its boot-up message or the timeout.
 
     Raises:
         BusError: the bus cannot be opened.
     """
     outbox: list[tuple[str, Frame]] = []
-    it = NodeReset(bus, node, patience, lambda name, frame: outbox.append((name, frame)))
+    it = NodeReset(bus, node, timeout, lambda name, frame: outbox.append((name, frame)))
     converse(it, outbox, [CanBus(bus)])
     return it

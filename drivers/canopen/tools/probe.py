@@ -1,229 +1,227 @@
-"""Checks each board of a wiring as the boot does, and changes no value on it (`check --bus`)."""
+"""Finds all nodes of a bus, and reads the important objects of each; writes nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterable
+from dataclasses import dataclass, field
 
-from drivers.canopen.boot import inspection, pdo_search
-from drivers.canopen.boot.board_boot import find
-from drivers.canopen.boot.inspection import Inspection, Reading
-from drivers.canopen.boot.pdo_setup import PdoState, pdo_words, usable
-from drivers.canopen.faults import Fault
-from drivers.canopen.layout import BoardLayout, lay_out
-from drivers.canopen.pdo import Pdo
+from drivers.canopen.boot.pdo_setup import PdoState, read_pdo
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.objects import Need
-from drivers.canopen.sdo.procedure import BoardError, Procedure, Runner
+from drivers.canopen.sdo.client import SdoOutcome, Transfer
+from drivers.canopen.sdo.procedure import BoardError, Procedure, Runner, Step
 from drivers.canopen.tools.conversation import converse
-from drivers.canopen.tools.node_states import NodeStates, stopped
+from drivers.canopen.tools.node_states import NodeStates
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame, State
-from drivers.canopen.wire.events import Changed, Echoed, Event, Received
+from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
 from drivers.canopen.wire.link import Link
-from drivers.canopen.wiring import Timing, Wiring
+from drivers.canopen.wiring import MASTER, BusWiring
 
+NODES = range(1, 128)
+_FIRST, _TRIES = 0.5, 2  # [s] for the first answer of a node, and attempts
+_LISTEN = 1.2  # [s] for heartbeats, at least
 _STUCK_AFTER = 0.5  # [s]
-_PATIENCE = 1.0  # [s] for the first answer of a board
-_MOST_CHANGES = 4  # changes that the answer lists
+_PDOS = 32  # RPDOs and TPDOs that are searched
+_MOST_SUBS = 32  # entries of an array that are read
+
+TEXTS = (0x1008, 0x1009, 0x100A)
+_NUMBERS = (
+    (0x1001, 0),
+    (0x1005, 0),
+    (0x1006, 0),
+    (0x100C, 0),
+    (0x100D, 0),
+    (0x1010, 1),
+    (0x1017, 0),
+    (0x1019, 0),
+    (0x1029, 1),
+)
+_ARRAYS = (0x1003, 0x1016, 0x1018, 0x6202, 0x6206, 0x6207)
+_COUNTS = (0x6000, 0x6200)  # arrays whose sub-index 0 alone is read
 
 
-@dataclass(frozen=True)
-class Answer:
-    """The answer of one board.
+@dataclass
+class ProbedNode:
+    """One node of a bus.
 
     Attributes:
-        board: name of the board, e.g. "can0/5".
-        text: its device type, the values that the boot will write, and its limits; or what is wrong.
-        code: code of what is wrong, as of a fault; "": it can be booted and reports no error.
+        node: node id.
+        state: last NMT state; None if neither a heartbeat nor an answer to a remote frame came.
+        answers: whether it answers SDO requests.
+        numbers: unsigned numbers by index and sub-index.
+        texts: texts by index.
+        refused: SDO abort codes of objects that exist and cannot be read, by index and sub-index.
+        rpdos: its RPDOs.
+        tpdos: its TPDOs.
+        trouble: why the probe of this node ended early, as a sentence.
     """
 
-    board: str
-    text: str
-    code: str = ""
-
-    @property
-    def ok(self) -> bool:
-        """Whether the board can be booted and reports no error."""
-        return not self.code
+    node: int
+    state: State | None = None
+    answers: bool = False
+    numbers: dict[tuple[int, int], int] = field(default_factory=dict)
+    texts: dict[int, str] = field(default_factory=dict)
+    refused: dict[tuple[int, int], int] = field(default_factory=dict)
+    rpdos: list[PdoState] = field(default_factory=list)
+    tpdos: list[PdoState] = field(default_factory=list)
+    trouble: str | None = None
 
 
 class Probe:
-    """Asks all boards of a wiring in parallel; without I/O and clock, like the master.
+    """Asks all nodes of a bus in parallel, and listens to heartbeats; without I/O and clock, like the master.
 
-    It writes only values that the objects have already, to find read-only objects. So no frame that is lost, and no end
-    of the process, leaves another value on a board.
+    A node that neither answers nor sends heartbeats is polled by a remote frame: it may be stopped.
+
+    Attributes:
+        fault: why the bus could not be used; None if it could.
 
     Args:
-        wiring: buses and boards.
-        timing: heartbeat times.
+        bus: the bus.
         send: hands out a frame for a bus, by its name; must not call the probe.
+        nodes: node ids to ask.
+        in_full: read all important objects; otherwise only 1000h and 1018h.
     """
 
-    def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
-        self._timing, self._error_state = timing, wiring.error_state
-        self._links = {bus.name: Link(bus, send, _STUCK_AFTER) for bus in wiring.buses}
-        self._states = {name: NodeStates(link) for name, link in self._links.items()}
-        self._boards = lay_out(wiring).boards
-        self._runners = {(b.bus, b.node): Runner(b.node, self._links[b.bus]) for b in self._boards}
-        self._answers: dict[str, Answer] = {}
-
-    @property
-    def answers(self) -> tuple[Answer, ...] | None:
-        """The answers in the order of the boards; None until all are there."""
-        if len(self._answers) < len(self._boards):
-            return None
-        return tuple(self._answers[board.name] for board in self._boards)
-
-    @property
-    def master_on(self) -> str | None:
-        """Name of a bus on which a master, such as an executor, sends its heartbeat; None if there is none."""
-        return next((name for name, states in self._states.items() if states.master_heard), None)
+    def __init__(
+        self,
+        bus: BusWiring,
+        send: Callable[[str, Frame], None],
+        nodes: Iterable[int] = NODES,
+        *,
+        in_full: bool = True,
+    ) -> None:
+        self.fault: ArmFault | None = None
+        self._link = Link(bus, send, _STUCK_AFTER)
+        self._states = NodeStates(self._link)
+        self._nodes = {node: ProbedNode(node) for node in nodes}
+        self._runners = {node: Runner(node, self._link) for node in self._nodes}
+        self._in_full = in_full
+        self._until: float | None = None
 
     @property
     def over(self) -> bool:
-        """Whether all boards have answered or timed out."""
-        return self.answers is not None
+        """Whether all nodes have answered or timed out, and the time for heartbeats is over."""
+        if self.fault is not None:
+            return True
+        return self._until == -1.0 and not any(runner.running for runner in self._runners.values())
+
+    @property
+    def master_heard(self) -> bool:
+        """Whether a master, such as an executor, sends its heartbeat."""
+        return self._states.master_heard
+
+    @property
+    def found(self) -> list[ProbedNode]:
+        """The nodes that have answered or were heard, by node id."""
+        for number, node in self._nodes.items():
+            node.state = self._states.states.get(number)
+        return [node for node in self._nodes.values() if node.answers or node.state is not None]
 
     def start(self, now: float) -> None:
-        """Starts to ask. All buses are open."""
-        for link in self._links.values():
-            link.changed("active", "", None, now)
-        for board in self._boards:
-            self._runners[board.bus, board.node].start(self._ask(board), self._note(board), now)
+        """Starts to ask. The bus is open."""
+        self._until = now + _LISTEN
+        self._link.changed("active", "", None, now)
+        for node, runner in self._runners.items():
+            runner.start(self._ask(self._nodes[node]), self._note(node), now)
 
-    def take(self, event: Event, now: float) -> None:
-        """Takes an event of a bus."""
-        link = self._links[event.bus]
-        if isinstance(event, Changed):
-            if (fault := link.changed(event.state, event.why, event.errors, now)) is not None:
-                self._give_up(fault)
-        elif isinstance(event, Echoed) and link.echoed(event.frame, now):
+    def receive_event(self, event: Event, now: float) -> None:
+        """Takes an event of the bus."""
+        if isinstance(event, BusChanged):
+            self._give_up(self._link.changed(event.state, event.why, event.errors, now))
+        elif isinstance(event, FrameEchoed) and self._link.echoed(event.frame, now):
             return
-        elif isinstance(event, Echoed | Received):
-            self._states[event.bus].hear(event.frame)
+        elif isinstance(event, FrameEchoed | FrameReceived):
             function, node = cia301.split(event.frame.id)
-            runner = self._runners.get((event.bus, node))
-            if function == cia301.SDO_ANSWER and runner is not None and len(event.frame.data) == 8:
-                runner.receive_sdo(event.frame.data, now)
-                runner.check(now)
+            data = event.frame.data
+            if function == cia301.SDO_ANSWER and node in self._runners and len(data) == 8:
+                self._runners[node].receive_sdo(data, now)
+                self._runners[node].check(now)
+            else:
+                self._states.hear(event.frame)
 
     def send_failed(self, bus: str, frame: Frame, now: float) -> None:
         """Records that a frame could not be sent."""
-        self._links[bus].send_failed(frame, now)
+        self._link.send_failed(frame, now)
 
     def tick(self, now: float) -> None:
         """Call every millisecond: handles timeouts."""
-        for states in self._states.values():
-            states.tick(now)
-        for link in self._links.values():
-            link.armed = link.usable  # so that a stuck bus is found; nothing is switched here
-            if (fault := link.tick(now, now)) is not None:
-                self._give_up(fault)
+        self._link.armed = self._link.usable  # so that a stuck bus is found; nothing is switched here
+        self._states.tick(now)
+        self._give_up(self._link.tick(now, now))
         for runner in self._runners.values():
             runner.tick(now)
+        if self._until is not None and now >= self._until:
+            self._until = -1.0
 
-    def _ask(self, board: BoardLayout) -> Procedure:
-        try:
-            kind, _ = yield from find(board, _PATIENCE, None)
-        except BoardError as error:
-            if error.fault.code == "board-missing":
-                yield from self._refuse_heard(board)
-            raise
-        it = Inspection(board)
-        yield from inspection.inspect(it, kind, self._timing, self._error_state)
-        yield from pdo_search.read_pdos(it, in_full=True)
-        unmet = it.unmet(it.needs) + it.unmet(it.error_mode)
-        changes = [f"{n.place} {n.words(it.values[n.index, n.sub])} -> {n.words(n.corrected(0))}" for n in unmet]
-        for need in unmet:
-            yield from _try(it, need)
-        for pdos in (it.rpdos, it.tpdos):
-            yield from _try_mappings(it, pdos)
-        for wanted, present in it.rpdos + it.tpdos:
-            if not present.fits(wanted):
-                changes.append(
-                    f"{present.parameters:04X}h and {present.parameters + 0x200:04X}h ({pdo_words(present.parameters)})"
-                )
-        register, errors, lost = yield from inspection.read_errors(it, None)
-        text = f"device type {kind:08X}h, "
-        text += errors or "error register 00h"
-        if changes:
-            text += f"; to be written: {'; '.join(changes[:_MOST_CHANGES])}"
-            text += f"; and {len(changes) - _MOST_CHANGES} more" * (len(changes) > _MOST_CHANGES)
-        for warning in it.warnings:
-            text += f"; {warning}"
-        code = "board-error" if register and not lost else ""
-        self._answers[board.name] = Answer(board.name, text, code)
+    def _ask(self, it: ProbedNode) -> Procedure:
+        outcome = yield Transfer(0x1000, 0, timeout=_FIRST, tries=_TRIES)
+        if outcome.silence is not None:
+            if it.node != MASTER:
+                yield from self._states.learn(it.node)
+            return
+        it.answers = True
+        self._store(it, 0x1000, 0, outcome)
+        yield from self._array(it, 0x1018)
+        if not self._in_full:
+            return
+        for index, sub in _NUMBERS:
+            self._store(it, index, sub, (yield Transfer(index, sub)))
+        for index in _COUNTS:
+            self._store(it, index, 0, (yield Transfer(index, 0)))
+        for index in _ARRAYS:
+            yield from self._array(it, index)
+        for index in TEXTS:
+            outcome = yield Transfer(index, 0)
+            if outcome.data is not None:
+                it.texts[index] = outcome.data.decode("latin-1").rstrip("\0 ")
+        for first, pdos in ((0x1400, it.rpdos), (0x1800, it.tpdos)):
+            for parameters in range(first, first + _PDOS):
+                if (pdo := (yield from read_pdo(str(it.node), parameters))) is not None:
+                    pdos.append(pdo)
 
-    def _refuse_heard(self, board: BoardLayout) -> Reading:
-        """Refuses a board that answers no SDO, but sends heartbeats or answers a remote frame."""
-        states = self._states[board.bus]
-        yield from states.learn(board.node)
-        state = states.states.get(board.node)
-        if state is State.STOPPED:
-            raise BoardError(Fault("board-stopped", board.name, stopped(board.name)))
-        if state is not None:
-            text = f"board {board.name} is {state.words}, but does not answer to 1000h sub 0 within {_PATIENCE:g} s"
-            raise BoardError(Fault("board-missing", board.name, text))
+    def _array(self, it: ProbedNode, index: int) -> Generator[Step, SdoOutcome, None]:
+        if (index, 0) not in it.numbers:
+            self._store(it, index, 0, (yield Transfer(index, 0)))
+        for sub in range(1, 1 + min(it.numbers.get((index, 0), 0), _MOST_SUBS)):
+            self._store(it, index, sub, (yield Transfer(index, sub)))
 
-    def _note(self, board: BoardLayout) -> Callable[[Fault | None, float], None]:
-        def ended(fault: Fault | None, now: float) -> None:
+    def _store(self, it: ProbedNode, index: int, sub: int, outcome: SdoOutcome) -> None:
+        """Stores the value or the refusal of an object.
+
+        Raises:
+            BoardError: the node does not answer any more.
+        """
+        if outcome.data is not None:
+            it.numbers[index, sub] = int.from_bytes(outcome.data, "little")
+        elif outcome.abort is None:
+            text = f"it stopped answering at {index:04X}h sub {sub}: {outcome.silence}"
+            raise BoardError(ArmFault("board-missing", str(it.node), text))
+        elif outcome.abort not in (objects.NO_OBJECT, objects.NO_SUB_INDEX):
+            it.refused[index, sub] = outcome.abort
+
+    def _note(self, node: int) -> Callable[[ArmFault | None, float], None]:
+        def ended(fault: ArmFault | None, now: float) -> None:
             if fault is not None:
-                self._answers[board.name] = Answer(board.name, fault.message, fault.code)
+                self._nodes[node].trouble = fault.message
 
         return ended
 
-    def _give_up(self, fault: Fault) -> None:
-        for board in self._boards:
-            if board.bus == fault.source and board.name not in self._answers:
-                self._runners[board.bus, board.node].cancel()
-                text = f"board {board.name} does not answer: {fault.message}"
-                self._answers[board.name] = Answer(board.name, text, fault.code)
+    def _give_up(self, fault: ArmFault | None) -> None:
+        if fault is not None and self.fault is None:
+            self.fault = fault
+            for runner in self._runners.values():
+                runner.cancel()
 
 
-def _try(it: Inspection, need: Need) -> Reading:
-    """Refuses an object that cannot be written: writes its present value, which changes nothing."""
-    present = it.values[need.index, need.sub]
-    if (abort := (yield from objects.write(it.name, need, present))) == objects.READ_ONLY:
-        raise objects.refused(it.name, need, present, abort)
-
-
-def _try_mappings(it: Inspection, pdos: list[tuple[Pdo, PdoState]]) -> Reading:
-    """Refuses PDOs that cannot be mapped as wanted, unless other PDOs carry the process data already."""
-    try:
-        for wanted, present in pdos:
-            if not present.fits(wanted):
-                yield from _try_mapping(it, wanted, present)
-    except BoardError:
-        other = None if it.layout.shared else (yield from pdo_search.cover(it, pdos))
-        if other is None:
-            raise
-        pdos[:] = other[0]
-
-
-def _try_mapping(it: Inspection, wanted: Pdo, present: PdoState) -> Reading:
-    """Refuses a mapping that lacks needed bits and cannot be written."""
-    base = 0x200 if wanted.parameters < 0x1800 else 0x180
-    enabled = present._replace(cob_id=base + it.layout.node, kind=255, timer=None)
-    why = usable(it.layout, wanted, enabled)
-    if it.layout.shared and wanted.parameters < 0x1800 and present.mapping != wanted.mapping:
-        why = f"{pdo_words(wanted.parameters)} cannot be shared with other boards as the arm's file says (shared_rpdo)"
-    if why is None:
-        return
-    need = Need(present.parameters + 0x200, 0, present.entries)
-    if (abort := (yield from objects.write(it.name, need, present.entries))) == objects.READ_ONLY:
-        text = f"board {it.name}: {why}; it refuses another mapping: {objects.abort_words(abort)}"
-        raise BoardError(Fault("sdo-refused", it.name, text))
-
-
-def probe(wiring: Wiring, timing: Timing) -> Probe:
-    """Asks all boards; blocks until they have answered or timed out.
+def probe_bus(bus: BusWiring, nodes: Iterable[int] = NODES, *, in_full: bool = True) -> Probe:
+    """Asks the nodes of a bus; blocks until they have answered or timed out.
 
     Raises:
-        BusError: a bus cannot be opened.
+        BusError: the bus cannot be opened.
     """
     outbox: list[tuple[str, Frame]] = []
-    asking = Probe(wiring, timing, lambda bus, frame: outbox.append((bus, frame)))
-    converse(asking, outbox, [CanBus(settings) for settings in wiring.buses])
+    asking = Probe(bus, lambda name, frame: outbox.append((name, frame)), nodes, in_full=in_full)
+    converse(asking, outbox, [CanBus(bus)])
     return asking

@@ -12,8 +12,8 @@ import can
 
 from drivers.canopen.faults import BusError
 from drivers.canopen.wire.cia301 import REMOTE, Frame, wire_bits
-from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
+from drivers.canopen.wiring import BusWiring
 
 _MOST_EVENTS = 256  # in one poll, so that a flood does not block the caller
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again
@@ -62,12 +62,12 @@ class CanBus:
     A bus that goes down is opened again by `poll`, with a growing pause between attempts.
 
     Args:
-        settings: name, interface, channel and bit rate.
+        wiring: name, interface, channel and bit rate.
         clock: time for the pauses [s].
     """
 
-    def __init__(self, settings: BusSettings, clock: Callable[[], float] = time.monotonic) -> None:
-        self.settings = settings
+    def __init__(self, wiring: BusWiring, clock: Callable[[], float] = time.monotonic) -> None:
+        self.wiring = wiring
         self._clock = clock
         self._bus: can.BusABC | None = None
         self._closed = True
@@ -79,7 +79,7 @@ class CanBus:
     @property
     def name(self) -> str:
         """Name of the bus."""
-        return self.settings.name
+        return self.wiring.name
 
     def open(self) -> None:
         """Opens the bus.
@@ -90,10 +90,10 @@ class CanBus:
         try:
             self._bus = self._open()
         except Exception as error:  # python-can passes on whatever the interface raises
-            s = self.settings
+            s = self.wiring
             raise BusError(f"{s.name}: cannot open {s.channel} of the interface {s.interface}: {error}") from error
         self._closed = self._down = False
-        self._events.append(Changed(self.name, "active", "", None))
+        self._events.append(BusChanged(self.name, "active", "", None))
 
     def fileno(self) -> int | None:
         """Returns the file descriptor to wait on; None if there is none now, then call `poll` every tick.
@@ -108,7 +108,7 @@ class CanBus:
             return None
         return number if number >= 0 else None
 
-    def send(self, frame: Frame) -> str | None:
+    def send_frame(self, frame: Frame) -> str | None:
         """Sends a frame now or not at all; returns why it was not sent, or None. The caller tells the master."""
         if self._bus is None:
             return "the bus is closed" if self._closed else "the interface is down"
@@ -139,7 +139,7 @@ class CanBus:
                 break
             if self._down:  # an interface that is down can be opened, but not read
                 self._down, self._pause = False, _FIRST_PAUSE
-                events.append(Changed(self.name, "active", "", None))
+                events.append(BusChanged(self.name, "active", "", None))
             if message is None:
                 break
             events.append(self._event(message))
@@ -151,24 +151,24 @@ class CanBus:
         """Closes the bus. Sends nothing."""
         self._closed = True
         self._shut()
-        self._events = [Changed(self.name, "closed", "", None)]
+        self._events = [BusChanged(self.name, "closed", "", None)]
 
     def _event(self, message: can.Message) -> Event:
         if message.is_error_frame:
             said = read_error(message.arbitration_id, bytes(message.data))
             if said.overrun:
-                self._events.append(Overrun(self.name))
-            return Changed(self.name, said.state, "", said.errors)
+                self._events.append(BusOverrun(self.name))
+            return BusChanged(self.name, said.state, "", said.errors)
         remote = message.is_remote_frame
         if (remote and message.is_rx) or message.is_extended_id or message.is_fd:
-            return Ignored(self.name, wire_bits(0 if remote else min(message.dlc, 8), message.is_extended_id))
+            return FrameIgnored(self.name, wire_bits(0 if remote else min(message.dlc, 8), message.is_extended_id))
         frame = Frame(message.arbitration_id | (REMOTE if remote else 0), bytes(message.data))
         late = time.time() - message.timestamp  # the interface may use another clock
         at = time.monotonic() - late if 0.0 <= late < _OLDEST else None
-        return Received(self.name, frame, at) if message.is_rx else Echoed(self.name, frame, at)
+        return FrameReceived(self.name, frame, at) if message.is_rx else FrameEchoed(self.name, frame, at)
 
     def _open(self) -> can.BusABC:
-        s = self.settings
+        s = self.wiring
         bus = can.Bus(
             interface=s.interface, channel=s.channel, bitrate=s.bitrate, receive_own_messages=True, ignore_config=True
         )
@@ -187,7 +187,7 @@ class CanBus:
         self._next_try = self._clock() + self._pause
         self._pause = min(2 * self._pause, _LONGEST_PAUSE)
         self._down = True
-        self._events.append(Changed(self.name, "down", f"{why}; it is opened again until it works", None))
+        self._events.append(BusChanged(self.name, "down", f"{why}; it is opened again until it works", None))
 
 
 def _message(frame: Frame) -> can.Message:

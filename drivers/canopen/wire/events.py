@@ -7,7 +7,7 @@ from typing import NamedTuple
 from drivers.canopen.wire.cia301 import Frame
 
 
-class Received(NamedTuple):
+class FrameReceived(NamedTuple):
     """A data frame with an 11 bit identifier from another node or program.
 
     Attributes:
@@ -21,7 +21,7 @@ class Received(NamedTuple):
     at: float | None = None
 
 
-class Ignored(NamedTuple):
+class FrameIgnored(NamedTuple):
     """A received frame of another kind: extended, remote or CAN FD.
 
     Attributes:
@@ -33,13 +33,13 @@ class Ignored(NamedTuple):
     bits: int
 
 
-class Echoed(NamedTuple):
+class FrameEchoed(NamedTuple):
     """A frame was sent by this computer: by the master, or by another program on the same interface.
 
     Attributes:
         bus: name.
         frame: the frame.
-        at: see `Received`.
+        at: see `FrameReceived`.
     """
 
     bus: str
@@ -55,7 +55,7 @@ class SendFailed(NamedTuple):
     why: str
 
 
-class Changed(NamedTuple):
+class BusChanged(NamedTuple):
     """The state of the bus or its error counters have changed.
 
     Attributes:
@@ -71,10 +71,10 @@ class Changed(NamedTuple):
     errors: tuple[int, int] | None
 
 
-class Overrun(NamedTuple):
+class BusOverrun(NamedTuple):
     """The controller has lost received frames, since its buffer was full."""
 
     bus: str
 
 
-Event = Received | Ignored | Echoed | SendFailed | Changed | Overrun
+Event = FrameReceived | FrameIgnored | FrameEchoed | SendFailed | BusChanged | BusOverrun

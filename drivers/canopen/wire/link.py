@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.status import BusStatus, Traffic
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.load import Meter
 from drivers.canopen.wire.tx_echo import TxPending
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
 _UNUSABLE = ("closed", "down", "bus-off")
@@ -43,20 +43,20 @@ class Link:
     lines off, is sent on a bus that is not armed.
 
     Attributes:
-        settings: name, interface, channel and bit rate.
+        wiring: name, interface, channel and bit rate.
         state: "closed", "active", "warning", "passive", "bus-off" or "down".
         armed: whether RPDOs and SYNC may be sent.
         pending: frames that were handed out and have not been echoed.
 
     Args:
-        settings: name, interface, channel and bit rate.
+        wiring: name, interface, channel and bit rate.
         send: hands out a frame for a bus, by its name.
         stuck_after: the bus counts as lost if no frame could be sent for this time [s].
     """
 
-    def __init__(self, settings: BusSettings, send: Callable[[str, Frame], None], stuck_after: float) -> None:
-        self.settings = settings
-        self.name = settings.name
+    def __init__(self, wiring: BusWiring, send: Callable[[str, Frame], None], stuck_after: float) -> None:
+        self.wiring = wiring
+        self.name = wiring.name
         self.state = "closed"
         self.armed = False
         self.pending = TxPending(longest=max(1.0, 2 * stuck_after))
@@ -91,7 +91,7 @@ class Link:
         heard = last is None or last > self._lost_at
         return self.usable and heard and not self.failing and self._stuck_for(now) <= self._stuck_after
 
-    def rearm(self) -> Fault | None:
+    def rearm(self) -> ArmFault | None:
         """Arms the bus and drops waiting frames; returns a fault if the bus is not usable."""
         self.clear()
         self.armed = self.usable
@@ -100,7 +100,7 @@ class Link:
             self._failing_since = None
             return None
         code = "bus-off" if self.state == "bus-off" else "bus-down"
-        return Fault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface")
+        return ArmFault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface")
 
     def clear(self) -> None:
         """Drops the queued frames."""
@@ -109,7 +109,7 @@ class Link:
         self._queue.clear()
         self._unsent.clear()
 
-    def send(self, frame: Frame, now: float) -> None:
+    def send_frame(self, frame: Frame, now: float) -> None:
         """Hands out a frame at once."""
         self._sent_since_tick = True
         self.pending.sent(frame, now)
@@ -173,7 +173,7 @@ class Link:
             del self._unsent[outgoing.frame]
             self._pump(now)
 
-    def changed(self, state: str | None, why: str, errors: tuple[int, int] | None, now: float) -> Fault | None:
+    def changed(self, state: str | None, why: str, errors: tuple[int, int] | None, now: float) -> ArmFault | None:
         """Takes a new state and new error counters; returns a fault if the bus is lost."""
         if errors is not None:
             self._errors = errors
@@ -188,7 +188,7 @@ class Link:
         self.armed &= self.usable
         return None
 
-    def tick(self, now: float, clock: float) -> Fault | None:
+    def tick(self, now: float, clock: float) -> ArmFault | None:
         """Call every period; returns a fault if the bus is stuck.
 
         Args:
@@ -210,13 +210,13 @@ class Link:
         self._pump(now)
         return None
 
-    def passive(self) -> Fault | None:
+    def passive(self) -> ArmFault | None:
         """Returns a warning while the controller is error-passive; it does not stop the arm."""
         if self.state != "passive":
             return None
         errors = f"{self._errors[0]} transmit and {self._errors[1]} receive errors"
         text = f"{self.name} is error-passive after {errors}: check cable, termination, bit rate before it is bus-off"
-        return Fault("bus-passive", self.name, text)
+        return ArmFault("bus-passive", self.name, text)
 
     def status(self, worst_case: Traffic) -> BusStatus:
         """Returns state and counters, with the computed worst case."""
@@ -233,7 +233,7 @@ class Link:
             overruns=self._overruns,
             frames_per_second=meter.frames_per_second,
             bits_per_second=meter.bits_per_second,
-            load=min(1.0, meter.bits_per_second / self.settings.bitrate),
+            load=min(1.0, meter.bits_per_second / self.wiring.bitrate),
             worst_case=worst_case,
         )
 
@@ -247,17 +247,17 @@ class Link:
                 if outgoing.first_at is None:
                     outgoing.first_at = now
                 self._unsent[outgoing.frame] = outgoing
-                self.send(outgoing.frame, now)
+                self.send_frame(outgoing.frame, now)
 
     def _stuck_for(self, now: float) -> float:
         """Returns for how long a frame has been waiting to be sent [s]."""
         since = [t for t in (self._failing_since, self.pending.oldest) if t is not None]
         return now - min(since) if since else 0.0
 
-    def _lose(self, state: str, why: str, now: float) -> Fault:
+    def _lose(self, state: str, why: str, now: float) -> ArmFault:
         self.armed = False
         self.state = state
         self._lost_at = now
         self.clear()
         code = {"bus-off": "bus-off", "down": "bus-down"}.get(state, "bus-busy")
-        return Fault(code, self.name, f"{self.name}: {why}")
+        return ArmFault(code, self.name, f"{self.name}: {why}")

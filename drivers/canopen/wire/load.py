@@ -5,7 +5,7 @@ from __future__ import annotations
 from drivers.canopen.layout import Layout
 from drivers.canopen.status import Traffic
 from drivers.canopen.wire import cia301
-from drivers.canopen.wiring import BusSettings, Timing
+from drivers.canopen.wiring import BusWiring, Timing
 
 BITS = tuple(cia301.wire_bits(size) for size in range(9))  # on the wire, by bytes of data
 
@@ -53,7 +53,7 @@ class Meter:
         self._counted = now, frames, self._bits
 
 
-def worst_case(layout: Layout, timing: Timing, bus: BusSettings) -> Traffic:
+def worst_case(layout: Layout, timing: Timing, bus: BusWiring) -> Traffic:
     """Returns the greatest traffic of boards and master on a bus without faults.
 
     Each frame has the greatest number of stuff bits. There is one transition in each travel time, without a pause. Each

@@ -52,11 +52,11 @@ class TxPending:
 
     def failed(self, frame: Frame) -> bool:
         """Removes a frame that could not be sent; returns whether it was pending."""
-        return self._take(frame)
+        return self._remove(frame)
 
     def came_back(self, frame: Frame, now: float) -> bool:
         """Takes an echo; returns whether the master had sent the frame."""
-        ours = self._take(frame)
+        ours = self._remove(frame)
         if not ours and frame in self._given_up:
             self._given_up[frame] -= 1
             self._given_up = +self._given_up  # without zeros
@@ -86,7 +86,7 @@ class TxPending:
         self._count -= len(times)
         self._given_up[frame] += len(times)
 
-    def _take(self, frame: Frame) -> bool:
+    def _remove(self, frame: Frame) -> bool:
         times = self._pending.get(frame)
         if not times:
             return False

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from controller.armfile.settings import RealTimeSettings
-from controller.executor.core.core import PERIOD
+from controller.executor.core.events import TICK
 from controller.executor.process.real_time import enter_real_time
 from tests.benchmarks.chain.records import Record
 
@@ -33,7 +33,7 @@ def main(folder: Path, real_time: bool) -> None:
                 select.select([], [], [], left)
             began = time.monotonic()
             record.note(began, began - due)
-            due = max(due + PERIOD, began)
+            due = max(due + TICK, began)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import can.interfaces
 
 from controller.executor.__main__ import main
 from controller.executor.core.modes import Modes
-from controller.executor.core.requests import Requests
+from controller.executor.core.requests import ClientRequests
 from controller.executor.process.run import Timekeeper
 from controller.program import Program
 from tests import emulated  # noqa: F401
@@ -46,13 +46,13 @@ def note_halts(record: Record) -> None:
 
 def note_programs(record: Record) -> None:
     """Records the time at which each program was read [s]."""
-    take = Requests._take_program
+    take = ClientRequests._receive_program
 
-    def noting(requests: Requests, message: Program, now: float) -> None:
+    def noting(requests: ClientRequests, message: Program, now: float) -> None:
         record.note(time.monotonic())
         take(requests, message, now)
 
-    Requests._take_program = noting  # type: ignore[method-assign]
+    ClientRequests._receive_program = noting  # type: ignore[method-assign]
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ def map_oriented(
         pixel: finest side of a pixel, in the arm's unit of length.
         level_pixels: most pixels of one level that have points, 12 bytes each (and some 170 more while mapping);
             a level that needs more gets coarser pixels.
-        weight: of rotations as a length, see frame_kernels.distance: a cell of the rotation measures at most
+        weight: of rotations as a length, see metric.distance: a cell of the rotation measures at most
             pixel / weight.
         progress: called with the number of levels done so far, B+1 in all.
 

@@ -12,11 +12,11 @@ from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
 from controller.manipulator import frames
-from controller.manipulator.frame_kernels import distance
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
 from tests.arms import any_frames, every_configuration, every_tip, paper_arm, short_arms, spatial_arm
 from tests.benchmarks.oriented_densities.frame_pixels import rotation_cell
+from tests.benchmarks.oriented_densities.metric import distance
 from tests.benchmarks.oriented_densities.oriented import OrientedDensities
 from tests.benchmarks.oriented_densities.oriented_mapping import map_oriented
 
@@ -98,7 +98,7 @@ def test_every_level_agrees_with_enumeration(manipulator, pixel):
         centres, _ = densities.cells(level)
         bound = math.sqrt(3) * densities.pixels[level] * (len(manipulator.modules) - level + 0.5) + 1e-9
         assert KDTree(centres).query(tips)[0].max() <= bound  # nothing reachable is missing
-        assert KDTree(tips).query(centres)[0].max() <= bound  # nothing is made up
+        assert KDTree(tips).query(centres)[0].max() <= bound  # each pixel is near a tip
         low, high = densities.box(level)
         assert (centres >= low).all()
         assert (centres <= high).all()

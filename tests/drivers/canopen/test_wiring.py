@@ -5,9 +5,9 @@ import pytest
 from drivers.canopen.layout import Unfit, lay_out
 from drivers.canopen.pdo import Bit, Pdo, carries
 from drivers.canopen.run.frames import assemble
-from drivers.canopen.wiring import BoardId, BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BoardId, BusWiring, Channel, Timing, Wiring
 
-CAN0 = BusSettings("can0", "virtual", "x")
+CAN0 = BusWiring("can0", "virtual", "x")
 NO_MORE = (None, None, frozenset(), None, None, None, None)  # from `output_off` to `on_loss`
 
 
@@ -73,7 +73,7 @@ def test_end_stops_may_be_on_other_boards_and_other_buses():
         Channel("c", "can0", 4, 1, 1),
         Channel("d", "can0", 2, 2, None),
     )
-    wiring = Wiring((CAN0, BusSettings("can1", "virtual", "y")), channels)
+    wiring = Wiring((CAN0, BusWiring("can1", "virtual", "y")), channels)
     assert wiring.boards == (("can0", 2), ("can0", 4), ("can1", 3))
     layout = lay_out(wiring)
     outputs, both, inputs = layout.boards

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from drivers.canopen.faults import Busy, Fault
+from drivers.canopen.faults import ArmFault, Busy
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Event, SendFailed
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wire.events import BusChanged, Event, SendFailed
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.variants import STANDARD, Variant
 from tests.simulation.hardware import Hardware
 
@@ -40,7 +40,7 @@ class World(Hardware):
     ) -> None:
         channels = channels or one_board()
         names = sorted({line.bus for c in channels for line in c.lines.values()})
-        buses = tuple(BusSettings(name, "none", name, bitrate) for name in names)
+        buses = tuple(BusWiring(name, "none", name, bitrate) for name in names)
         self.wiring = Wiring(buses, tuple(channels), **options)
         self.timing = timing or Timing()
         given = {str(board): STANDARD for board in self.wiring.boards} | dict(variants or {})
@@ -51,7 +51,7 @@ class World(Hardware):
         self.run, self.until, self.after = self.agenda.run, self.agenda.until, self.agenda.after
         self.stalled = False
         self.switched: list[tuple[int, float]] = []
-        self._faults: list[Fault] = []
+        self._faults: list[ArmFault] = []
         self._waiting: list[Event] = []
         self.master: Any = None
         self.new_master()
@@ -63,7 +63,7 @@ class World(Hardware):
         """Replaces the master by a new one, with open buses."""
         self.use(Master(self.wiring, self.timing, self.send))
         for name, bus in self.buses.items():
-            self.master.take(Changed(name, bus.state, "", None), self.now)
+            self.master.receive_event(BusChanged(name, bus.state, "", None), self.now)
 
     def use(self, master: Any) -> None:
         """Replaces the master, which is killed, by another or a tool; it hears nothing that came before."""
@@ -73,7 +73,7 @@ class World(Hardware):
 
     def send(self, bus: str, frame: Frame) -> None:
         """Sends a frame of the master; it hears of a failure afterwards."""
-        why = self.buses[bus].send(frame)
+        why = self.buses[bus].send_frame(frame)
         if why is not None:
             self.after(0.0, lambda: self._to_master(SendFailed(bus, frame, why)))
 
@@ -103,7 +103,7 @@ class World(Hardware):
         elif isinstance(event, SendFailed) and not isinstance(self.master, Master):
             self.master.send_failed(event.bus, event.frame, self.now)
         else:
-            self.master.take(event, self.now)
+            self.master.receive_event(event, self.now)
             self._collect()
 
     # --- what a test gives
@@ -150,7 +150,7 @@ class World(Hardware):
         return [(frame.id, frame.data.hex(" ")) for frame in log if frame.id & 0x780 not in left_out]
 
     @property
-    def faults(self) -> list[Fault]:
+    def faults(self) -> list[ArmFault]:
         """Faults that the masters have reported."""
         self._collect()
         return self._faults
@@ -167,19 +167,26 @@ class World(Hardware):
 
     def measured(self) -> list[int]:
         """States, -1 where unknown."""
-        measured, known = self.master._network.measured, self.master.known
-        return [measured >> k & 1 if known >> k & 1 else -1 for k in range(len(self.wiring.channels))]
+        states, known = measured(self.master, self.wiring), self.master.known
+        return [states >> k & 1 if known >> k & 1 else -1 for k in range(len(self.wiring.channels))]
 
     def _collect(self) -> None:
         if isinstance(self.master, Master):
-            self._faults += self.master.take_faults()
-            self.switched += self.master.take_switched()
+            self._faults += self.master.drain_faults()
+            self.switched += self.master.drain_switched()
 
 
 @functools.cache
 def answering(variant: Variant, latency: float) -> Variant:
     """Returns a variant whose SDO answers take a time longer [s]."""
     return replace(variant, answer_delay=variant.answer_delay + latency)
+
+
+def measured(master: Master, wiring: Wiring) -> int:
+    """Returns the states of actuators with one output: the end-stop, else the output; 0 where unknown."""
+    ended = sum(1 << k for k, channel in enumerate(wiring.channels) if channel.input is not None)
+    everything = (1 << len(wiring.channels)) - 1
+    return (master.ends & ended | master.outputs & ~ended) & everything & master.known
 
 
 def bits(*states: int) -> int:

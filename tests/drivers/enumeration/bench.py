@@ -210,7 +210,7 @@ class Bench:
         if self.stalled:
             self._waiting.append((sender, frame))
         elif self.master is not None:
-            (self.master.echoed if sender == MASTER else self.master.receive)(BUS, frame, self.now)
+            (self.master.echoed if sender == MASTER else self.master.receive_frame)(BUS, frame, self.now)
 
     def _look(self, cause: str, sender: str) -> None:
         after = self.board.pins

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from drivers.canopen.wire.cia301 import Command
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.enumeration.bench import BITRATE, BUS, Bench
 from tests.drivers.variants.cases import Case
@@ -76,7 +76,7 @@ def histories(case: Case) -> Iterator[tuple[Before, Bench]]:
     name = case.variant
     far = 64 if name == "many-outputs" else 1
     channels = (Channel("5.left", BUS, NODE, 0, 0, input_contracted=1), Channel("5.right", BUS, NODE, far, None))
-    buses = (BusSettings(BUS, "none", BUS, BITRATE),)
+    buses = (BusWiring(BUS, "none", BUS, BITRATE),)
     wiring = Wiring(buses, channels, **case.options)
     timing = Timing(boot_timeout=8.0 if name == "late-boot" else 2.0)
     for before in (FIRST_START,) if case.refused else HISTORIES:

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, State
-from drivers.canopen.wiring import BusSettings, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.fault_commands import perform
 from drivers.simulation.variants import STANDARD, VARIANTS, Variant
@@ -162,7 +162,7 @@ def test_a_lost_tpdo_comes_again_only_by_the_event_timer(timer, after):
 
 def test_a_fault_command_loses_the_next_tpdo_of_a_board():
     frames: list[cia301.Frame] = []
-    wiring = Wiring((BusSettings("can0", "simulated", "can0"),), tuple(one_board()))
+    wiring = Wiring((BusWiring("can0", "simulated", "can0"),), tuple(one_board()))
     boards = SimulatedBuses(wiring, Timing(), lambda bus, frame: frames.append(frame))
     boards.step(0.0)
     perform(boards, "lose_tpdo", "can0/5")

@@ -8,7 +8,7 @@ import can
 import pytest
 
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 from drivers.simulation.simulation import Port
 from tests.emulated import Interface
 from tests.waiting import eventually
@@ -23,17 +23,17 @@ def interface() -> Iterator[Interface]:
 
 
 def test_a_port_whose_board_speaks_first_when_its_interface_is_gone_is_opened_again(interface: Interface) -> None:
-    settings = BusSettings("can0", "emulated", interface.channel)
+    settings = BusWiring("can0", "emulated", interface.channel)
     port = Port(settings)
     interface.delete()
-    port.send(Frame(0x701, b"\5"))  # the only word of its socket that the interface is gone
+    port.send_frame(Frame(0x701, b"\5"))  # the only word of its socket that the interface is gone
     interface.make()
-    port.receive(0.0)
+    port.receive_frame(0.0)
     with can.Bus(interface="emulated", channel=interface.channel, ignore_config=True) as other:
 
         def heard() -> bool:
             other.send(can.Message(arbitration_id=0x80, is_extended_id=False))
-            return port.receive(0.1) is not None
+            return port.receive_frame(0.1) is not None
 
         eventually(heard)
     port.close()

@@ -3,13 +3,13 @@ from __future__ import annotations
 import pytest
 
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wiring import BoardId, BusSettings, Channel, Interlock, Timing, Wiring
+from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, Timing, Wiring
 from drivers.simulation import fault_commands
 from drivers.simulation.buses import SimulatedBuses, board_names
 from drivers.simulation.variants import VARIANTS, choose
 
 WIRING = Wiring(
-    buses=(BusSettings("can0", "virtual", "a"), BusSettings("can1", "virtual", "b")),
+    buses=(BusWiring("can0", "virtual", "a"), BusWiring("can1", "virtual", "b")),
     channels=(
         *(Channel("5.left", "can0", 5, 0, 0), Channel("5.right", "can0", 5, 1, 1)),
         Channel("6.left", "can1", 5, 0, 0),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from drivers.canopen.wiring import Channel, NodeSettings, Timing
+from drivers.canopen.wiring import Channel, NodeWiring, Timing
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World
 
@@ -47,8 +47,8 @@ class Case(NamedTuple):
 _CONTRACT, _HOLD, _OFF = {"on_loss": "contract"}, {"error_state": "hold"}, {"error_state": "off"}
 _ODD = Timing(boot_timeout=8.0, heartbeat=0.088, heartbeat_timeout=0.355)
 _DEVICE = {"error_state": "device"}
-_MAKER = {"nodes": (NodeSettings("can0", 5, object=0x2201, error_state="off"),)}
-_MAKER_UNKNOWN = {"nodes": (NodeSettings("can0", 5, object=0x2201),)}
+_MAKER = {"nodes": (NodeWiring("can0", 5, object=0x2201, error_state="off"),)}
+_MAKER_UNKNOWN = {"nodes": (NodeWiring("can0", 5, object=0x2201),)}
 _NO_MODE = ("has no 6206h (error mode)", "set boards.error_state to off, hold or device")
 _NO_BEHAVIOUR = "has no 1029h sub 1 (error behaviour); CiA 301 makes it enter pre-operational when the master is lost"
 _NO_BEHAVIOUR_REFUSED = ("has no 1029h sub 1 (error behaviour); 02h is needed", "on_loss: contract")

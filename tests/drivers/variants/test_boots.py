@@ -6,7 +6,7 @@ import pytest
 
 from drivers.canopen.wire.cia301 import Command, State
 from drivers.simulation.variants import VARIANTS
-from tests.drivers.canopen.tools.test_probe import asked
+from tests.drivers.canopen.tools.test_bus_check import asked
 from tests.drivers.canopen.world import World
 from tests.drivers.variants.cases import CASES, IN_VAIN, UNSEEN_WITHOUT_WRITING, Case
 
@@ -65,7 +65,7 @@ def test_a_variant_boots_and_switches_or_is_refused_with_a_sentence(case):
 def test_check_says_the_same(case):
     world = case.world()
     world.run(5.0)  # of late ones, the check knows no boot time
-    [answer] = asked(world, patience=LONGEST)
+    [answer] = asked(world, timeout=LONGEST)
     assert answer.ok == (not case.refused or case.variant in UNSEEN_WITHOUT_WRITING), answer.text
     if not answer.ok:
         told = [words for words in case.refused if words != IN_VAIN]

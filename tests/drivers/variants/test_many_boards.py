@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from random import Random
 
-from drivers.canopen.wiring import Channel, NodeSettings, Timing
+from drivers.canopen.wiring import Channel, NodeWiring, Timing
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World
 from tests.drivers.variants.cases import CASES
@@ -24,7 +24,7 @@ def hundred(*left_out: str) -> World:
     for (bus, node), name in chosen.items():
         far = 64 if name == "many-outputs" else 1
         channels += [Channel(f"{bus}/{node}.{bit}", bus, node, bit, bit) for bit in (0, far)]
-    makers = [NodeSettings(*place, object=0x2201) for place, name in chosen.items() if name == "maker-object"]
+    makers = [NodeWiring(*place, object=0x2201) for place, name in chosen.items() if name == "maker-object"]
     return World(
         channels,
         Timing(boot_timeout=8.0),

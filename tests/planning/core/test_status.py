@@ -13,8 +13,9 @@ import pytest
 
 from controller.arm.arm import Arm
 from controller.armfile.settings import TrackerSettings
+from controller.host.process import Log, Notify
 from controller.motion.tracking.goal_motion import tracking_of
-from controller.planning.core.events import Log, Notify, Publish
+from controller.planning.core.events import Publish
 from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.planning.core.tasks import PrepareSearch

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from controller.arm.arm import Arm
+from controller.host.process import Log
 from controller.motion.tracking.goal_motion import tracking_of
-from controller.planning.core.events import Abandon, Log, Start
+from controller.planning.core.events import Abandon, Start
 from controller.planning.core.parts import Ticket
 from controller.planning.core.stream import ALIVE_EVERY, POLL, RETRY, Stream
 from controller.planning.core.tasks import Failed, Followed, FollowSetpoint, Scene
@@ -293,7 +294,7 @@ def test_an_arm_in_no_configuration_says_so(bench: StreamBench) -> None:
     bench.run(0.1)
     assert not bench.take(Start)
     assert bench.take(Setpoint)[-1].reason == (
-        "following a setpoint, which is not possible now: the arm is ready: holding"
+        "following a setpoint, which is not possible now: the arm is ready, and a state is not known: holding"
     )
 
 

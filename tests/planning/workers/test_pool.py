@@ -114,11 +114,12 @@ def test_each_kind_of_task_is_carried_out(core: Core, bench: Bench) -> None:
     ]
 
 
-def test_a_refusal_has_its_code_and_words(core: Core, bench: Bench) -> None:
+def test_a_refusal_has_its_reason_and_facts(core: Core, bench: Bench) -> None:
     core.workers.start(1, bench.task(A, message=bench.goal([9.0, 0.0])))
     answer = core.next().answer
     assert isinstance(answer, Refused)
-    assert "is out of reach" in answer.reason
+    assert answer.reason.value == "beyond-length"
+    assert "is out of reach" in str(answer.refusal)
 
 
 def test_an_exception_fails_its_task_only(core: Core, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

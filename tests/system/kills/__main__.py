@@ -50,6 +50,7 @@ def run_process(moment: str, arguments: argparse.Namespace) -> dict[str, dict[st
     """Kills at one moment in a process of its own."""
     command = [sys.executable, "-m", "tests.system.kills", "--one", moment, "--each", str(arguments.each)]
     command += ["--first", str(arguments.first), "--process", *arguments.process]
+    arguments.logs.mkdir(parents=True, exist_ok=True)
     with (arguments.logs / f"{moment}.log").open("w") as log:
         ended = subprocess.run(command, stdout=subprocess.PIPE, stderr=log, text=True, cwd=ROOT)
     try:

@@ -42,7 +42,7 @@ class Tally:
         goals: number of goals and jogs whose acceptance a client received.
         results: number of results, of all goals and jogs.
         unanswered: goals and jogs with a result whose acceptance no client received.
-        doubled: goals with more than one result, those included that were never answered.
+        doubled: goals with more than one result; goals without an answer count, too.
         missing: accepted goals without a result.
         lost: goals with the status "lost".
         repeated: goals that two planners accepted, because a client without an answer asked again.

@@ -14,16 +14,8 @@ from typing import Any, NamedTuple
 
 from controller.gateway import outbox
 from controller.gateway.outbox import Outbox
-from controller.planning.core.events import (
-    Action,
-    Event,
-    FromExecutor,
-    Published,
-    PublishResult,
-    Quit,
-    Start,
-    ToExecutor,
-)
+from controller.host.process import Quit
+from controller.planning.core.events import Action, Event, FromExecutor, Published, PublishResult, Start, ToExecutor
 from controller.planning.core.tasks import BuildScene
 from controller.planning.ledger import PublishedResults
 from controller.planning.loop import Loop

@@ -3,7 +3,7 @@
 import { showActuators } from "./actuators.js";
 import { showBoards } from "./boards.js";
 import { showCurves, showWear } from "./charts.js";
-import { Connection } from "./connection.js";
+import { Connection, inWords } from "./connection.js";
 import { showControl } from "./control.js";
 import { el, fill, show } from "./dom.js";
 import { Editor } from "./editor.js";
@@ -16,8 +16,8 @@ import { PlaneView } from "./plane.js";
 import { showTimeline } from "./timeline.js";
 
 const MODES = {
-  2: { goal: "Goal", curve: "Curve", obstacle: "Obstacle", look: "Move" },
-  3: { goal: "Goal", turn: "Turn", curve: "Curve", obstacle: "Obstacle", look: "Move" },
+  2: { goal: "Goal", curve: "Curve", obstacle: "Obstacle", pan: "Pan" },
+  3: { goal: "Goal", turn: "Turn", curve: "Curve", obstacle: "Obstacle", pan: "Orbit" },
 };
 
 export function showArm(name, onLogin) {
@@ -118,7 +118,7 @@ function notifier() {
   document.body.append(box);
   let timer;
   return (answer, what) => {
-    box.textContent = `${what}: ${answer.message}`;
+    box.textContent = `${what}: ${inWords(answer)}`;
     box.classList.toggle("bad", !answer.accepted);
     box.hidden = false;
     clearTimeout(timer);

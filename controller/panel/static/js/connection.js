@@ -24,7 +24,7 @@ export class Connection {
     this.socket.onmessage = (event) => {
       this.serverAt = performance.now();
       this.pause = 250;
-      for (const message of JSON.parse(event.data)) this.take(message);
+      for (const message of JSON.parse(event.data)) this.receiveMessage(message);
     };
     this.socket.onclose = (event) => {
       for (const answer of this.waiting.values()) answer({ accepted: false, message: "the connection was lost" });
@@ -34,7 +34,7 @@ export class Connection {
     };
   }
 
-  take(message) {
+  receiveMessage(message) {
     if (message.section === "reply") {
       this.waiting.get(message.n)?.(message);
       this.waiting.delete(message.n);
@@ -78,6 +78,11 @@ export class Connection {
     if (this.latest.presence && !this.latest.presence.alive) return { seconds, who: "the daemon" };
     return null;
   }
+}
+
+// The message of an answer, and the advice if the request was refused.
+export function inWords({ message, advice }) {
+  return advice ? `${message} → ${advice}` : message;
 }
 
 // Requests a stop over HTTP, while the WebSocket is closed.

@@ -5,7 +5,7 @@ const PLAN_GAP = 200; // [ms] between two plan requests while a goal is dragged
 export class Editor {
   constructor(connection) {
     this.connection = connection;
-    this.mode = "goal"; // action of a click: "goal", "turn", "curve", "obstacle" or "look"
+    this.mode = "goal"; // action of a click: "goal", "turn", "curve", "obstacle" or "pan"
     this.points = []; // position, and orientation or null
     this.file = null; // uploaded goal, used instead of the points
     this.tolerance = null;

@@ -1,5 +1,6 @@
 // The card of the goal: number fields, the plan in words, Go and Hold now.
 
+import { inWords } from "./connection.js";
 import { el, fill, number, numberField } from "./dom.js";
 
 const CERTIFICATES = {
@@ -43,7 +44,7 @@ export function showGoal(connection, editor, notify) {
     const answer = await editor.go();
     go.disabled = editor.goal === null;
     sent = answer.accepted ? { id: answer.id, goal } : null;
-    say(answer.message, answer.accepted);
+    say(inWords(answer), answer.accepted);
     showResult(connection.latest.goals ?? { goals: [] }); // it may have come before this answer
   });
   connection.on("goals", showResult);
@@ -122,7 +123,7 @@ function planInWords(editor) {
   const { plan } = editor;
   if (editor.goal === null && plan === null) return [el("p", { class: "hint" }, hints[editor.mode])];
   if (plan === null) return [el("p", {}, "planning …")];
-  if (!plan.accepted) return [el("p", { class: "bad" }, `✗ ${plan.message}`)];
+  if (!plan.accepted) return [el("p", { class: "bad" }, `✗ ${inWords(plan)}`)];
   const waypoints = plan.waypoints.filter((waypoint) => !waypoint.between);
   const last = waypoints[waypoints.length - 1];
   const weighted = plan.cost !== undefined && plan.cost !== plan.switches;
@@ -146,7 +147,7 @@ const hints = {
   curve: "Click the points of a curve, one after the other.",
   turn: "Place a goal first, then drag the rings to turn it.",
   obstacle: "Drag in the picture to draw an obstacle.",
-  look: "Drag to move the picture, turn the wheel to zoom.",
+  pan: "Drag to pan, or to orbit around a spatial arm. Turn the wheel to zoom.",
 };
 
 function pair(name, value) {

@@ -77,7 +77,7 @@ export function listenToPointers(view) {
 
   // Returns the function that handles the drag that begins here.
   function begin(where) {
-    if (editor.mode === "look") return pan(where);
+    if (editor.mode === "pan") return pan(where);
     if (editor.mode === "obstacle") return view.onSketch?.(view.toWorld(where)) ?? null;
     const last = editor.points.length - 1;
     const far = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);

@@ -43,7 +43,7 @@ def test_every_board_has_its_own_fault():
 
 def test_a_device_of_another_profile_is_refused():
     world = World()
-    world.boards.board("can0/5").objects.put(0x1000, 0, 0x00020192)
+    world.boards.board("can0/5").objects.set_number(0x1000, 0, 0x00020192)
     world.boot()
     [fault] = world.master.boot_faults
     assert (fault.code, fault.source) == ("wrong-device", "can0/5")
@@ -54,7 +54,7 @@ def test_a_device_of_another_profile_is_refused():
 def test_a_bit_that_is_missing_in_the_device_type_is_told_and_the_objects_decide(device_type, what):
     world = World()
     board = world.boards.board("can0/5").objects
-    board.put(0x1000, 0, device_type)
+    board.set_number(0x1000, 0, device_type)
     world.up()
     [warning] = world.master.warnings()
     assert (warning.code, warning.source) == ("board-limits", "can0/5")
@@ -67,7 +67,7 @@ def test_a_bit_that_is_missing_in_the_device_type_is_told_and_the_objects_decide
 
 def test_a_board_without_inputs_is_right_if_none_is_wired():
     world = World([Channel("a", "can0", 5, 0, None)])
-    world.boards.board("can0/5").objects.put(0x1000, 0, 0x00020191)
+    world.boards.board("can0/5").objects.set_number(0x1000, 0, 0x00020191)
     world.boot()
     assert world.master.boot_faults == []
     assert not any(data[3:8] in ("00 18", "00 1a") for cob_id, data in world.frames(sdo=True) if cob_id == 0x605)
@@ -183,8 +183,8 @@ def test_a_second_master_with_another_configuration_switches_nothing(on_loss):
 
 def test_outputs_that_are_no_actuators_keep_their_values():
     world = World()
-    world.boards.board("can0/5").objects.put(0x6206, 1, 0x00)  # its outputs hold in the error state
-    world.boards.board("can0/5").objects.put(0x6200, 1, 0x50)
+    world.boards.board("can0/5").objects.set_number(0x6206, 1, 0x00)  # its outputs hold in the error state
+    world.boards.board("can0/5").objects.set_number(0x6200, 1, 0x50)
     world.up()
     world.commit(1, 0)
     assert world.frames()[:2] == [(0x205, "51"), (0x080, "")]

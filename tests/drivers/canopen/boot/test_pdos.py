@@ -8,7 +8,7 @@ import pytest
 
 from drivers.canopen.boot import quirks
 from drivers.canopen.boot.quirks import Quirk, quirk_of
-from drivers.canopen.wiring import Channel, NodeSettings
+from drivers.canopen.wiring import Channel, NodeWiring
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World
 
@@ -56,8 +56,8 @@ def test_nothing_is_written_to_a_board_that_holds_it_already():
 
 def test_a_fixed_mapping_is_used_as_it_is_and_other_outputs_keep_their_values():
     world = World(FIVE, variants={"can0/5": VARIANTS["fixed-mapping"]})
-    world.boards.board("can0/5").objects.put(0x6206, 3, 0x00)  # its outputs hold in the error state
-    world.boards.board("can0/5").objects.put(0x6200, 3, 0x40)
+    world.boards.board("can0/5").objects.set_number(0x6206, 3, 0x00)  # its outputs hold in the error state
+    world.boards.board("can0/5").objects.set_number(0x6200, 3, 0x40)
     world.up()
     world.commit(1, 0)
     assert world.frames()[:2] == [(0x205, "01 00 40 00 00 00 00 00"), (0x080, "")]
@@ -69,7 +69,7 @@ def test_a_fixed_mapping_without_the_outputs_is_refused():
     world = World(FIVE, variants={"can0/5": VARIANTS["fixed-mapping"]})
     objects = world.boards.board("can0/5").objects
     for sub in range(1, 9):
-        objects.put(0x1600, sub, 0x62000808)
+        objects.set_number(0x1600, sub, 0x62000808)
     world.boot()
     [fault] = world.master.boot_faults
     assert fault.code == "sdo-refused"
@@ -146,7 +146,7 @@ def test_outputs_of_a_makers_object():
     world = World(
         FIVE,
         variants={"can0/5": VARIANTS["maker-object"]},
-        nodes=(NodeSettings("can0", 5, object=0x2201),),
+        nodes=(NodeWiring("can0", 5, object=0x2201),),
         error_state="off",
     ).up()
     world.commit(1, 0)
@@ -165,7 +165,7 @@ def test_outputs_of_a_makers_object():
     ],
 )
 def test_another_device_than_the_arms_file_names_is_refused(named, words):
-    world = World(FIVE, nodes=(NodeSettings("can0", 5, **named),))
+    world = World(FIVE, nodes=(NodeWiring("can0", 5, **named),))
     world.boot()
     [fault] = world.master.boot_faults
     assert fault.code == "wrong-device"
@@ -177,7 +177,7 @@ def test_the_named_device_is_taken():
     world = World(FIVE)
     held = [world.boards.board("can0/5").objects.number(0x1018, sub) for sub in (1, 2, 3, 4)]
     names = dict(zip(("vendor", "product", "revision", "serial"), held, strict=True))
-    World(FIVE, nodes=(NodeSettings("can0", 5, **names),)).up()
+    World(FIVE, nodes=(NodeWiring("can0", 5, **names),)).up()
 
 
 def test_quirks_are_found_by_vendor_and_product(monkeypatch):

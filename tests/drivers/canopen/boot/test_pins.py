@@ -120,8 +120,8 @@ def test_no_entry_of_the_history_keeps_outputs_on():
     variant = VARIANTS["no-error-mode-off"]
     world = extended(variants={"can0/5": variant}, error_state="device")
     board = world.boards.board("can0/5")
-    board.objects.put(0x1003, 1, 0x1B000000)  # the end of an error, as CANopenNode enters it
-    board.objects.put(0x1003, 2, 0x8130)
+    board.objects.set_number(0x1003, 1, 0x1B000000)  # the end of an error, as CANopenNode enters it
+    board.objects.set_number(0x1003, 2, 0x8130)
     assert boot(world) == []
     assert outputs(world) == 0
 
@@ -157,8 +157,8 @@ def test_words_that_cannot_be_read_are_read_as_bytes():
     world = World(
         [Channel("1.a", "can0", 5, 0, None)], variants={"can0/5": replace(VARIANTS["standard"], changes=words)}
     )
-    world.boards.board("can0/5").objects.put(0x6200, 1, 1)
-    world.boards.board("can0/5").objects.put(0x6206, 1, 0)
+    world.boards.board("can0/5").objects.set_number(0x6200, 1, 1)
+    world.boards.board("can0/5").objects.set_number(0x6206, 1, 0)
     world.boot()
     assert (world.master.boot_faults, world.master.outputs) == ([], 1)
 

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from drivers.canopen.faults import Busy
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Echoed, Ignored, Received, SendFailed
-from drivers.canopen.wiring import BusSettings, Channel, Timing, Wiring
-from tests.drivers.canopen.world import World, two_boards, two_buses
+from drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameIgnored, FrameReceived, SendFailed
+from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
+from tests.drivers.canopen.world import World, measured, two_boards, two_buses
 
 NODES = (5, 9)
 OURS = [base + node for base in (0x080, 0x180, 0x200, 0x580, 0x600, 0x700) for node in NODES]
@@ -27,11 +27,11 @@ FRAMES = st.builds(Frame, COB_IDS, st.binary(max_size=8)) | ANSWERS
 STATES = st.sampled_from(["active", "warning", "passive", "bus-off", "down", "closed", None])
 ERRORS = st.none() | st.tuples(st.integers(0, 255), st.integers(0, 255))
 EVENTS = (
-    st.builds(Received, st.just("can0"), FRAMES)
-    | st.builds(Echoed, st.just("can0"), FRAMES)
-    | st.builds(Ignored, st.just("can0"), st.integers(0, 200))
+    st.builds(FrameReceived, st.just("can0"), FRAMES)
+    | st.builds(FrameEchoed, st.just("can0"), FRAMES)
+    | st.builds(FrameIgnored, st.just("can0"), st.integers(0, 200))
     | st.builds(SendFailed, st.just("can0"), FRAMES, st.just("full"))
-    | st.builds(Changed, st.just("can0"), STATES, st.text(max_size=5), ERRORS)
+    | st.builds(BusChanged, st.just("can0"), STATES, st.text(max_size=5), ERRORS)
 )
 
 
@@ -40,7 +40,7 @@ EVENTS = (
 def test_no_frame_makes_a_ready_master_raise_or_move(frames):
     world = World(two_boards()).up()
     for frame in frames:
-        world.master.receive("can0", frame, world.now)  # the boards do not hear it
+        world.master.receive_frame("can0", frame, world.now)  # the boards do not hear it
         world.master.status()
     world.run(0.05)
     assert not [frame for frame in world.frames() if frame[0] in (0x000, 0x080, 0x205, 0x209)]
@@ -61,14 +61,14 @@ SYSTEM = (
 @given(steps=st.lists(SYSTEM, max_size=60), shared=st.booleans())
 def test_no_event_and_no_command_raises_and_no_sync_is_sent_unasked(steps, shared):
     sent: list[Frame] = []
-    buses = (BusSettings("can0", "none", ""),)
+    buses = (BusWiring("can0", "none", ""),)
     wiring = Wiring(buses, tuple(two_boards()), shared_rpdo=shared)
     master = Master(wiring, Timing(), lambda bus, frame: sent.append(frame))
     now, commits = 0.0, 0
     for step in steps:
         now += 0.001
         if not isinstance(step[0], str) or step[0] == "can0":
-            master.take(step, now)
+            master.receive_event(step, now)
         elif step[0] == "commit":
             try:
                 master.commit(step[1], now)
@@ -84,9 +84,9 @@ def test_no_event_and_no_command_raises_and_no_sync_is_sent_unasked(steps, share
         else:
             now += 0.01 if step[0] == "tick" else 0.5
             master.tick(now)
-        assert 0 <= master._network.measured <= 3
+        assert 0 <= measured(master, wiring) <= 3
         assert master.known in (0, 1, 2, 3)
-        master.status(), master.warnings(), master.back, master.boot_faults, master.take_faults()
+        master.status(), master.warnings(), master.back, master.boot_faults, master.drain_faults()
     assert sum(frame.id == 0x080 for frame in sent) <= commits
     if not commits:
         assert not [frame for frame in sent if frame.id in (0x205, 0x209)]
@@ -114,10 +114,10 @@ RIGHT = {0x1000: 0x00030191, 0x6200: 8, 0x6000: 8, 0x1005: 0x80}
 def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared, beats, many):
     """None is a correct answer, after which the boot continues. The boot ends with success or a fault."""
     channels = [Channel("a", "can0", 5, 0, 0), Channel("b", "can0", 5, 130 if many else 1, 1)]
-    wiring = Wiring((BusSettings("can0", "none", ""),), tuple(channels), on_loss=on_loss, shared_rpdo=shared)
+    wiring = Wiring((BusWiring("can0", "none", ""),), tuple(channels), on_loss=on_loss, shared_rpdo=shared)
     sent: list[Frame] = []
     master = Master(wiring, Timing(boot_timeout=0.2), lambda bus, frame: sent.append(frame))
-    master.take(Changed("can0", "active", "", None), 0.0)
+    master.receive_event(BusChanged("can0", "active", "", None), 0.0)
     master.tick(0.0)
     master.boot(0.0)
     now, written, script = 0.0, dict[bytes, bytes](), iter(answers)
@@ -126,7 +126,7 @@ def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared
         assert now < 600
         master.tick(now)
         if beats:
-            master.receive("can0", Frame(0x705, b"\x05"), now)
+            master.receive_frame("can0", Frame(0x705, b"\x05"), now)
         while sent:
             frame = sent.pop(0)
             master.echoed("can0", frame, now)
@@ -149,7 +149,7 @@ def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared
             else:
                 kind = 0x43 | (4 - answer[2]) << 2 if reading else 0x60
                 data = bytes((kind,)) + place + answer[1].to_bytes(4, "little")
-            master.receive("can0", Frame(0x585, data), now)
+            master.receive_frame("can0", Frame(0x585, data), now)
     assert master.ready or master.boot_faults
     assert all(fault.message for fault in master.boot_faults)
 

@@ -79,7 +79,7 @@ def test_another_program_that_changes_a_board_is_noticed(index, sub, value, size
 
 def test_an_error_of_which_no_emergency_was_heard_is_noticed():
     world = World(BLIND).up()
-    world.boards.board("can0/5").objects.put(0x1001, 0, 0x09)
+    world.boards.board("can0/5").objects.set_number(0x1001, 0, 0x09)
     world.until(lambda: world.codes())
     assert world.codes() == ["board-error"]
     assert "1001h sub 0 is 09h" in world.faults[0].message
@@ -155,7 +155,7 @@ def test_an_old_emergency_does_not_hide_another_error():
     world.boards.board("can0/5").send_message(0x85, bytes.fromhex("2081") + bytes(6))
     world.run(0.01)
     world.up()
-    world.boards.board("can0/5").objects.put(0x1001, 0, 0x05)
+    world.boards.board("can0/5").objects.set_number(0x1001, 0, 0x05)
     world.until(lambda: world.codes())
     assert world.codes() == ["board-error"]
 
@@ -163,10 +163,10 @@ def test_an_old_emergency_does_not_hide_another_error():
 @pytest.mark.parametrize(("newest", "codes"), [(0x2320, ["board-error"]), (0x1B000000, []), (0x8130, [])])
 def test_a_new_error_in_the_bits_of_a_standing_one_is_noticed_by_the_history(newest, codes):
     world = World(BLIND).up()
-    board = world.master._network.stations[0].board
+    board = world.master._boards.stations[0].board
     board.ignored_errors, board.history = 0x11, 0x8130
-    world.boards.board("can0/5").objects.put(0x1001, 0, 0x11)
+    world.boards.board("can0/5").objects.set_number(0x1001, 0, 0x11)
     for sub, value in ((0, 1), (1, newest)):
-        world.boards.board("can0/5").objects.put(0x1003, sub, value)
+        world.boards.board("can0/5").objects.set_number(0x1003, sub, value)
     world.run(10.0)
     assert world.codes() == codes

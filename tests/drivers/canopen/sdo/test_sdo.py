@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.faults import Fault
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.sdo import objects
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.sdo.procedure import Runner
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.link import Link
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 TYPE = b"\x43\x00\x10\x00\x91\x01\x02\x00"
 OTHER = b"\x4f\x00\x62\x01\x01\x00\x00\x00"
@@ -22,12 +22,12 @@ class Line:
 
     def __init__(self, *answers: list[bytes] | None) -> None:
         self.sent: list[Frame] = []
-        self.link = Link(BusSettings("can0", "none", ""), lambda bus, frame: self.sent.append(frame), 10.0)
+        self.link = Link(BusWiring("can0", "none", ""), lambda bus, frame: self.sent.append(frame), 10.0)
         self.link.changed("active", "", None, 0.0)
         self.runner = Runner(5, self.link)
         self.answers, self.now, self.requests = list(answers), 0.0, list[str]()
         self.value: object = None
-        self.fault: Fault | None = None
+        self.fault: ArmFault | None = None
 
     def run(self, steps) -> object:
         """Runs a part of a procedure to its end; returns its value, or its fault."""
@@ -35,7 +35,7 @@ class Line:
         def procedure():
             self.value = yield from steps
 
-        def ended(fault: Fault | None, now: float) -> None:
+        def ended(fault: ArmFault | None, now: float) -> None:
             self.fault = fault
 
         self.runner.start(procedure(), ended, self.now)

@@ -10,12 +10,12 @@ import pytest
 from drivers.canopen.layout import lay_out
 from drivers.canopen.tools.eds import Eds, UnreadableEds
 from drivers.canopen.tools.eds_check import lacks
-from drivers.canopen.wiring import BusSettings, Channel, NodeSettings, Timing, Wiring
+from drivers.canopen.wiring import BusWiring, Channel, NodeWiring, Timing, Wiring
 from drivers.simulation.dictionary import EDS
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World
 
-BUS = BusSettings("can0", "none", "can0")
+BUS = BusWiring("can0", "none", "can0")
 
 
 def found(tmp_path: Path, *changes: tuple[str, str], **options: object) -> list[str]:
@@ -155,7 +155,7 @@ def test_outputs_of_a_makers_object_are_bytes(tmp_path, kind, fits):
     head = "[2201]\nParameterName=v\nObjectType=0x8\nSubNumber=3\n"
     parts = [f"[2201sub0]\n{entry.format('0x0005', 'ro', 2, 0)}"]
     parts += [f"[2201sub{sub}]\n{entry.format(kind, 'rw', 0, 1)}" for sub in (1, 2)]
-    options = {"error_state": "hold", "nodes": (NodeSettings("can0", 5, object=0x2201),)}
+    options = {"error_state": "hold", "nodes": (NodeWiring("can0", 5, object=0x2201),)}
     told = found(tmp_path, added="\n".join(["", head, *parts]), **options)
     if fits:
         assert told == []
@@ -177,10 +177,10 @@ def test_a_board_without_an_error_mode_needs_a_word_in_the_file(tmp_path):
 
 
 def test_another_device_and_outputs_that_are_not_there_are_lacks(tmp_path):
-    [told] = found(tmp_path, nodes=(NodeSettings("can0", 5, product=7),))
+    [told] = found(tmp_path, nodes=(NodeWiring("can0", 5, product=7),))
     assert told.startswith("1018h sub 2: the EDS says AccessType=ro")
     assert "it is another device than the arm's file says" in told
-    assert found(tmp_path, nodes=(NodeSettings("can0", 5, serial=7),)) == []  # only the device tells its number
+    assert found(tmp_path, nodes=(NodeWiring("can0", 5, serial=7),)) == []  # only the device tells its number
     told = found(tmp_path, channels=(Channel("a", "can0", 5, 64, None),))
     assert told[0].startswith("6200h sub 0: the EDS says AccessType=")
     assert "the board has 8 bytes of outputs in 6200h; sub 9 is needed, the wiring uses it" in told[0]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.tools.lss import Identity, Lss, Refused, over
+from drivers.canopen.tools.lss import Lss, LssIdentity, LssRefused, over
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Echoed
+from drivers.canopen.wire.events import FrameEchoed
 from drivers.simulation.lss import ANSWER, REQUEST, UNCONFIGURED, LssSlave
 from tests.drivers.canopen.world import World, two_boards
 
-ONE, TWO = Identity(0x21, 337, 0x10000, 0xDEADBEEF), Identity(0x21, 337, 0x10000, 0xDEADBEEE)
+ONE, TWO = LssIdentity(0x21, 337, 0x10000, 0xDEADBEEF), LssIdentity(0x21, 337, 0x10000, 0xDEADBEEE)
 
 
 @pytest.fixture(autouse=True)
@@ -21,13 +21,13 @@ def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
 class Wire:
     """Slaves that answer at once."""
 
-    def __init__(self, *slaves: tuple[Identity, int]) -> None:
+    def __init__(self, *slaves: tuple[LssIdentity, int]) -> None:
         self.answers: list[bytes] = []
         self.requests: list[bytes] = []
         self.slaves = [LssSlave(identity, node, lambda _, data: self.answers.append(data)) for identity, node in slaves]
         self.lss = Lss(self.exchange)
 
-    def exchange(self, request: bytes, code: int | None, patience: float) -> list[bytes]:
+    def exchange(self, request: bytes, code: int | None, timeout: float) -> list[bytes]:
         self.requests.append(request)
         self.answers.clear()
         for slave in self.slaves:
@@ -63,19 +63,19 @@ def test_one_of_several_is_named_by_its_identity() -> None:
 
 def test_several_boards_without_a_name_are_refused_and_keep_what_they_have() -> None:
     wire = Wire((ONE, 3), (TWO, 4))
-    with pytest.raises(Refused, match="several boards answer"):
+    with pytest.raises(LssRefused, match="several boards answer"):
         wire.lss.select(None)
     assert [slave.stored for slave in wire.slaves] == [(3, 0), (4, 0)]
 
 
 def test_no_board_and_a_refusal_are_told() -> None:
-    with pytest.raises(Refused, match="no board answers by LSS"):
+    with pytest.raises(LssRefused, match="no board answers by LSS"):
         Wire().lss.select(None)
-    with pytest.raises(Refused, match="select 0x21:0x151:0x10000:0xdeadbeee: no board answers"):
+    with pytest.raises(LssRefused, match="select 0x21:0x151:0x10000:0xdeadbeee: no board answers"):
         Wire((ONE, 3)).lss.select(TWO)
     wire = Wire((ONE, 3))
     wire.lss.select(None)
-    with pytest.raises(Refused, match=r"node id 200: the board refuses \(LSS Error: 1\)"):
+    with pytest.raises(LssRefused, match=r"node id 200: the board refuses \(LSS Error: 1\)"):
         wire.lss.configure(3, 200, None)
 
 
@@ -106,8 +106,8 @@ def test_a_slow_board_is_asked_again_and_a_late_answer_is_told_from_that_of_anot
     late: list[bytes] = []
     exchange = wire.exchange
 
-    def slow(request: bytes, code: int | None, patience: float) -> list[bytes]:
-        heard, late[:] = list(late), exchange(request, code, patience)
+    def slow(request: bytes, code: int | None, timeout: float) -> list[bytes]:
+        heard, late[:] = list(late), exchange(request, code, timeout)
         return heard
 
     lss = Lss(slow)
@@ -120,13 +120,13 @@ def test_a_late_answer_of_a_second_board_is_noticed() -> None:
     wire = Wire((ONE, UNCONFIGURED), (TWO, UNCONFIGURED))
     late: list[bytes] = []
 
-    def one_is_late(request: bytes, code: int | None, patience: float) -> list[bytes]:
-        heard = wire.exchange(request, code, patience)
+    def one_is_late(request: bytes, code: int | None, timeout: float) -> list[bytes]:
+        heard = wire.exchange(request, code, timeout)
         now, late[:] = late + heard[:1], heard[1:]
         return now
 
     lss = Lss(one_is_late)
-    with pytest.raises(Refused, match="several boards answer"):
+    with pytest.raises(LssRefused, match="several boards answer"):
         lss.select(None)
     assert [slave.stored for slave in wire.slaves] == [(UNCONFIGURED, 0)] * 2
 
@@ -137,7 +137,7 @@ def test_a_board_that_does_not_store_keeps_its_node_id() -> None:
     receive = slave.receive
     slave.receive = lambda data: None if data[0] == 0x17 else receive(data)  # type: ignore[method-assign]
     wire.lss.select(None)
-    with pytest.raises(Refused, match="store: no board answers by LSS"):
+    with pytest.raises(LssRefused, match="store: no board answers by LSS"):
         wire.lss.configure(3, 9, None)
     assert (slave.stored, slave._pending) == ((3, 0), (3, 0))
 
@@ -147,14 +147,16 @@ def test_a_board_on_this_computer_is_heard_though_its_frames_are_echoes(monkeypa
         name = "can0"
 
         def __init__(self) -> None:
-            self.events: list[Echoed] = []
-            self.slave = LssSlave(ONE, 3, lambda cob_id, data: self.events.append(Echoed("can0", Frame(cob_id, data))))
+            self.events: list[FrameEchoed] = []
+            self.slave = LssSlave(
+                ONE, 3, lambda cob_id, data: self.events.append(FrameEchoed("can0", Frame(cob_id, data)))
+            )
 
-        def send(self, frame: Frame) -> None:
-            self.events.append(Echoed("can0", frame))
+        def send_frame(self, frame: Frame) -> None:
+            self.events.append(FrameEchoed("can0", frame))
             self.slave.receive(frame.data)
 
-        def poll(self) -> list[Echoed]:
+        def poll(self) -> list[FrameEchoed]:
             events, self.events = self.events, []
             return events
 
@@ -163,8 +165,8 @@ def test_a_board_on_this_computer_is_heard_though_its_frames_are_echoes(monkeypa
 
 
 def test_boards_without_a_node_id_are_listed() -> None:
-    other = Identity(1, 2, 3, 4)
-    wire = Wire((ONE, UNCONFIGURED), (Identity(7, 7, 7, 7), 5), (TWO, UNCONFIGURED), (other, UNCONFIGURED))
+    other = LssIdentity(1, 2, 3, 4)
+    wire = Wire((ONE, UNCONFIGURED), (LssIdentity(7, 7, 7, 7), 5), (TWO, UNCONFIGURED), (other, UNCONFIGURED))
     assert sorted(wire.lss.unconfigured()) == sorted([ONE, TWO, other])
     assert all(slave.state == 0 for slave in wire.slaves)
     assert Wire().lss.unconfigured() == []

@@ -12,8 +12,8 @@ import pytest
 from drivers.canopen.faults import BusError
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Changed, Echoed, Event, Ignored, Overrun, Received
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
+from drivers.canopen.wiring import BusWiring
 from tests import emulated
 
 FRAME = Frame(0x77F, b"\x05")
@@ -30,7 +30,7 @@ class Clock:
 def wait(bus: CanBus, condition: Callable[[list[Event]], object]) -> list[Event]:
     events: list[Event] = []
     for _ in range(20_000):
-        events += [e._replace(at=None) if isinstance(e, Echoed | Received) else e for e in bus.poll()]
+        events += [e._replace(at=None) if isinstance(e, FrameEchoed | FrameReceived) else e for e in bus.poll()]
         if condition(events):
             return events
         time.sleep(0.001)
@@ -42,7 +42,7 @@ def buses(request, tmp_path: Path) -> Iterator[tuple[CanBus, can.BusABC]]:
     interface = emulated.Interface(tmp_path) if request.param == "emulated" else None
     channel = interface.channel if interface else f"test_bus {request.node.name}"
     other = can.Bus(interface=request.param, channel=channel, ignore_config=True)
-    bus = CanBus(BusSettings("can0", request.param, channel))
+    bus = CanBus(BusWiring("can0", request.param, channel))
     bus.open()
     yield bus, other
     bus.close()
@@ -53,19 +53,19 @@ def buses(request, tmp_path: Path) -> Iterator[tuple[CanBus, can.BusABC]]:
 
 def test_frames_come_in_go_out_and_come_back(buses):
     bus, other = buses
-    assert bus.poll() == [Changed("can0", "active", "", None)]
-    assert (bus.fileno() is None) == (bus.settings.interface == "virtual")
-    assert bus.send(FRAME) is None
-    assert wait(bus, len) == [Echoed("can0", FRAME)]
+    assert bus.poll() == [BusChanged("can0", "active", "", None)]
+    assert (bus.fileno() is None) == (bus.wiring.interface == "virtual")
+    assert bus.send_frame(FRAME) is None
+    assert wait(bus, len) == [FrameEchoed("can0", FRAME)]
     message = other.recv(20)
     assert (message.arbitration_id, bytes(message.data), message.is_extended_id) == (0x77F, b"\x05", False)
     other.send(can.Message(arbitration_id=0x705, data=b"\x7f", is_extended_id=False))
     other.send(can.Message(arbitration_id=0x705, data=b"\x7f", is_extended_id=True))
     other.send(can.Message(arbitration_id=0x705, is_extended_id=False, is_remote_frame=True, dlc=1))
     assert wait(bus, lambda events: len(events) == 3) == [
-        Received("can0", Frame(0x705, b"\x7f")),
-        Ignored("can0", 90),
-        Ignored("can0", 55),
+        FrameReceived("can0", Frame(0x705, b"\x7f")),
+        FrameIgnored("can0", 90),
+        FrameIgnored("can0", 55),
     ]
 
 
@@ -73,7 +73,10 @@ def test_frames_tell_when_they_were_on_the_bus(buses):
     bus, other = buses
     bus.poll()
     times = [time.monotonic()]
-    for send in (lambda: bus.send(FRAME), lambda: other.send(can.Message(arbitration_id=0x185, is_extended_id=False))):
+    for send in (
+        lambda: bus.send_frame(FRAME),
+        lambda: other.send(can.Message(arbitration_id=0x185, is_extended_id=False)),
+    ):
         send()
         while not (events := bus.poll()):
             time.sleep(0.001)
@@ -94,10 +97,10 @@ def test_error_frames_change_the_state(buses):
             can.Message(arbitration_id=kind, data=bytes.fromhex(data), is_error_frame=True, is_extended_id=False)
         )
     assert wait(bus, lambda events: len(events) == 4) == [
-        Changed("can0", "passive", "", (130, 7)),
-        Changed("can0", "bus-off", "", None),
-        Changed("can0", None, "", (2, 3)),
-        Overrun("can0"),
+        BusChanged("can0", "passive", "", (130, 7)),
+        BusChanged("can0", "bus-off", "", None),
+        BusChanged("can0", None, "", (2, 3)),
+        BusOverrun("can0"),
     ]
 
 
@@ -108,21 +111,21 @@ def test_a_poll_returns_no_more_than_256_frames(buses):
         other.send(can.Message(arbitration_id=k, is_extended_id=False))
     time.sleep(0.2)
     assert len(bus.poll()) <= 256
-    wait(bus, lambda events: events and events[-1] == Received("can0", Frame(299, b"")))
+    wait(bus, lambda events: events and events[-1] == FrameReceived("can0", Frame(299, b"")))
 
 
 def test_a_full_queue_is_told_and_keeps_the_bus_open(tmp_path):
     interface = emulated.Interface(tmp_path)
-    bus = CanBus(BusSettings("can0", "emulated", interface.channel))
+    bus = CanBus(BusWiring("can0", "emulated", interface.channel))
     bus.open()
     interface.hold()
     why = None
     for _ in range(1000):
-        why = why or bus.send(FRAME)
+        why = why or bus.send_frame(FRAME)
         time.sleep(0.001)
     assert "No buffer space" in why
     interface.release()
-    assert all(event == Echoed("can0", FRAME) for event in wait(bus, lambda events: len(events) > 10)[1:])
+    assert all(event == FrameEchoed("can0", FRAME) for event in wait(bus, lambda events: len(events) > 10)[1:])
     bus.close()
     interface.close()
 
@@ -130,13 +133,13 @@ def test_a_full_queue_is_told_and_keeps_the_bus_open(tmp_path):
 @pytest.mark.parametrize("how", ["down", "deleted"])
 def test_a_bus_that_goes_down_is_opened_again(tmp_path, how):
     interface, clock = emulated.Interface(tmp_path), Clock()
-    bus = CanBus(BusSettings("can0", "emulated", interface.channel), clock)
+    bus = CanBus(BusWiring("can0", "emulated", interface.channel), clock)
     bus.open()
     bus.poll()
     interface.down() if how == "down" else interface.delete()
     [event] = wait(bus, len)
     assert (event.state, "opened again" in event.why) == ("down", True)
-    assert bus.send(FRAME) is not None
+    assert bus.send_frame(FRAME) is not None
     assert bus.poll() == []  # it waits between attempts
     for pause in (0.1, 0.2, 0.4, 0.8, 1.0, 1.0):
         clock.now += pause + 1e-6
@@ -144,19 +147,19 @@ def test_a_bus_that_goes_down_is_opened_again(tmp_path, how):
     interface.up() if how == "down" else interface.make()
     clock.now += 1.1
     assert [event.state for event in wait(bus, len)] == ["active"]
-    assert bus.send(FRAME) is None
-    wait(bus, lambda events: Echoed("can0", FRAME) in events)
+    assert bus.send_frame(FRAME) is None
+    wait(bus, lambda events: FrameEchoed("can0", FRAME) in events)
     bus.close()
     interface.close()
 
 
 def test_sending_on_a_bus_that_is_down_shows_it(tmp_path):
     interface = emulated.Interface(tmp_path)
-    bus = CanBus(BusSettings("can0", "emulated", interface.channel))
+    bus = CanBus(BusWiring("can0", "emulated", interface.channel))
     bus.open()
     bus.poll()
     interface.down()
-    assert "Network is down" in bus.send(FRAME)
+    assert "Network is down" in bus.send_frame(FRAME)
     assert [event.state for event in bus.poll()] == ["down"]
     bus.close()
     interface.close()
@@ -164,17 +167,17 @@ def test_sending_on_a_bus_that_is_down_shows_it(tmp_path):
 
 @pytest.mark.parametrize("interface", ["nonsense", "socketcan"])
 def test_a_bus_that_cannot_be_opened_is_named(interface):
-    bus = CanBus(BusSettings("can7", interface, "nowhere0"))
+    bus = CanBus(BusWiring("can7", interface, "nowhere0"))
     with pytest.raises(BusError, match=rf"can7.*nowhere0.*{interface}"):
         bus.open()
-    assert bus.send(FRAME) == "the bus is closed"
+    assert bus.send_frame(FRAME) == "the bus is closed"
     assert bus.poll() == []
     assert bus.fileno() is None
 
 
 def test_a_closed_bus_says_so():
-    bus = CanBus(BusSettings("can0", "virtual", "test_bus closed"))
+    bus = CanBus(BusWiring("can0", "virtual", "test_bus closed"))
     bus.open()
     bus.close()
     assert [event.state for event in bus.poll()] == ["closed"]
-    assert bus.send(FRAME) is not None
+    assert bus.send_frame(FRAME) is not None

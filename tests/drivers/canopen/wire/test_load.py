@@ -5,7 +5,7 @@ import pytest
 from drivers.canopen.layout import lay_out
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.load import worst_case
-from drivers.canopen.wiring import BoardId, BusSettings, Channel, Timing, Wiring
+from drivers.canopen.wiring import BoardId, BusWiring, Channel, Timing, Wiring
 
 TIMING = Timing(heartbeat=0.1, travel_time=0.05)
 
@@ -13,7 +13,7 @@ TIMING = Timing(heartbeat=0.1, travel_time=0.05)
 def full(shared: bool) -> Wiring:
     """127 nodes, as many as a bus can have: the master and 126 boards of three actuators with end-stops."""
     channels = (Channel(f"{node}.{k}", "can0", node, k, k) for node in range(1, 127) for k in range(3))
-    return Wiring((BusSettings("can0", "virtual", "x", 1_000_000),), tuple(channels), shared_rpdo=shared)
+    return Wiring((BusWiring("can0", "virtual", "x", 1_000_000),), tuple(channels), shared_rpdo=shared)
 
 
 @pytest.mark.parametrize(("size", "bits"), [(0, 55), (1, 65), (2, 75), (6, 115), (8, 135)])
@@ -41,9 +41,9 @@ def test_a_full_bus(shared, rpdos, load):
 
 def test_each_bus_has_its_own_boards_and_bit_rate():
     buses = (
-        BusSettings("a", "virtual", "a", 250_000),
-        BusSettings("b", "virtual", "b"),
-        BusSettings("c", "virtual", "c"),
+        BusWiring("a", "virtual", "a", 250_000),
+        BusWiring("b", "virtual", "b"),
+        BusWiring("c", "virtual", "c"),
     )
     channels = Channel("1", "a", 1, 0, None), Channel("2", "b", 1, 0, 0), Channel("3", "b", 1, 9, 9)
     layout = lay_out(Wiring(buses, channels))
@@ -55,7 +55,7 @@ def test_each_bus_has_its_own_boards_and_bit_rate():
 
 
 def test_end_stops_on_a_bus_of_their_own_load_that_bus():
-    buses = BusSettings("a", "virtual", "a"), BusSettings("b", "virtual", "b")
+    buses = BusWiring("a", "virtual", "a"), BusWiring("b", "virtual", "b")
     layout = lay_out(Wiring(buses, (Channel("1", "a", 1, 0, 0, input_board=BoardId("b", 1)),)))
     a, b = (worst_case(layout, TIMING, bus) for bus in buses)
     assert (a.rpdos, a.tpdos) == pytest.approx((1300, 0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.link import Link, Outgoing
 from drivers.canopen.wire.tx_echo import TxPending
-from drivers.canopen.wiring import BusSettings
+from drivers.canopen.wiring import BusWiring
 
 BEAT = Frame(0x77F, b"\x05")
 
@@ -35,14 +35,14 @@ def test_nothing_is_pending_before_the_first_echo():
 
 def test_a_bus_is_stuck_after_its_own_time():
     sent = []
-    link = Link(BusSettings("can0", "none", ""), lambda bus, frame: sent.append(frame), stuck_after=1.2)
+    link = Link(BusWiring("can0", "none", ""), lambda bus, frame: sent.append(frame), stuck_after=1.2)
     link.changed("active", "", None, 0.0)
     assert link.rearm() is None
-    link.send(BEAT, 0.0)
+    link.send_frame(BEAT, 0.0)
     assert link.echoed(BEAT, 0.001)
     faults = []
     for k in range(1, 200):
-        link.send(BEAT, 0.01 * k)
+        link.send_frame(BEAT, 0.01 * k)
         if (fault := link.tick(0.01 * k, 0.01 * k)) is not None:
             faults.append((k, fault.code))
     assert faults == [(122, "bus-busy")]
@@ -52,11 +52,11 @@ def test_a_bus_is_stuck_after_its_own_time():
 def test_transfers_wait_until_the_heartbeat_has_left():
     """On a slow bus SDO frames would delay the heartbeat, whose identifier is the highest of all."""
     sent: list[Frame] = []
-    link = Link(BusSettings("can0", "virtual", "can0"), lambda _, frame: sent.append(frame), stuck_after=0.2)
+    link = Link(BusWiring("can0", "virtual", "can0"), lambda _, frame: sent.append(frame), stuck_after=0.2)
     link.changed("active", "", None, 0.0)
-    link.send(BEAT, 0.0)
+    link.send_frame(BEAT, 0.0)
     link.echoed(BEAT, 0.001)
-    link.send(BEAT, 0.1)
+    link.send_frame(BEAT, 0.1)
     request = Frame(0x601, bytes(8))
     link.queue(Outgoing(request), 0.101)
     assert sent == [BEAT, BEAT]

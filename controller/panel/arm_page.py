@@ -13,22 +13,25 @@ import msgspec
 from controller.armfile.strict import InputFaults, parse_yaml
 from controller.network.client import Unanswered
 from controller.panel.arm_view import ArmView
-from controller.panel.pages import Allowance, Page
+from controller.panel.pages import Page, RateLimit
 from controller.panel.requests import (
-    Cancel,
-    Go,
-    GoalFile,
-    Jog,
-    Lock,
-    Obstacles,
-    Plan,
-    Release,
-    Request,
-    Reset,
-    Seek,
-    Stop,
-    Take,
+    CancelRequest,
+    FreeRequest,
+    GoalFileRequest,
+    GoalRequest,
+    JogRequest,
+    LockRequest,
+    ObstaclesRequest,
+    PageRequest,
+    PlanRequest,
+    ReleaseControlRequest,
+    ResetRequest,
+    SeekRequest,
+    StopRequest,
+    TakeControlRequest,
+    UrgentRequest,
 )
+from controller.refusals.reasons import advice
 
 log = logging.getLogger(__name__)
 
@@ -42,7 +45,7 @@ PLAN_WITHIN = 15.0  # [s]
 MOST_YAML = 50_000  # characters
 
 
-class Desks:
+class RequestThreads:
     """The threads that send requests to daemons. Stops have their own threads, so that they never wait."""
 
     def __init__(self) -> None:
@@ -60,30 +63,30 @@ class Flood(Exception):
     """A page sends far too many requests."""
 
 
-class Desk:
+class ArmPage:
     """Serves the requests of one page. Used only on the event loop of the pages.
 
     Args:
         view: data of the page's arm.
         page: the page.
-        desks: threads that all pages share.
+        threads: threads that all pages share.
     """
 
-    def __init__(self, view: ArmView, page: Page, desks: Desks) -> None:
-        self._view, self._page, self._desks = view, page, desks
-        self._allowance, self._stops = Allowance(RATE, AT_ONCE), Allowance(STOPS, STOPS_AT_ONCE)
+    def __init__(self, view: ArmView, page: Page, threads: RequestThreads) -> None:
+        self._view, self._page, self._threads = view, page, threads
+        self._limit, self._stops = RateLimit(RATE, AT_ONCE), RateLimit(STOPS, STOPS_AT_ONCE)
         self._open: set[asyncio.Task[None]] = set()
 
-    def take(self, request: Request) -> None:
+    def receive_request(self, request: PageRequest) -> None:
         """Accepts a request; its answer is sent to the page.
 
         Raises:
             Flood: the page sent too many requests and must be closed.
         """
-        urgent = isinstance(request, Stop | Cancel)
-        allowance = self._stops if urgent else self._allowance
-        if not allowance.take():
-            if allowance.refused > MOST_REFUSED:
+        urgent = isinstance(request, UrgentRequest)
+        limit = self._stops if urgent else self._limit
+        if not limit.take_token():
+            if limit.refused > MOST_REFUSED:
                 raise Flood
             self._refuse(request, "too many requests: wait a second")
         elif (refusal := self._refusal(request)) is not None:
@@ -99,18 +102,18 @@ class Desk:
         """Sends the page a refusal of its request number `number`."""
         self._page.reply(encoded({"section": "reply", "n": number, "accepted": False, "message": message}))
 
-    def _refuse(self, request: Request, message: str) -> None:
+    def _refuse(self, request: PageRequest, message: str) -> None:
         self.refuse(request.n, message)
 
-    def _refusal(self, request: Request) -> str | None:
+    def _refusal(self, request: PageRequest) -> str | None:
         """Returns why the page may not send this request, or None; the first page that commands gets control."""
         if self._page.person.role != "operator":
             return f"{self._page.person.name} may look, not command"
-        if isinstance(request, Stop | Cancel | Take | Release | Plan | GoalFile | Seek):
+        if isinstance(request, FreeRequest):
             return None
         return self._view.control.refusal(self._page)
 
-    async def _serve(self, request: Request) -> None:
+    async def _serve(self, request: PageRequest) -> None:
         """Carries a request out and answers it."""
         try:
             answer = await self._carry_out(request)
@@ -121,44 +124,45 @@ class Desk:
         except Exception:
             log.exception("arm %s: a request failed", self._view.name)
             answer = {"accepted": False, "message": "internal error, see the panel's journal"}
-        self._page.reply(encoded({"section": "reply", "n": request.n, **answer}))
+        advised = {"advice": advice(answer["reason"], self._view.name)} if "reason" in answer else {}
+        self._page.reply(encoded({"section": "reply", "n": request.n, **answer, **advised}))
 
-    async def _carry_out(self, request: Request) -> Message:
+    async def _carry_out(self, request: PageRequest) -> Message:
         match request:
-            case Stop():
-                return await self._command("stop", {}, self._desks.stops)
-            case Cancel():
-                return await self._command("cancel", {}, self._desks.stops)
-            case Reset():
+            case StopRequest():
+                return await self._command("stop", {}, self._threads.stops)
+            case CancelRequest():
+                return await self._command("cancel", {}, self._threads.stops)
+            case ResetRequest():
                 return await self._command("reset", {})
-            case Jog(actuator=actuator, state=state):
+            case JogRequest(actuator=actuator, state=state):
                 return await self._command("jog", {"actuators": {actuator: state}})
-            case Lock(actuator=actuator, state=at):
+            case LockRequest(actuator=actuator, state=at):
                 return await self._command("degrade", {"actuator": actuator, "state": at})
-            case Obstacles(regions=regions):
+            case ObstaclesRequest(regions=regions):
                 return await self._command("obstacles", {"regions": regions})
-            case Go(goal=goal):
+            case GoalRequest(goal=goal):
                 named = {**goal, "id": f"{self._page.person.name}-{secrets.token_hex(3)}"}
                 answer = await self._command("goal", named)
                 if answer.get("accepted"):
                     points = goal.get("waypoints")
-                    self._view.record.goal(str(answer.get("id")), len(points) if isinstance(points, list) else None)
-                    self._view.publish_record()
+                    self._view.history.goal(str(answer.get("id")), len(points) if isinstance(points, list) else None)
+                    self._view.publish_history()
                 return answer
-            case Plan(goal=goal):
+            case PlanRequest(goal=goal):
                 return await self._plan(goal)
-            case GoalFile(text=text):
-                read = await asyncio.get_running_loop().run_in_executor(self._desks.plans, read_goal, text)
+            case GoalFileRequest(text=text):
+                read = await asyncio.get_running_loop().run_in_executor(self._threads.plans, read_goal, text)
                 return {**await self._plan(read), "file": read}
-            case Seek():
+            case SeekRequest():
                 asked = {"at": request.at, "speed": request.speed, "paused": request.paused}
                 return await self._ask("timeline", {k: v for k, v in asked.items() if v is not None})
-            case Take():
-                self._view.control.take(self._page)
+            case TakeControlRequest():
+                self._view.control.take_control(self._page)
                 self._say("took control")
                 return {"accepted": True, "message": "you have control"}
-            case Release():
-                if self._view.control.release(self._page):
+            case ReleaseControlRequest():
+                if self._view.control.release_control(self._page):
                     self._say("released control")
                 return {"accepted": True, "message": "nobody has control"}
 
@@ -171,12 +175,12 @@ class Desk:
 
     async def _ask(self, key: str, payload: Message, pool: ThreadPoolExecutor | None = None) -> Message:
         loop, client = asyncio.get_running_loop(), self._view.client
-        return await loop.run_in_executor(pool or self._desks.others, client.request, key, payload)
+        return await loop.run_in_executor(pool or self._threads.others, client.request, key, payload)
 
     async def _plan(self, goal: Message) -> Message:
         """Returns the daemon's plan of a goal, with the line segments of each waypoint."""
         loop, client = asyncio.get_running_loop(), self._view.client
-        answer = await loop.run_in_executor(self._desks.plans, client.request, "plan", goal, PLAN_WITHIN)
+        answer = await loop.run_in_executor(self._threads.plans, client.request, "plan", goal, PLAN_WITHIN)
         drawing = self._view.drawing
         if drawing is not None:
             for point in answer.get("waypoints", ()):
@@ -185,8 +189,8 @@ class Desk:
 
     def _say(self, what: str) -> None:
         log.info("arm %s: %s %s", self._view.name, self._page.person.name, what)
-        self._view.record.say(f"{self._page.person.name} {what}")
-        self._view.publish_record()
+        self._view.history.say(f"{self._page.person.name} {what}")
+        self._view.publish_history()
 
 
 def read_goal(text: str) -> Message:

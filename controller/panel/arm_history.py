@@ -12,7 +12,7 @@ MOST_POINTS = 600  # of each curve over time
 LONGEST = 500  # characters of a log line
 
 
-class Record:
+class ArmHistory:
     """History of one arm, of bounded size. Not thread-safe."""
 
     def __init__(self) -> None:

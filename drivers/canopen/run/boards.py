@@ -1,25 +1,26 @@
-"""All buses and boards of an arm, and their known states."""
+"""The buses and boards of an arm, and what is known of the boards' outputs and inputs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
-from drivers.canopen.faults import Fault, FaultLog
+from drivers.canopen.faults import ArmFault, FaultLog
 from drivers.canopen.layout import Layout, lay_out
 from drivers.canopen.pdo import union
 from drivers.canopen.run.board import Board, StateImage
-from drivers.canopen.run.outputs import Key, Outputs
+from drivers.canopen.run.outputs import Key, OutputLines
+from drivers.canopen.run.reception import Reception
 from drivers.canopen.run.station import Station
-from drivers.canopen.status import Status
+from drivers.canopen.status import MasterStatus
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame
 from drivers.canopen.wire.link import Link
 from drivers.canopen.wire.load import worst_case
-from drivers.canopen.wiring import MASTER, Timing, Wiring
+from drivers.canopen.wiring import Timing, Wiring
 
 
-class Network:
-    """Buses, boards and actuator states.
+class Boards:
+    """The buses and boards of an arm.
 
     Attributes:
         layout: layout of the process data.
@@ -42,12 +43,10 @@ class Network:
         channels = wiring.channels
         ended = [c.input is not None or c.input_contracted is not None for c in channels]
         self.sensed = sum(1 << k for k, has in enumerate(ended) if has)
-        self._extended = sum(1 << k for k, c in enumerate(channels) if c.input is not None)
         self.pulsed = sum(
             1 << k | 1 << len(channels) + i for i, k in enumerate(wiring.paired) if channels[k].pulse is not None
         )
-        self._actuators = (1 << len(channels)) - 1
-        self.image, self.log, self.outputs = StateImage(), FaultLog(), Outputs(self.layout)
+        self.image, self.log, self.outputs = StateImage(), FaultLog(), OutputLines(self.layout)
         stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards lose the master
         self.links = {bus.name: Link(bus, send, stuck_after) for bus in wiring.buses}
         self.stations = [
@@ -65,12 +64,6 @@ class Network:
     def ready(self) -> bool:
         """Whether all boards are ready, and all buses are armed."""
         return self.all_known and all(link.armed for link in self.links.values())
-
-    @property
-    def measured(self) -> int:
-        """States of actuators with one output: the end-stop at the extended end, else the output; 0 where unknown."""
-        ends, outputs = self.image.ends & self._extended, self.outputs.states & ~self._extended
-        return (ends | outputs) & self._actuators & self.image.known
 
     def refusal(self, lines: int | None = None) -> str | None:
         """Returns why nothing may be switched now, or None.
@@ -125,17 +118,17 @@ class Network:
         touched = union(b.layout.output_lines for b in boards if b.layout.output_lines & off)
         return states & ~off & ~(doubtful & touched), off
 
-    def warnings(self) -> tuple[Fault, ...]:
+    def warnings(self) -> tuple[ArmFault, ...]:
         """Returns the warnings of ready boards: limits, and outputs that were written off before the start."""
         boards = [station.board for station in self.stations if station.board.ready]
         limits = (
-            Fault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards if b.warnings
+            ArmFault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards if b.warnings
         )
         text = "outputs may have been switched off by the board; written off before start"
-        released = (Fault("outputs-off", b.name, f"{b.name}: {text}") for b in boards if b.released)
+        released = (ArmFault("outputs-off", b.name, f"{b.name}: {text}") for b in boards if b.released)
         return (*limits, *released)
 
-    def rearm(self) -> dict[str, Fault]:
+    def rearm(self) -> dict[str, ArmFault]:
         """Arms all buses; returns a fault for each unusable bus, by its name."""
         return {name: fault for name, link in self.links.items() if (fault := link.rearm()) is not None}
 
@@ -176,55 +169,11 @@ class Network:
             if twice and station.board.ready:
                 name = station.board.name
                 text = f"two boards answer as {name}: give each its own node id, then reset"
-                station.board.fail(Fault("duplicate-node", name, text))
+                station.board.fail(ArmFault("duplicate-node", name, text))
 
-    def status(self, now: float) -> Status:
+    def status(self, now: float) -> MasterStatus:
         """Returns state and counters for diagnostics."""
-        return Status(
+        return MasterStatus(
             buses=tuple(link.status(self._worst_case[name]) for name, link in self.links.items()),
             boards=tuple(station.board.status(now) for station in self.stations),
         )
-
-
-class Reception:
-    """Passes the frames of one bus to its boards.
-
-    Args:
-        bus: name of the bus.
-        outputs: tells which frames are RPDOs of the master.
-        stations: boards of all buses.
-        rebooted: called with each restarted board.
-        report: takes faults.
-    """
-
-    def __init__(
-        self,
-        bus: str,
-        outputs: Outputs,
-        stations: Iterable[Station],
-        rebooted: Callable[[Station, float], None],
-        report: Callable[[Fault], None],
-    ) -> None:
-        self._bus, self._rebooted, self._report = bus, rebooted, report
-        self.stations = {s.board.layout.node: s for s in stations if s.board.layout.bus == bus}
-        self._masters = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", cia301.HEARTBEAT + MASTER: "the master's heartbeat"}
-        self._outputs = outputs
-
-    def receive(self, frame: Frame, now: float) -> bool:
-        """Takes a frame of another node; returns whether it was understood."""
-        cob_id, data = frame
-        what = self._masters.get(cob_id) or ("an RPDO" if self._outputs.sends(self._bus, cob_id) else None)
-        if what is not None:
-            text = f"another master sends on {self._bus} ({what}, frame {cob_id:03X}h): stop it, only one may switch"
-            self._report(Fault("foreign-master", self._bus, f"{text} the boards"))
-            return True
-        if not 0 <= cob_id <= 0x7FF or (station := self.stations.get(cob_id & 0x7F)) is None:
-            return False
-        function, board, boots = cob_id & 0x780, station.board, station.board.boots
-        understood = board.receive(cob_id, data, now)
-        if function == cia301.SDO_ANSWER and understood:
-            station.runner.receive_sdo(data, now)
-        if board.boots != boots:
-            self._rebooted(station, now)
-        station.runner.check(now)
-        return understood

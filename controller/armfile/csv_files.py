@@ -1,0 +1,82 @@
+"""CSV files: the first line names the columns, each further line is a row with its line number."""
+
+import csv
+from collections.abc import Iterator
+from itertools import islice, zip_longest
+from pathlib import Path, PurePath
+from typing import NamedTuple
+
+from controller.armfile.strict import InputFaults
+
+MOST_STATES = 4096  # rows of a table of measured frames
+
+
+class CsvRow(NamedTuple):
+    """The fields of a row, and the number of its last line."""
+
+    line: int
+    fields: list[str]
+
+
+class CsvFile(NamedTuple):
+    """The content of a file.
+
+    Attributes:
+        columns: names in the first line; empty for an empty file.
+        rows: rows in the file's order, without empty lines.
+    """
+
+    columns: list[str]
+    rows: list[CsvRow]
+
+    def records(self) -> Iterator[tuple[int, dict[str, str]]]:
+        """Yields line number and fields by column of each row; missing fields are empty, further fields are ignored."""
+        for row in self.rows:
+            fields = row.fields[: len(self.columns)]
+            yield row.line, dict(zip_longest(self.columns, fields, fillvalue=""))
+
+
+def read_csv(path: Path, most: int | None = None) -> CsvFile:
+    """Returns the content of a CSV file.
+
+    Args:
+        path: of the file.
+        most: most rows to accept; one more is read, so that the caller sees that the file has more. None: no limit.
+
+    Raises:
+        InputFaults: the file cannot be read.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets write a byte order mark
+            reader = csv.reader(file, skipinitialspace=True, strict=True)
+            columns = [column.strip() for column in next(reader, [])]
+            lines = islice(reader, None if most is None else most + 1)
+            return CsvFile(columns, [CsvRow(reader.line_num, fields) for fields in lines if fields])
+    except (OSError, ValueError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputFaults(path, [f"cannot be read: {reason}"]) from None
+
+
+def read_states(folder: Path, name: str | None, field: str, faults: list[str]) -> CsvFile | None:
+    """Returns a table beside an arm's file, with a row for each state; None with a fault appended.
+
+    Args:
+        folder: of the arm's file.
+        name: of the CSV file, relative to the folder.
+        field: of the arm's file that names the CSV file.
+        faults: appended to, each beginning with `field`.
+    """
+    if name is None or PurePath(name).is_absolute() or ".." in PurePath(name).parts or not name.endswith(".csv"):
+        faults.append(f"{field}: a CSV file beside the arm's is needed, such as measured.csv, got {name!r}")
+        return None
+    try:
+        return read_csv(folder / name, MOST_STATES)
+    except InputFaults as error:
+        faults += [f"{field}: {name} {fault}" for fault in error.faults]
+        return None
+
+
+def check_states(table: CsvFile, name: str | None, field: str, faults: list[str]) -> None:
+    """Appends a fault if a table has too few or too many rows. For the arguments see `read_states`."""
+    if not 2 <= len(table.rows) <= MOST_STATES:
+        faults.append(f"{field}: {name}: 2 to {MOST_STATES} rows are needed, a state each, got {len(table.rows)}")

@@ -1,0 +1,139 @@
+"""The figures of the command `workspace`, as fields for JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from controller.arm.arm import Arm
+from controller.manipulator.frames import quaternion
+from controller.manipulator.locked import STATES
+
+if TYPE_CHECKING:
+    from controller.workspace.densities import Densities
+    from controller.workspace.locked_reach import LockedReach, Reach
+    from controller.workspace.orientations import Orientations
+
+FIGURES = ("reach", "covered", "redundancy")
+DRAWN = "random draws, weighted by the Mapping Algorithm's densities; a grid over orientations would be far too coarse"
+MAPPED = "the search uses the same densities of all intermediate workspaces"
+LOCKED = "a lock changes only the intermediate workspaces below its module; the others are mapped once"
+
+
+class WorkspaceStudy(NamedTuple):
+    """What was found on the workspace of an arm.
+
+    Attributes:
+        arm: the arm.
+        densities: of the reduced arm.
+        tolerance: position tolerance.
+        point: position at which orientations were counted, shape (dimension,); None: nowhere.
+        orientations: orientations at the point; None without a point.
+        locks: number of locked actuators; 0: none.
+        locked_reach: reach with locked actuators; None without locks.
+    """
+
+    arm: Arm
+    densities: Densities
+    tolerance: float
+    point: list[float] | None
+    orientations: Orientations | None
+    locks: int
+    locked_reach: LockedReach | None
+
+
+def describe_study(study: WorkspaceStudy) -> dict[str, Any]:
+    """Returns all figures."""
+    arm, found, reach = study.arm, study.orientations, study.locked_reach
+    fields: dict[str, Any] = {"arm": arm.settings.name, "tolerance": study.tolerance}
+    fields["positions"] = positions(arm, study.densities, study.tolerance)
+    if found is not None:
+        fields["at"] = {"position": study.point, **orientations(found, planar=arm.manipulator.planar)}
+    if reach is not None:
+        fields["locked"] = locks(arm, reach, study.locks)
+    return fields
+
+
+def positions(arm: Arm, densities: Densities, tolerance: float) -> dict[str, Any]:
+    """Returns the figures of the density of positions."""
+    planar, dimension = arm.manipulator.planar, arm.manipulator.dimension
+    values, pixel = densities.level(0).astype(float), float(densities.pixels[0])
+    some = values[values >= 0]
+    ball = math.pi * tolerance**2 if planar else 4 / 3 * math.pi * tolerance**3
+    within = (some + math.log(ball / pixel**dimension)) / math.log(10)
+    covered = within[within >= 0]
+    z, y, x = np.unravel_index(int(values.argmax()), values.shape)
+    densest = arm.reduced.base @ np.append(densities.references[0] + pixel * np.array([x, y, z]), 1.0)
+    return {
+        "method": "mapping",
+        "why": MAPPED,
+        "pixel": pixel,
+        "configurations": float(np.log10(arm.reduced.states).sum()),
+        "reach": len(some) * pixel**dimension,
+        "covered": len(covered) * pixel**dimension,
+        "redundancy": float(np.median(covered)) if len(covered) else None,
+        "greatest_redundancy": float(within.max()),
+        "densest": densest[:dimension].tolist(),
+    }
+
+
+def orientations(found: Orientations, *, planar: bool) -> dict[str, Any]:
+    """Returns the figures of the density of orientations at a point."""
+    from controller.pictures.orientation_plots import angles_of, arcs, directions, twists
+
+    exact = found.draws == 0
+    fields: dict[str, Any] = {
+        "method": "enumeration" if exact else "mapping",
+        "why": "the arm has few configurations, all are enumerated" if exact else DRAWN,
+        "configurations": found.total,
+        "standard_error": found.deviation,
+        "draws": found.draws,
+        "mean": None,
+        "spread": None,
+    }
+    if len(found.counts) == 0:
+        return fields
+    frame = np.eye(4)
+    frame[:3, :3] = found.mean
+    fields["mean"] = float(angles_of(frame[None, :3, :3])[0]) if planar else quaternion(frame).tolist()
+    fields["spread"] = found.spread
+    if planar:
+        return fields | {"angles": arcs(angles_of(found.rotations), found.counts).tolist()}
+    return fields | {
+        "directions": directions(found).tolist(),
+        "twists": arcs(twists(found.rotations), found.counts).tolist(),
+    }
+
+
+def locks(arm: Arm, found: LockedReach, locked: int) -> dict[str, Any]:
+    """Returns the figures of reach and redundancy with locked actuators."""
+    return {
+        "method": "mapping",
+        "why": LOCKED,
+        "actuators": locked,
+        "every": found.every,
+        "impossible": found.impossible,
+        "pixel": found.pixel,
+        "free": figures(found.free),
+        "mean": {name: finite(found.mean(name)) for name in FIGURES},
+        "worst": {name: choice(arm, found.worst(name)) for name in FIGURES},
+        "choices": [choice(arm, one) for one in found.choices],
+    }
+
+
+def figures(reach: Reach) -> dict[str, float | None]:
+    """Returns the figures of one choice of locked actuators."""
+    return {name: finite(getattr(reach, name)) for name in FIGURES}
+
+
+def choice(arm: Arm, reach: Reach) -> dict[str, Any]:
+    """Returns the figures of one choice of locked actuators, and the locked states by label."""
+    labels = zip(arm.manipulator.actuators, reach.locked.tolist(), strict=True)
+    return {"locked": {label: STATES[state] for label, state in labels if state >= 0}, **figures(reach)}
+
+
+def finite(value: float) -> float | None:
+    """Returns a number, or None if it is infinite: JSON has no infinity."""
+    return value if math.isfinite(value) else None

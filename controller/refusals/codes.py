@@ -1,0 +1,7 @@
+"""Result codes of control_msgs/FollowJointTrajectory."""
+
+SUCCESSFUL = 0
+INVALID_GOAL = -1
+OLD_HEADER_TIMESTAMP = -3
+PATH_TOLERANCE_VIOLATED = -4
+GOAL_TOLERANCE_VIOLATED = -5

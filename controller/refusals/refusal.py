@@ -1,0 +1,103 @@
+"""The refusal of a request: its reason, and the facts that fill the reason's sentence."""
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from controller.refusals.reasons import Reason
+
+LONGEST_SENTENCE = 1_000  # characters; also of a fact
+
+Fact = str | int | float
+
+
+class Refusal(ValueError):
+    """A request that is not carried out; as a text, the sentence that says why.
+
+    A refusal never raises another exception: a fact that is missing stays as its name in braces.
+
+    Args:
+        reason: why.
+        goal: id of the goal, if it is known.
+        facts: fill the sentence of the reason. Floats are shown with six digits.
+
+    Attributes:
+        goal: see above.
+    """
+
+    def __init__(self, reason: Reason, goal: str | None = None, /, **facts: Fact) -> None:
+        super().__init__(reason, goal)
+        self._reason, self.goal = reason, goal
+        self._facts = {name: shown(fact) for name, fact in facts.items()}
+
+    @property
+    def reason(self) -> Reason:
+        """Why the request is refused."""
+        return self._reason
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The facts as texts."""
+        return self._facts
+
+    @property
+    def code(self) -> int:
+        """The result code of the reason."""
+        return self.reason.code
+
+    @property
+    def data(self) -> "Refused":
+        """The refusal as plain data, for messages and events."""
+        return Refused(self.reason, {name: printable(fact) for name, fact in self.facts.items()})
+
+    def __str__(self) -> str:
+        return printable(self.reason.sentence.format_map(NamedFacts(self.facts)))
+
+
+class Refused(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A refusal as plain data: its reason and its facts."""
+
+    reason: Reason
+    facts: Annotated[dict[str, Annotated[str, Meta(max_length=LONGEST_SENTENCE)]], Meta(max_length=20)] = {}
+
+    @property
+    def refusal(self) -> Refusal:
+        """The refusal to raise or to answer."""
+        return Refusal(self.reason, **self.facts)
+
+
+class NamedFacts(dict[str, str]):
+    """Facts; one that is missing is its name in braces."""
+
+    def __missing__(self, name: str) -> str:
+        return f"{{{name}}}"
+
+
+def shown(fact: Fact) -> str:
+    """Returns a fact as a text."""
+    return f"{fact:g}" if isinstance(fact, float) else str(fact)
+
+
+def printable(sentence: str) -> str:
+    """Returns a text with single surrogates escaped, which no message can contain; cut to LONGEST_SENTENCE."""
+    sentence = sentence.encode("utf-8", "backslashreplace").decode()
+    return sentence if len(sentence) <= LONGEST_SENTENCE else sentence[: LONGEST_SENTENCE - 3] + "..."
+
+
+def no_motion(mode: str, why: str) -> Refusal:
+    """Returns the refusal of a motion by the mode of the arm, which a sentence explains."""
+    match mode:
+        case "starting":
+            return Refusal(Reason.ARM_STARTING, why=why)
+        case "fault":
+            return Refusal(Reason.ARM_IN_FAULT, why=why)
+        case "stopped":
+            return Refusal(Reason.ARM_STOPPED, why=why)
+        case _:
+            return Refusal(Reason.ARM_NOT_KNOWN, mode=mode, why=why)
+
+
+def all_faults(faults: list[str]) -> str:
+    """Returns the first three faults of a payload, and the number of the others, as a fact."""
+    return "; ".join(faults[:3]) + (f" (and {len(faults) - 3} more faults)" if len(faults) > 3 else "")
