@@ -16,6 +16,7 @@ from controller.library.errors import GoalError, PathError
 from controller.library.goals import Goal, ToleratedGoal, with_tolerances
 from controller.library.obstacles import Obstacle, build_obstacles
 from controller.manipulator.manipulator import Configuration
+from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.plans.whole import WHOLE_TIME, TipGoals, plan_whole, unhurried
 from controller.motion.stages.pacing import pace_of
 from controller.motion.trajectory import MOST_POINTS
@@ -24,7 +25,7 @@ from controller.search import solver as search
 from controller.search.method import METHODS, MINIMUM_SWITCH, Method
 from controller.search.solution import Certificate, Solution
 
-DEADLINE, PATH_DEADLINE = search.DEADLINE, WHOLE_TIME
+DEADLINE, PATH_DEADLINE = search.TIMEOUT, WHOLE_TIME
 
 Start: TypeAlias = "ArrayLike | Solution | Path | None"  # a configuration may be text
 
@@ -122,7 +123,8 @@ class Solver:
             raise GoalError(f"deadline: a positive number of seconds is needed, got {deadline!r}")
         asked = self._with_tolerances(goal)
         before = self._start(start)
-        found = self._search.solve(asked.target, before, asked.tolerance, method, deadline, asked.angle_tolerance)
+        target = self._search.target(asked.target, asked.tolerance, asked.angle_tolerance)
+        found = self._search.solve(target, before, method, timeout=deadline)
         return self._whole(found)
 
     def follow(
@@ -164,8 +166,8 @@ class Solver:
         before, pace = self._start(start), pace_of(self.arm._arm.settings)
         try:
             trajectory = unhurried(self._goals(asked, path_tolerance), pace, path_tolerance)
-            first = deadline * len(trajectory.times)
-            found = plan_whole(self._search, trajectory, before, method, pace, first, path_deadline)
+            planner = TransitionPlanner(self._search, trajectory, pace)
+            found = plan_whole(planner, before, method, deadline * len(trajectory.times), path_deadline)
         except Refusal as refusal:
             raise PathError(str(refusal)) from None
         solutions = tuple(self._whole(solution) for solution in found.solutions)

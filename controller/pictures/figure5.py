@@ -52,7 +52,7 @@ def experiment(arm: Arm, densities: Densities) -> list[ExperimentResult]:
     for method in PAPER_METHODS:
         previous = np.zeros(len(arm.manipulator.modules), dtype=np.int64)
         for target in TARGETS:
-            found = solver.solve(target, previous, arm.tolerance, method)
+            found = solver.solve(solver.target(target, arm.tolerance), previous, method)
             previous = found.configuration
             results.append(
                 ExperimentResult(

@@ -7,7 +7,7 @@ a threshold on the density. Here the weights fall from 2 at the base to 1 at the
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,8 +47,19 @@ def stage_costs(method: PaperMethod | Variant, manipulator: Manipulator, previou
     return np.linspace(2.0, 1.0, len(counts))[:, None] * counts
 
 
+def cost_of_switches(switches: ArrayLike, weights: NDArray[np.float64], axis: int | tuple[int, ...] = (-2, -1)) -> Any:
+    """Returns the cost of switches: the sum of all weights, each times how often its actuator switches.
+
+    Args:
+        switches: number of switches of each actuator, shape (..., B, Amax).
+        weights: cost of a switch of each actuator, shape (B, Amax), or with further axes to match `switches`.
+        axis: axes to sum over.
+    """
+    return (np.asarray(switches) * weights).sum(axis=axis, dtype=float)
+
+
 def switch_costs(manipulator: Manipulator, previous: ArrayLike, weights: NDArray[np.float64]) -> StageCosts:
-    """Returns the cost of a switch: for each module's states (B, Kmax), the weights of the actuators that switch.
+    """Returns the cost of each module's states (B, Kmax): that of the switches to it.
 
     Args:
         manipulator: the arm.
@@ -56,7 +67,18 @@ def switch_costs(manipulator: Manipulator, previous: ArrayLike, weights: NDArray
         weights: cost of a switch of each actuator, shape (B, Amax).
     """
     own = manipulator.bits[np.arange(len(manipulator.modules)), np.asarray(previous)]
-    return np.asarray(((manipulator.bits != own[:, None]) * weights[:, None]).sum(axis=2), dtype=float)
+    return np.asarray(cost_of_switches(manipulator.bits != own[:, None], weights[:, None], axis=2))
+
+
+def costs_between_states(manipulator: Manipulator, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns the cost of the switches between any two states of each module, shape (B, Kmax, Kmax).
+
+    Args:
+        manipulator: the arm.
+        weights: cost of a switch of each actuator, shape (B, Amax).
+    """
+    bits = manipulator.bits
+    return np.ascontiguousarray(cost_of_switches(bits[:, :, None] != bits[:, None], weights[:, None, None], axis=3))
 
 
 def distances(manipulator: Manipulator, configuration: ArrayLike) -> StageCosts:

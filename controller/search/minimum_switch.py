@@ -47,14 +47,14 @@ class Problem:
         target: the goal.
         seed: the configuration of cost 0, shape (B,).
         costs: cost of each module's states, at least 0, shape (B, Kmax).
-        last_deadline: deadline, by `time.perf_counter()`, if no configuration within the tolerances is found before.
+        hard_deadline: deadline, by `time.perf_counter()`, if no configuration within the tolerances is found before.
         unreachable: whether the goal is known to be unreachable.
     """
 
     target: SearchTarget
     seed: Configuration
     costs: Array
-    last_deadline: float
+    hard_deadline: float
     unreachable: bool = False
 
 
@@ -125,8 +125,8 @@ class MinimumSwitch:
         for stage in stages:
             if not incumbent.proven:
                 stage(problem, incumbent)
-        if incumbent.cost == np.inf and not incumbent.proven and problem.last_deadline > incumbent.until:
-            incumbent.until = problem.last_deadline
+        if incumbent.cost == np.inf and not incumbent.proven and problem.hard_deadline > incumbent.until:
+            incumbent.until = problem.hard_deadline
             for stage in (self._approach, self._around, *tree_search, self._four_lists, self._beams):
                 if not incumbent.proven:
                     stage(problem, incumbent)

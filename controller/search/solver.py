@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Iterator
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +15,7 @@ from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.scene import scene_of
-from controller.search.method import MINIMUM_SWITCH, Method, switch_costs
+from controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
 from controller.search.minimum_switch import MinimumSwitch, Problem
 from controller.search.paths import Paths
 from controller.search.solution import EPSILON, Incumbent, Solution
@@ -27,8 +28,8 @@ Vector = NDArray[np.float64]
 
 IDENTITY = np.eye(4)
 
-DEADLINE = 0.05  # [s]
-PATIENCE = 0.5  # [s] for a goal with orientation, or among obstacles, that is not reached within the deadline
+TIMEOUT = 0.05  # [s]
+HARD_TIMEOUT = 0.5  # [s] for a goal with orientation, or among obstacles, that is not reached within TIMEOUT
 
 
 class Solver:
@@ -101,118 +102,13 @@ class Solver:
         costs = switch_costs(self.manipulator, seed, self.weights)
         return self._minimum.expect(seed, costs, tolerance)
 
-    def solve(
-        self,
-        goal: ArrayLike,
-        previous: ArrayLike,
-        tolerance: float,
-        method: Method = MINIMUM_SWITCH,
-        deadline: float = DEADLINE,
-        angle_tolerance: float = math.inf,
-        patience: float = PATIENCE,
-    ) -> Solution:
-        """Returns the solution of a goal.
+    def target(self, goal: ArrayLike, tolerance: float, angle_tolerance: float = math.inf) -> SearchTarget:
+        """Returns a goal as the target of searches by this solver, among its present obstacles.
 
         Args:
             goal: position of the tip in the world, shape (2,) or (3,), or its frame, shape (4, 4).
-            previous: configuration before, from which switches are counted, shape (B,).
             tolerance: greatest distance of the tip from the goal.
-            method: `minimum-switch`, or POP or IPOP (section 3.2) with its secondary criterion.
-            deadline: time of a minimum-switch search [s].
             angle_tolerance: greatest angle between the orientations [rad]; infinite without orientation.
-            patience: time for a goal with orientation, or among obstacles, that is not reached by the deadline [s].
-
-        Raises:
-            ValueError: the goal has the wrong number of coordinates, or leaves the plane of a planar arm.
-        """
-        began = time.perf_counter()
-        seed = np.asarray(previous, dtype=np.int64)
-        target = self.target(goal, tolerance, angle_tolerance)
-        incumbent = Incumbent(seed, began + deadline)
-        if method in (MINIMUM_SWITCH, "ipop-previous", "ipop-fewest-switches") and self._feasible(target, seed):
-            incumbent.offer(seed.copy(), 0.0, 0.0)
-        elif method == MINIMUM_SWITCH:
-            costs = switch_costs(self.manipulator, seed, self.weights)
-            last_deadline = began + (max(deadline, patience) if target.hard else deadline)
-            self._minimum.improve(Problem(target, seed, costs, last_deadline, self._unreachable(target)), incumbent)
-        else:
-            best = self._paths.follow(target, seed, method)
-            if target.hard and not self._feasible(target, best) and not self._unreachable(target):
-                incumbent.until = began + patience  # densities have no orientations
-                incumbent.offer(best, np.inf, target.square(self.manipulator.tip(best)))
-                self._minimum.repair(target, incumbent)
-                best = incumbent.configuration
-            incumbent = Incumbent(best, incumbent.until)
-        return self._described(incumbent.configuration, target, seed, time.perf_counter() - began, incumbent.bound)
-
-    def described(
-        self,
-        configuration: Configuration,
-        goal: ArrayLike,
-        previous: Configuration,
-        tolerance: float,
-        angle_tolerance: float = math.inf,
-    ) -> Solution:
-        """Returns a given configuration (B,) as the solution of a goal; for the arguments see solve."""
-        return self._described(configuration, self.target(goal, tolerance, angle_tolerance), previous)
-
-    def candidates(
-        self,
-        goal: ArrayLike,
-        previous: Configuration,
-        tolerance: float,
-        most: int,
-        angle_tolerance: float = math.inf,
-    ) -> tuple[NDArray[np.int64], Vector]:
-        """Returns at most `most` of the cheapest configurations (n, B) within the tolerances, and their costs (n,).
-
-        The search is limited to configurations near `previous`; it may find none.
-        """
-        if self._candidates is None or self._candidates[0] != most:
-            self._candidates = (most, Candidates(self.manipulator, most))
-        costs = switch_costs(self.manipulator, previous, self.weights)
-        return self._candidates[1].find(
-            self.target(goal, tolerance, angle_tolerance), np.asarray(previous, dtype=np.int64), costs
-        )
-
-    def _described(
-        self,
-        configuration: Configuration,
-        target: SearchTarget,
-        previous: Configuration,
-        seconds: float = 0.0,
-        bound: float = 0.0,
-    ) -> Solution:
-        tip, clear = self.manipulator.tip(configuration), self._clear(configuration)
-        differ = self._differ(configuration, previous)
-        cost = float((differ * self.weights).sum())
-        feasible = clear and target.met_by(tip)
-        return Solution(
-            configuration=configuration,
-            tip=tip,
-            error=float(distance(tip, target.goal)),
-            switches=int(np.count_nonzero(differ)),
-            within_tolerance=feasible,
-            seconds=seconds,
-            cost=cost,
-            bound=min(bound, cost) if feasible else bound,
-            angle=target.angle(tip),
-            clear=clear,
-        )
-
-    def _feasible(self, target: SearchTarget, configuration: Configuration) -> bool:
-        """Returns whether a configuration (B,) is within the tolerances and clear."""
-        return target.met(configuration) and self._clear(configuration)
-
-    def _unreachable(self, target: SearchTarget) -> bool:
-        """Returns whether the goal is so deep inside an obstacle that no clear tip is within the tolerance."""
-        return self.clearance is not None and self.clearance.buried(target.goal[:3, 3], target.tolerance)
-
-    def _clear(self, configuration: Configuration) -> bool:
-        return self.clearance is None or not self.clearance.blocked(configuration[None])[0]
-
-    def target(self, goal: ArrayLike, tolerance: float, angle_tolerance: float) -> SearchTarget:
-        """Returns the target of a goal; for the arguments see solve.
 
         Raises:
             ValueError: the goal has the wrong number of coordinates, or leaves the plane of a planar arm.
@@ -234,9 +130,85 @@ class Solver:
         local = self._to_base @ frame
         return SearchTarget(local, frame, self.manipulator, tolerance, angle_tolerance, weight, self._scene)
 
+    def solve(
+        self,
+        target: SearchTarget,
+        previous: ArrayLike,
+        method: Method = MINIMUM_SWITCH,
+        timeout: float = TIMEOUT,
+        hard_timeout: float = HARD_TIMEOUT,
+    ) -> Solution:
+        """Returns the solution of a target.
+
+        Args:
+            target: goal and tolerances, from `target` of this solver.
+            previous: configuration before, from which switches are counted, shape (B,).
+            method: `minimum-switch`, or POP or IPOP (section 3.2) with its secondary criterion.
+            timeout: time of a minimum-switch search [s].
+            hard_timeout: time for a goal with orientation, or among obstacles, that is not reached in `timeout` [s].
+        """
+        began = time.perf_counter()
+        seed = np.asarray(previous, dtype=np.int64)
+        incumbent = Incumbent(seed, began + timeout)
+        if method in (MINIMUM_SWITCH, "ipop-previous", "ipop-fewest-switches") and self.feasible(target, seed):
+            incumbent.offer(seed.copy(), 0.0, 0.0)
+        elif method == MINIMUM_SWITCH:
+            costs = switch_costs(self.manipulator, seed, self.weights)
+            hard_deadline = began + (max(timeout, hard_timeout) if target.hard else timeout)
+            self._minimum.improve(Problem(target, seed, costs, hard_deadline, self._unreachable(target)), incumbent)
+        else:
+            best = self._paths.follow(target, seed, method)
+            if target.hard and not self.feasible(target, best) and not self._unreachable(target):
+                incumbent.until = began + hard_timeout  # densities have no orientations
+                incumbent.offer(best, np.inf, target.square(self.manipulator.tip(best)))
+                self._minimum.repair(target, incumbent)
+                best = incumbent.configuration
+            incumbent = Incumbent(best, incumbent.until)
+        seconds = time.perf_counter() - began
+        found = self.described(incumbent.configuration, target, seed)
+        bound = min(incumbent.bound, found.cost) if found.within_tolerance else incumbent.bound
+        return replace(found, seconds=seconds, bound=bound)
+
+    def candidates(self, target: SearchTarget, previous: Configuration, most: int) -> tuple[NDArray[np.int64], Vector]:
+        """Returns at most `most` of the cheapest configurations (n, B) within the tolerances, and their costs (n,).
+
+        The search is limited to configurations near `previous`; it may find none.
+        """
+        if self._candidates is None or self._candidates[0] != most:
+            self._candidates = (most, Candidates(self.manipulator, most))
+        costs = switch_costs(self.manipulator, previous, self.weights)
+        return self._candidates[1].find(target, np.asarray(previous, dtype=np.int64), costs)
+
+    def described(self, configuration: Configuration, target: SearchTarget, previous: Configuration) -> Solution:
+        """Returns a given configuration (B,) as the solution of a target, without a bound; see solve."""
+        tip, clear = self.manipulator.tip(configuration), self._clear(configuration)
+        differ = self._differ(configuration, previous)
+        return Solution(
+            configuration=configuration,
+            tip=tip,
+            error=float(distance(tip, target.goal)),
+            switches=int(np.count_nonzero(differ)),
+            within_tolerance=clear and target.met_by(tip),
+            seconds=0.0,
+            cost=float(cost_of_switches(differ, self.weights)),
+            angle=target.angle(tip),
+            clear=clear,
+        )
+
+    def feasible(self, target: SearchTarget, configuration: Configuration) -> bool:
+        """Returns whether a configuration (B,) is within the tolerances and clear."""
+        return target.met(configuration) and self._clear(configuration)
+
+    def _unreachable(self, target: SearchTarget) -> bool:
+        """Returns whether the goal is so deep inside an obstacle that no clear tip is within the tolerance."""
+        return self.clearance is not None and self.clearance.buried(target.goal[:3, 3], target.tolerance)
+
+    def _clear(self, configuration: Configuration) -> bool:
+        return self.clearance is None or not self.clearance.blocked(configuration[None])[0]
+
     def cost(self, configurations: ArrayLike, previous: ArrayLike) -> Any:
         """Returns the cost of the switches (...) between configurations, both (..., B)."""
-        return (self._differ(configurations, previous) * self.weights).sum(axis=(-2, -1))
+        return cost_of_switches(self._differ(configurations, previous), self.weights)
 
     def _differ(self, configurations: ArrayLike, previous: ArrayLike) -> NDArray[np.bool_]:
         """Returns which actuators (..., B, Amax) differ between configurations, both (..., B)."""
@@ -245,7 +217,7 @@ class Solver:
 
     def cost_of(self, counts: ArrayLike) -> float:
         """Returns the cost of switches, from how often each actuator switches, shape (A,)."""
-        return float((self.manipulator.per_module(counts) * self.weights).sum())
+        return float(cost_of_switches(self.manipulator.per_module(counts), self.weights))
 
     @cached_property
     def _minimum(self) -> MinimumSwitch:

@@ -54,10 +54,12 @@ def measured(path: Path, number: int) -> tuple[str, list[Row]]:
     for method in METHODS:
         home = np.zeros(len(manipulator.states), dtype=np.int64)
         for goal in goals[:WARM]:
-            solver.solve(goal, home, arm.tolerance, method)
+            solver.solve(solver.target(goal, arm.tolerance), home, method)
         found = []
         for goal in goals:
-            found.append(solver.solve(goal, found[-1].configuration if found else home, arm.tolerance, method))
+            found.append(
+                solver.solve(solver.target(goal, arm.tolerance), found[-1].configuration if found else home, method)
+            )
         switches, times = [f.switches for f in found], [f.seconds for f in found]
         within, proven = (
             np.mean([f.within_tolerance for f in found]),

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from rich.table import Table
 
-from controller.search.solver import DEADLINE
+from controller.search.solver import TIMEOUT
 from tests.benchmarks.measuring import Arm, Goals, Trace, prepared, traced
 from tests.benchmarks.methods import METHODS, OURS, Method, annealed, ours
 
@@ -44,12 +44,12 @@ class Reached:
 
 def ladder(arm: Arm, goals: Goals) -> list[Rung]:
     """Measures ours and annealing at growing budgets."""
-    own = rung(ours(OURS, DEADLINE), DEADLINE, arm, goals)
+    own = rung(ours(OURS, TIMEOUT), TIMEOUT, arm, goals)
     rungs = [own]
     for budget in BUDGETS:
         if budget * len(goals) > MOST_TIME:
             break
-        if budget < DEADLINE:
+        if budget < TIMEOUT:
             rungs.append(rung(ours(OURS, budget), budget, arm, goals))
         rungs.append(rung(annealed("annealing", budget), budget, arm, goals))
         if rungs[-1].within >= own.within and rungs[-1].switches_mean <= own.switches_mean:

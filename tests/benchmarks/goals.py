@@ -42,7 +42,7 @@ def boundary(manipulator: Manipulator, densities: Densities, tolerance: float, n
     centres = pixels(densities, (few > 0) & (few <= FEW))
     drawn = np.random.default_rng(2).choice(centres, number)
     solver, home = Solver(manipulator, densities), np.zeros(len(manipulator.states), dtype=np.int64)
-    return np.array([solver.solve(goal, home, tolerance, "pop").tip[:2, 3] for goal in drawn])
+    return np.array([solver.solve(solver.target(goal, tolerance), home, "pop").tip[:2, 3] for goal in drawn])
 
 
 def arbitrary(manipulator: Manipulator, densities: Densities, tolerance: float, number: int) -> Goals:

@@ -34,7 +34,7 @@ def main() -> None:
     previous = np.zeros(len(m.states), dtype=np.int64)
     switches, proven, seconds = (np.zeros(given.goals) for _ in range(3))
     for k, goal in enumerate(tips):
-        found = solver.solve(goal, previous, arm.tolerance, deadline=SECONDS)
+        found = solver.solve(solver.target(goal, arm.tolerance), previous, timeout=SECONDS)
         switches[k], proven[k], seconds[k] = found.switches, found.certificate == "optimal", found.seconds
         previous = found.configuration
     table = Table("switches", "goals", "of them proven", "time, median / most [ms]", title=f"{given.goals} goals")

@@ -13,7 +13,9 @@ from rich.table import Table
 
 from controller.arm.arm import load
 from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.point_by_point import plan
+from controller.motion.plans.point_by_point import PointByPoint
+from controller.motion.plans.points import TrajectoryPoints
+from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import Trajectory, along
 from controller.search.solver import Solver
@@ -34,13 +36,13 @@ def greedy(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np
     """Returns for each point a configuration that switches least from the previous one; holds if that suffices."""
     chosen = [start]
     for goal, tolerance in zip(trajectory.positions[1:], trajectory.tolerances[1:], strict=True):
-        chosen.append(solver.solve(goal, chosen[-1], float(tolerance), deadline=10.0).configuration)
+        chosen.append(solver.solve(solver.target(goal, float(tolerance)), chosen[-1], timeout=10.0).configuration)
     return chosen
 
 
 def ahead(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np.ndarray]:
     """Returns the configurations that are found by looking ahead to the end."""
-    look = LookAhead(solver, start, trajectory, 1)
+    look = LookAhead(TrajectoryPoints(solver, trajectory), start, 1)
     for _ in trajectory.positions[1:]:
         look.extend()
     return [start, *look.decide(len(trajectory.times) - 1)]
@@ -51,7 +53,9 @@ def figures(solver: Solver, waypoints: np.ndarray, path_tolerance: float) -> lis
     times = LEISURE * np.arange(len(waypoints))
     trajectory = along(times, waypoints, TOLERANCE, path_tolerance, PACE)
     began = time.perf_counter()
-    first = plan(solver, trajectory, np.zeros(16, dtype=np.int64), "minimum-switch", pace=PACE)
+    first = PointByPoint(TransitionPlanner(solver, trajectory, PACE), "minimum-switch").plan(
+        np.zeros(16, dtype=np.int64)
+    )
     row = [str(len(trajectory.times)), f"{1e3 * (time.perf_counter() - began):.0f}"]
     start = first.solutions[0].configuration
     for method in (lambda *_: [s.configuration for s in first.solutions], greedy, ahead):

@@ -77,7 +77,7 @@ def measured(modules: int) -> Row:
     for method in METHODS:
         previous, found, began = np.zeros(modules, dtype=np.int64), [], time.process_time()
         for position in goals:
-            found.append(solver.solve(position, previous, TOLERANCE, method))
+            found.append(solver.solve(solver.target(position, TOLERANCE), previous, method))
             previous = found[-1].configuration
         goal[method] = (time.process_time() - began) / GOALS
         error[method] = float(np.median([s.error for s in found]))

@@ -22,7 +22,8 @@ from rich.table import Table
 
 from controller.manipulator.frames import spatial
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.plans.point_by_point import plan
+from controller.motion.plans.point_by_point import PointByPoint
+from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
@@ -123,14 +124,14 @@ def measured(run: Run, count: int, minutes: float) -> Tally:
             trajectory = through(np.zeros(1), goal[None], run.tolerance)
             began = time.thread_time()
             try:
-                found = plan(own, trajectory, previous, run.method, pace=pace)
+                found = PointByPoint(TransitionPlanner(own, trajectory, pace), run.method).plan(previous)
             except Refusal as refusal:
                 tally.barred += refusal.reason is Reason.NO_CLEAR_PATH
                 continue
             if tally.goals % COMPARED == 0:
                 tally.among.append(time.thread_time() - began)
                 began = time.thread_time()
-                plan(solver.avoiding(None), trajectory, previous, run.method, pace=pace)
+                PointByPoint(TransitionPlanner(solver.avoiding(None), trajectory, pace), run.method).plan(previous)
                 tally.alone.append(time.thread_time() - began)
             before, stages = manipulator.actuator_states(previous), found.transitions[0].stages
             previous = found.solutions[0].configuration
@@ -193,9 +194,9 @@ def held_to_brute_force(name: str, parts: Sequence[Part], scenes: int, each: int
             solvable += (ways := bool((near & once).any()))
             roundabout += bool((near & ever).any())
             try:
-                planned = plan(
-                    own, through(np.zeros(1), goal[None], tolerance), previous, "minimum-switch", pace=Pace(LEAD)
-                )
+                planned = PointByPoint(
+                    TransitionPlanner(own, through(np.zeros(1), goal[None], tolerance), Pace(LEAD)), "minimum-switch"
+                ).plan(previous)
             except Refusal:
                 continue
             found += ways

@@ -81,10 +81,10 @@ def traced(
     """Solves goals, each from a given configuration, or from the configuration found for the previous goal."""
     before = list(before)
     for goal in goals[:WARM]:
-        solver.solve(goal, before[0], tolerance, method, angle_tolerance=turn)
+        solver.solve(solver.target(goal, tolerance, turn), before[0], method)
     found = list[Solution]()
     for k, goal in enumerate(goals):
-        solution = solver.solve(goal, before[k], tolerance, method, angle_tolerance=turn)
+        solution = solver.solve(solver.target(goal, tolerance, turn), before[k], method)
         if (
             solution.within_tolerance
             and solver.clearance is not None
@@ -162,7 +162,7 @@ def held_to_brute_force(scenes: int, each: int, tolerance: float, turn: float, c
             asked, solvable = asked + 1, solvable + (len(clear) > 0)
             fewest = min((arm.switches(c, previous) for c in clear), default=-1)
             for method, count in counts.items():
-                found = own.solve(goal, previous, tolerance, method, angle_tolerance=turn)
+                found = own.solve(own.target(goal, tolerance, turn), previous, method)
                 if found.within_tolerance and clearance.where(found.configuration):
                     raise AssertionError(f"{method}: {clearance.where(found.configuration)}")
                 count += (

@@ -68,7 +68,9 @@ def oriented(arm: Arm, solver: Solver, tolerance: float, turn: float) -> Solve:
 
     def solve(goal: NDArray[np.float64], previous: Configuration) -> Solution:
         target = SearchTarget(to_base @ goal, goal, arm.manipulator, tolerance, turn, tolerance / turn)
-        return solver.described(oriented_ipop.solve(problem, target, previous), goal, previous, tolerance, turn)
+        return solver.described(
+            oriented_ipop.solve(problem, target, previous), solver.target(goal, tolerance, turn), previous
+        )
 
     return solve
 
@@ -87,12 +89,12 @@ def measured(experiment: Experiment, number: int, console: Console) -> None:
     by_orientation = oriented(arm, solver, tolerance, turn)
     mapping = time.perf_counter() - began
     ways: dict[str, Solve] = {
-        "minimum-switch": lambda goal, previous: solver.solve(goal, previous, tolerance, angle_tolerance=turn),
-        "minimum-switch, position only": lambda goal, previous: solver.solve(goal, previous, tolerance),
+        "minimum-switch": lambda goal, previous: solver.solve(solver.target(goal, tolerance, turn), previous),
+        "minimum-switch, position only": lambda goal, previous: solver.solve(solver.target(goal, tolerance), previous),
         "ipop-fewest-switches": lambda goal, previous: solver.solve(
-            goal, previous, tolerance, "ipop-fewest-switches", angle_tolerance=turn
+            solver.target(goal, tolerance, turn), previous, "ipop-fewest-switches"
         ),
-        "pop": lambda goal, previous: solver.solve(goal, previous, tolerance, "pop", angle_tolerance=turn),
+        "pop": lambda goal, previous: solver.solve(solver.target(goal, tolerance, turn), previous, "pop"),
         f"IPOP, densities with orientation (mapped in {mapping:.1f} s)": by_orientation,
     }
     title = f"{experiment.file}: {count} poses, tolerance {tolerance:.3g} and {turn:.3g} rad"
@@ -124,7 +126,7 @@ def proven(
     """Compares the found switches with the proven minimum."""
     own = least = known = 0
     for goal, previous, solution in zip(goals, before, found, strict=True):
-        proof = solver.solve(goal, previous, tolerance, deadline=PROVING, angle_tolerance=turn)
+        proof = solver.solve(solver.target(goal, tolerance, turn), previous, timeout=PROVING)
         if proof.optimal and solution.within_tolerance:
             own, least, known = own + solution.switches, least + proof.switches, known + 1
     ratio = f"{own / least:.3f}" if least else "-"

@@ -68,13 +68,13 @@ def searched(
     solver.prepare()
     reached, rows = np.zeros(len(left.modules), dtype=np.int64), []
     for goal in goals:
-        found = solver.solve(goal, reached, arm.tolerance)
+        found = solver.solve(solver.target(goal, arm.tolerance), reached)
         reached = found.configuration
         states = arm.manipulator.actuator_states(transferred(reached, left, arm.manipulator))
         if not np.array_equal(states[held >= 0], held[held >= 0]):
             raise AssertionError("a held actuator was to switch")
         rows.append((found.error, found.certificate == "unreachable", found.switches, found.seconds))
-    there = [solver.solve(goal, reached, arm.tolerance).within_tolerance for goal in edge]
+    there = [solver.solve(solver.target(goal, arm.tolerance), reached).within_tolerance for goal in edge]
     return np.array(rows, dtype=float), mapping, float(np.mean(there))
 
 

@@ -18,6 +18,7 @@ from controller.arm.arm import load
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.plans.label_setting import LabelSetting
 from controller.motion.plans.lookahead import LookAhead
+from controller.motion.plans.points import TrajectoryPoints
 from controller.motion.trajectory import Trajectory, through
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
@@ -45,13 +46,13 @@ def greedy(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDAr
     """Returns the cheapest configuration for each point in turn, after the start, shape (n + 1, B)."""
     rows = [start]
     for k, tolerance in enumerate(trajectory.tolerances.tolist()):
-        rows.append(solver.solve(trajectory.goal(k), rows[-1], tolerance).configuration)
+        rows.append(solver.solve(solver.target(trajectory.goal(k), tolerance), rows[-1]).configuration)
     return np.array(rows)
 
 
 def ahead(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDArray[np.int64]:
     """Returns the configurations of the look-ahead of a running goal with enough time, see greedy."""
-    search = LookAhead(solver, start, trajectory)
+    search = LookAhead(TrajectoryPoints(solver, trajectory), start)
     for _ in trajectory.times:
         search.extend()
     return np.array([start, *search.decide(len(trajectory.times))])
@@ -59,7 +60,11 @@ def ahead(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDArr
 
 def measured(solver: Solver, start: Configuration, trajectory: Trajectory, seconds: float) -> dict[str, float]:
     """Returns the costs and times of one curve."""
-    times, costs, search = [time.perf_counter()], list[float](), LabelSetting(solver, trajectory, start)
+    times, costs, search = (
+        [time.perf_counter()],
+        list[float](),
+        LabelSetting(TrajectoryPoints(solver, trajectory), start),
+    )
     for method in (ahead, greedy):
         rows = method(solver, start, trajectory)
         costs.append(float(solver.cost(rows[1:], rows[:-1]).sum()))

@@ -45,7 +45,7 @@ def test_random_tips_and_the_demos_curve_are_reached(shipped: Arm, method) -> No
     assert curve.shape == (CURVE_WAYPOINTS, m.dimension)
     assert np.ptp(curve, axis=0).max() > 0.05 * m.length
     for goal in (*sample(shipped, 5), *curve[::8]):
-        found = solver.solve(goal, reached, max(shipped.tolerance, m.length / 200), method)
+        found = solver.solve(solver.target(goal, max(shipped.tolerance, m.length / 200)), reached, method)
         assert found.within_tolerance
         reached = found.configuration
 

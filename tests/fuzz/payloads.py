@@ -38,9 +38,7 @@ def read_goal(data: bytes) -> int:
     """A goal, for a planar arm."""
     try:
         parsed = goal.parse(data)
-        it = goal.schedule(
-            parsed, dimension=2, tolerance=0.002, turn=0.05, pace=Pace(0.06), now=NOW, manipulator=ARMS[0]
-        )
+        it = goal.schedule(parsed, goal.GoalRules(2, 0.002, 0.05, Pace(0.06), ARMS[0]), NOW)
     except Refusal as error:
         assert error.code in (INVALID_GOAL, OLD_HEADER_TIMESTAMP)  # noqa: PT017 - no test
         told(str(error))

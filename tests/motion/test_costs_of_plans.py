@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.plans import point_by_point
 from controller.motion.plans.plan import TrajectoryPlan
-from controller.motion.plans.point_by_point import plan
+from controller.motion.plans.point_by_point import PointByPoint
+from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.plans.whole import look_ahead, plan_whole
 from controller.motion.stages import stage_sequencer
 from controller.motion.stages.pacing import Pace
@@ -76,9 +77,8 @@ def carried_out(manipulator: Manipulator, start: Configuration, found: Trajector
 
 @pytest.mark.parametrize("fixed", [False, True])
 def test_a_detour_is_counted_in_switches_and_cost_and_is_not_optimal(hinges: Solver, fixed: bool) -> None:
-    found = plan(
-        hinges, goals_at(HINGES, TURNED, fixed=fixed), FOLDED, "minimum-switch", pace=Pace(0.06), seconds=PATIENT
-    )
+    planner = TransitionPlanner(hinges, goals_at(HINGES, TURNED, fixed=fixed), Pace(0.06))
+    found = PointByPoint(planner, "minimum-switch", PATIENT).plan(FOLDED)
     (solution,) = found.solutions
     assert solution.configuration.tolist() == TURNED.tolist()
     assert (solution.switches, solution.cost) == (found.switches, found.cost) == (3, DETOUR)
@@ -86,14 +86,15 @@ def test_a_detour_is_counted_in_switches_and_cost_and_is_not_optimal(hinges: Sol
 
 
 def test_a_whole_plan_is_not_optimal_because_its_configurations_are(hinges: Solver) -> None:
-    found = plan_whole(hinges, goals_at(HINGES, TURNED), FOLDED, "minimum-switch", Pace(0.06), PATIENT)
+    planner = TransitionPlanner(hinges, goals_at(HINGES, TURNED), Pace(0.06))
+    found = plan_whole(planner, FOLDED, "minimum-switch", PATIENT)
     assert (found.switches, found.cost, found.bound, found.certificate) == (3, DETOUR, 2.0, "bound")
     assert found.solutions[0].proof() == found.proof()
 
 
 def test_a_detour_after_the_first_point_is_counted(hinges: Solver) -> None:
     goals = goals_at(HINGES, FOLDED, TURNED, TURNED)
-    found = plan_whole(hinges, goals, FOLDED, "minimum-switch", Pace(0.06), PATIENT)
+    found = plan_whole(TransitionPlanner(hinges, goals, Pace(0.06)), FOLDED, "minimum-switch", PATIENT)
     assert [solution.switches for solution in found.solutions] == [0, 3, 0]
     assert [solution.certificate for solution in found.solutions] == ["optimal", "bound", "optimal"]
     assert (found.switches, found.cost, found.certificate) == (3, DETOUR, "bound")
@@ -101,7 +102,8 @@ def test_a_detour_after_the_first_point_is_counted(hinges: Solver) -> None:
 
 def test_a_fixed_configuration_reached_without_a_detour_is_optimal(hinges: Solver) -> None:
     free = hinges.avoiding(None)
-    found = plan(free, goals_at(HINGES, TURNED, fixed=True), FOLDED, "minimum-switch", pace=Pace(0.06), seconds=PATIENT)
+    planner = TransitionPlanner(free, goals_at(HINGES, TURNED, fixed=True), Pace(0.06))
+    found = PointByPoint(planner, "minimum-switch", PATIENT).plan(FOLDED)
     assert (found.switches, found.cost, found.certificate) == (1, 2.0, "optimal")
 
 
@@ -109,10 +111,11 @@ def test_a_waypoint_keeps_its_proof_when_others_change(trusses: Solver) -> None:
     rng = np.random.default_rng(4)
     start, *points = EVERY[rng.integers(len(EVERY), size=4)]
     goals = goals_at(TRUSSES, *points)
-    found = plan(trusses, goals, start, "minimum-switch", pace=Pace(0.06), seconds=PATIENT)
-    same = found.improved(trusses, Pace(0.06), 0, [s.configuration for s in found.solutions], start)
+    planner = TransitionPlanner(trusses, goals, Pace(0.06))
+    found = PointByPoint(planner, "minimum-switch", PATIENT).plan(start)
+    same = found.improved(planner, 0, [s.configuration for s in found.solutions], start)
     assert [s.proof() for s in same.solutions] == [s.proof() for s in found.solutions]
-    other = found.improved(trusses, Pace(0.06), 0, [points[0]], start)
+    other = found.improved(planner, 0, [points[0]], start)
     assert other.solutions[0].bound == found.solutions[0].bound
 
 
@@ -125,11 +128,12 @@ def test_a_plan_is_what_it_says(trusses: Solver, seed: int, among: bool, inrush:
     solver, free = trusses.avoiding(clearance if among else None), EVERY[~clearance.blocked(EVERY)]
     start, *points = free[rng.integers(len(free), size=1 + count)]
     goals = through(np.arange(float(count)), TRUSSES.tips(points)[:, :2, 3], TOLERANCE)
+    planner = TransitionPlanner(solver, goals, Pace(0.06, inrush))
     try:
-        found = plan(solver, goals, start, "minimum-switch", pace=Pace(0.06, inrush), seconds=PATIENT)
+        found = PointByPoint(planner, "minimum-switch", PATIENT).plan(start)
     except Refusal:
         return
-    for each in (found, look_ahead(solver, found, start, Pace(0.06, inrush))):
+    for each in (found, look_ahead(planner, found, start)):
         before = start
         for k, (solution, counts) in enumerate(zip(each.solutions, carried_out(TRUSSES, start, each), strict=True)):
             assert solution.switches == counts.sum()

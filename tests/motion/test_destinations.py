@@ -10,9 +10,11 @@ from controller.arm.arm import Arm
 from controller.manipulator.locked import lock_actuators
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.motion.decoding.goal import parse, schedule
+from controller.motion.decoding.goal import GoalRules, parse, schedule
 from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.point_by_point import plan
+from controller.motion.plans.point_by_point import PointByPoint
+from controller.motion.plans.points import TrajectoryPoints
+from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import Trajectory
 from controller.refusals.refusal import Refusal
@@ -24,7 +26,7 @@ FIRST, SECOND = "4646676700771206", "0000000000000001"
 
 def scheduled(manipulator: Manipulator | None, *waypoints: dict[str, Any], **fields: Any) -> Trajectory:
     payload = json.dumps({"waypoints": [{"t": float(k), **point} for k, point in enumerate(waypoints)], **fields})
-    return schedule(parse(payload.encode()), 2, 0.002, 0.05, Pace(0.06), 0.0, manipulator)
+    return schedule(parse(payload.encode()), GoalRules(2, 0.002, 0.05, Pace(0.06), manipulator), 0.0)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +66,7 @@ def test_a_planner_without_the_arm_refuses_configurations() -> None:
 def test_a_plan_ends_in_the_configuration_of_the_waypoint(solver: Solver, manipulator: Manipulator) -> None:
     goal = scheduled(manipulator, {"configuration": FIRST}, {"position": [0.55, 2.9]}, {"configuration": SECOND})
     start = np.zeros(16, dtype=np.int64)
-    found = plan(solver, goal, start, "minimum-switch")
+    found = PointByPoint(TransitionPlanner(solver, goal), "minimum-switch").plan(start)
     texts = [format_configuration(manipulator, solution.configuration) for solution in found.solutions]
     assert (texts[0], texts[2]) == (FIRST, SECOND)
     assert [solution.within_tolerance for solution in found.solutions] == [True] * 3
@@ -85,7 +87,7 @@ def test_looking_ahead_keeps_the_configuration_and_does_not_hold_another(
     tip = manipulator.tip(parse_configuration(manipulator, FIRST))[:2, 3].tolist()
     near = {"position": [tip[0] + 1e-4, tip[1]]}
     goal = scheduled(manipulator, near, {"configuration": FIRST}, near)
-    ahead = LookAhead(solver, np.zeros(16, dtype=np.int64), goal)
+    ahead = LookAhead(TrajectoryPoints(solver, goal), np.zeros(16, dtype=np.int64))
     for _ in range(3):
         ahead.extend()
     chosen = [format_configuration(manipulator, configuration) for configuration in ahead.decide(3)]
@@ -101,11 +103,11 @@ def test_a_configuration_that_a_locked_actuator_rules_out_is_refused(arm: Arm, d
     reduced = Solver(lock_actuators(whole, locked), densities)
     start = reduced.manipulator.configuration(np.where(locked < 0, 0, locked))
     with pytest.raises(Refusal, match=r"waypoints\[0\]\.configuration: a locked actuator: module 1 has no"):
-        plan(reduced, goal, start, "minimum-switch")
+        PointByPoint(TransitionPlanner(reduced, goal), "minimum-switch").plan(start)
     locked[0] = states[0]
     reduced = Solver(lock_actuators(whole, locked), densities)
     start = reduced.manipulator.configuration(np.where(locked < 0, 0, locked))
-    found = plan(reduced, goal, start, "minimum-switch")
+    found = PointByPoint(TransitionPlanner(reduced, goal), "minimum-switch").plan(start)
     assert reduced.manipulator.actuator_states(found.solutions[0].configuration).tolist() == states.tolist()
 
 

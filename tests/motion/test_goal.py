@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from controller.manipulator import frames
 from controller.motion.decoding import goal as module
-from controller.motion.decoding.goal import parse, parse_quickly, parse_strictly, schedule
+from controller.motion.decoding.goal import GoalRules, parse, parse_quickly, parse_strictly, schedule
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory
 from controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
@@ -23,7 +23,7 @@ NOW = 1_800_000_000.0
 
 
 def decode(payload: bytes, dimension: int = 2) -> Trajectory:
-    return schedule(parse(payload), dimension=dimension, tolerance=0.002, turn=0.05, pace=Pace(0.06), now=NOW)
+    return schedule(parse(payload), GoalRules(dimension, 0.002, 0.05, Pace(0.06)), NOW)
 
 
 def goal(**fields: Any) -> bytes:

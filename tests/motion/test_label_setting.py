@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from controller.manipulator.frame_kernels import angle_between
 from controller.motion.plans.label_setting import LabelSetting, least_remaining_cost
+from controller.motion.plans.points import TrajectoryPoints
 from controller.motion.trajectory import Trajectory, through
 from controller.obstacles.clearance import Clearance
 from controller.search.solver import Solver
@@ -42,7 +43,7 @@ def brute_force(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear
 def check(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear: np.ndarray | None = None) -> None:
     """Checks that the search proves the optimum, and that its earlier bounds are valid."""
     least = brute_force(solver, trajectory, start, clear)
-    search = LabelSetting(solver, trajectory, start)
+    search = LabelSetting(TrajectoryPoints(solver, trajectory), start)
     assert search.best.bound <= least + 1e-9
     found = search.run(LONG)
     assert search.optimal
@@ -54,7 +55,7 @@ def check(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear: np.n
     for k, row in enumerate(found.configurations):
         if k not in trajectory.fixed:
             tolerance, turn = float(trajectory.tolerances[k]), float(trajectory.turns[k])
-            assert solver.described(row, trajectory.goal(k), row, tolerance, turn).within_tolerance
+            assert solver.described(row, solver.target(trajectory.goal(k), tolerance, turn), row).within_tolerance
 
 
 @pytest.mark.timeout(600)
@@ -102,7 +103,7 @@ def test_configurations_keep_clear_of_obstacles():
     path = every[rng.choice(np.flatnonzero(clear), 2)]
     trajectory = through(np.arange(2.0), arm.tips(path)[:, :2, 3], 0.02)
     least = brute_force_pair(solver, trajectory, path[0], every, clear)
-    found = LabelSetting(solver, trajectory, path[0]).run(LONG)
+    found = LabelSetting(TrajectoryPoints(solver, trajectory), path[0]).run(LONG)
     assert (found.cost, found.bound) == (least, least)
 
 
@@ -128,6 +129,8 @@ def test_what_the_rest_costs_at_least_never_rises(seed):
 def test_without_time_nothing_wrong_is_claimed(arm, densities):
     solver = Solver(arm.manipulator, densities)
     points = np.array([[0.3, 2.6], [0.32, 2.6], [0.34, 2.6]])
-    found = LabelSetting(solver, through(np.arange(3.0), points, 0.002), np.zeros(16, dtype=np.int64)).run(0.0)
+    found = LabelSetting(
+        TrajectoryPoints(solver, through(np.arange(3.0), points, 0.002)), np.zeros(16, dtype=np.int64)
+    ).run(0.0)
     assert found.configurations is None
     assert found.bound == 2.0

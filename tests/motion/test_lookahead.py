@@ -6,6 +6,7 @@ import pytest
 from controller.manipulator.frame_kernels import angle_between
 from controller.motion.plans import lookahead
 from controller.motion.plans.lookahead import LookAhead
+from controller.motion.plans.points import TrajectoryPoints
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
 from controller.search.solver import Solver
@@ -27,7 +28,7 @@ def curve(count: int, radius: float = 0.3) -> np.ndarray:
 def cheapest_each_time(solver, start, goals) -> int:
     total, previous = 0, start
     for goal in goals:
-        found = solver.solve(goal, previous, TOLERANCE, deadline=10.0)
+        found = solver.solve(solver.target(goal, TOLERANCE), previous, timeout=10.0)
         total, previous = total + found.switches, found.configuration
     return total
 
@@ -38,7 +39,7 @@ def switches(solver, start, configurations) -> int:
 
 
 def followed(solver, start, goals, decide=lambda ahead, k: None):
-    ahead = LookAhead(solver, start, through(np.arange(len(goals)), np.array(goals), TOLERANCE))
+    ahead = LookAhead(TrajectoryPoints(solver, through(np.arange(len(goals)), np.array(goals), TOLERANCE)), start)
     for k in range(1, len(goals) + 1):
         ahead.extend()
         decide(ahead, k)
@@ -47,7 +48,7 @@ def followed(solver, start, goals, decide=lambda ahead, k: None):
 
 def test_a_curve_of_100_waypoints_takes_at_least_15_percent_less(solver):
     goals = curve(100)
-    start = solver.solve(goals[0], np.zeros(16, dtype=np.int64), TOLERANCE, deadline=10.0).configuration
+    start = solver.solve(solver.target(goals[0], TOLERANCE), np.zeros(16, dtype=np.int64), timeout=10.0).configuration
     chosen = followed(solver, start, goals[1:])
     tips = solver.manipulator.tips(chosen)[:, :2, 3]
     assert np.linalg.norm(tips - goals[1:], axis=1).max() <= TOLERANCE
@@ -56,7 +57,7 @@ def test_a_curve_of_100_waypoints_takes_at_least_15_percent_less(solver):
 
 def test_what_is_decided_stays_decided(solver):
     goals = curve(20)
-    start = solver.solve(goals[0], np.zeros(16, dtype=np.int64), TOLERANCE).configuration
+    start = solver.solve(solver.target(goals[0], TOLERANCE), np.zeros(16, dtype=np.int64)).configuration
     seen: list[list[bytes]] = []
 
     def decide(ahead, k):
@@ -81,7 +82,7 @@ def test_a_waypoint_too_far_for_small_tables_is_met_all_the_same(solver):
 def test_every_configuration_ahead_keeps_clear(solver):
     goals, parts = curve(20), [Disc((-0.35, 1.5), 0.15)]
     among = solver.avoiding(Clearance(solver.manipulator, obstacles_of(parts), 0.02))
-    start = among.solve(goals[0], np.zeros(16, dtype=np.int64), TOLERANCE).configuration
+    start = among.solve(among.target(goals[0], TOLERANCE), np.zeros(16, dtype=np.int64)).configuration
     chosen = followed(among, start, goals[1:])
     tips = solver.manipulator.tips(chosen)[:, :2, 3]
     assert np.linalg.norm(tips - goals[1:], axis=1).max() <= TOLERANCE
@@ -99,7 +100,9 @@ def test_weights_decide_what_is_cheap(arm, densities, monkeypatch):
         ("plain", Solver(arm.manipulator, densities)),
         ("weighted", Solver(arm.manipulator, densities, weights)),
     ):
-        start = solver.solve(goals[0], np.zeros(16, dtype=np.int64), TOLERANCE, "ipop-previous").configuration
+        start = solver.solve(
+            solver.target(goals[0], TOLERANCE), np.zeros(16, dtype=np.int64), "ipop-previous"
+        ).configuration
         states = [arm.manipulator.actuator_states(c) for c in (start, *followed(solver, start, goals[1:]))]
         dear[name] = float((np.diff(np.array(states, dtype=int), axis=0) != 0)[:, :24].sum())
     assert dear["weighted"] < dear["plain"]
@@ -114,7 +117,7 @@ def test_orientations_are_kept_along_the_way(solver):
     tips = m.tips(path)
     turns = np.where(np.arange(12) % 3 == 0, 0.03, np.inf)
     trajectory = through(np.arange(12.0), tips[:, :2, 3], 0.005, None, tips[:, :3, :3], turns)
-    ahead = LookAhead(solver, path[0], trajectory, 1)
+    ahead = LookAhead(TrajectoryPoints(solver, trajectory), path[0], 1)
     for _ in range(11):
         ahead.extend()
     for k, configuration in enumerate(ahead.decide(11), 1):

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.motion.plans.point_by_point import plan
-from controller.motion.stages.pacing import MOST_STAGES, Infeasible, Pace
+from controller.motion.plans.point_by_point import PointByPoint
+from controller.motion.plans.transitions import TransitionPlanner
+from controller.motion.stages.pacing import MOST_STAGES, Infeasible, Pace, Stager
 from controller.motion.stages.transition import build_transition
 from controller.motion.trajectory import through
 from controller.refusals.codes import INVALID_GOAL
@@ -26,9 +27,9 @@ def test_in_time_within_the_bound_or_refused(before, after, inrush, available, r
     pace, n = Pace(LEAD, inrush, rest), ARM.switches(before, after)
     if n > 1 and available < pace.needed(n) - 1e-8:
         with pytest.raises(Infeasible, match=f"{n} switches, at most {inrush} at once, need"):
-            pace.staged(ARM, before, after, available)
+            Stager(ARM, pace).staged(before, after, available)
     elif available >= pace.shortest:
-        stages = pace.staged(ARM, before, after, available).stages
+        stages = Stager(ARM, pace).staged(before, after, available).stages
         assert len(stages) * LEAD + rest <= available + 1e-6
         assert len(stages) <= max(MOST_STAGES, -(-n // inrush))
         every = np.vstack([ARM.actuator_states(before), stages]).astype(int)
@@ -39,7 +40,7 @@ def test_in_time_within_the_bound_or_refused(before, after, inrush, available, r
 
 
 def test_without_a_bound_all_at_once():
-    staged = Pace(LEAD).staged(ARM, ZERO, FAR, 10.0)
+    staged = Stager(ARM, Pace(LEAD)).staged(ZERO, FAR, 10.0)
     assert staged.stages.tolist() == [ARM.actuator_states(FAR).tolist()]
     transition = build_transition(ARM, ZERO, FAR)
     assert staged.deviation == transition.greatest(transition.masks([]), np.arange(9))
@@ -47,10 +48,10 @@ def test_without_a_bound_all_at_once():
 
 def test_more_time_strays_less_and_nothing_to_do_is_one_stage():
     pace = replace(Pace(LEAD), inrush=3)
-    short, wide = (pace.staged(ARM, ZERO, FAR, t) for t in (3 * LEAD, 8 * LEAD))
+    short, wide = (Stager(ARM, pace).staged(ZERO, FAR, t) for t in (3 * LEAD, 8 * LEAD))
     assert len(short.stages) == 3 < len(wide.stages)
-    assert wide.deviation < short.deviation < Pace(LEAD).staged(ARM, ZERO, FAR).deviation
-    still = pace.staged(ARM, FAR, FAR, LEAD)
+    assert wide.deviation < short.deviation < Stager(ARM, Pace(LEAD)).staged(ZERO, FAR).deviation
+    still = Stager(ARM, pace).staged(FAR, FAR, LEAD)
     assert (still.stages.tolist(), still.deviation) == ([ARM.actuator_states(FAR).tolist()], 0.0)
 
 
@@ -58,23 +59,24 @@ def test_a_goal_too_fast_is_refused_naming_the_pair(solver, manipulator):
     positions = np.array([(0.55, 2.9), (3.0, 0.7)])
     fast = through(np.array([0.0, 0.1]), positions, 0.002)
     with pytest.raises(Refusal) as caught:
-        plan(solver, fast, ZERO.repeat(4), "ipop-previous", pace=Pace(LEAD, 1))
+        PointByPoint(TransitionPlanner(solver, fast, Pace(LEAD, 1)), "ipop-previous").plan(ZERO.repeat(4))
     assert caught.value.code == INVALID_GOAL
     assert str(caught.value).startswith("waypoints[0] to waypoints[1]: 0.1 s, ")
     slow = replace(fast, times=np.array([0.0, 5.0]))
-    found = plan(solver, slow, ZERO.repeat(4), "ipop-previous", pace=Pace(LEAD, 1))
+    found = PointByPoint(TransitionPlanner(solver, slow, Pace(LEAD, 1)), "ipop-previous").plan(ZERO.repeat(4))
     assert [len(t.stages) for t in found.transitions] == [s.switches for s in found.solutions]
 
 
 def test_better_plans_that_do_not_fit_are_left_out(solver):
     pace, near, far = Pace(LEAD, 2), ZERO.repeat(4), np.array([7] * 16)
     tips = solver.manipulator.tips([near] * 3)[:, :2, 3]
-    still = plan(solver, through(np.arange(3) * 0.3, tips, 10.0), near, "minimum-switch", pace=pace)
+    planner = TransitionPlanner(solver, through(np.arange(3) * 0.3, tips, 10.0), pace)
+    still = PointByPoint(planner, "minimum-switch").plan(near)
     slight = near.copy()
     slight[0] = 1
-    better = still.improved(solver, pace, 1, [slight, far])
+    better = still.improved(planner, 1, [slight, far])
     assert [s.configuration.tolist() for s in better.solutions] == [c.tolist() for c in (near, slight, near)]
     assert better.actuator_states.tolist() == [
         solver.manipulator.actuator_states(s.configuration).tolist() for s in better.solutions
     ]
-    assert still.improved(solver, pace, 1, [far, far]) is still
+    assert still.improved(planner, 1, [far, far]) is still

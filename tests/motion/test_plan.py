@@ -1,6 +1,7 @@
 """Plans of trajectories."""
 
 import re
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -8,11 +9,14 @@ import pytest
 from controller.manipulator.frame_kernels import angle_between
 from controller.manipulator.frames import planar
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.plans.point_by_point import plan
+from controller.motion.plans.plan import TrajectoryPlan
+from controller.motion.plans.point_by_point import PointByPoint
+from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.trajectory import Trajectory, through
 from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
+from controller.search.method import Method
 from controller.search.solver import Solver
 
 POINTS = [(0.55, 2.9), (0.4, 2.9), (3.0, 0.7)]
@@ -26,18 +30,24 @@ def contracted(manipulator: Manipulator) -> np.ndarray:
     return np.zeros(len(manipulator.modules), dtype=np.int64)
 
 
+def planned(
+    solver: Solver, goal: Trajectory, method: Method, proceed: Callable[[], None] = lambda: None
+) -> TrajectoryPlan:
+    return PointByPoint(TransitionPlanner(solver, goal), method).plan(contracted(solver.manipulator), proceed)
+
+
 def test_each_waypoint_is_searched_from_the_one_before(solver: Solver, manipulator: Manipulator) -> None:
-    found = plan(solver, trajectory(*POINTS), contracted(manipulator), "ipop-previous")
+    found = planned(solver, trajectory(*POINTS), "ipop-previous")
     previous = contracted(manipulator)
     for k, point in enumerate(POINTS):
-        expected = solver.solve(point, previous, 0.002, "ipop-previous")
+        expected = solver.solve(solver.target(point, 0.002), previous, "ipop-previous")
         assert found.solutions[k].configuration.tolist() == expected.configuration.tolist()
         assert found.solutions[k].switches == manipulator.switches(previous, expected.configuration)
         previous = expected.configuration
 
 
 def test_switches_are_those_of_all_waypoints(solver: Solver, manipulator: Manipulator) -> None:
-    found = plan(solver, trajectory(*POINTS), contracted(manipulator), "ipop-previous")
+    found = planned(solver, trajectory(*POINTS), "ipop-previous")
     states = np.vstack([manipulator.actuator_states(contracted(manipulator)), found.actuator_states])
     assert found.switches == np.count_nonzero(np.diff(states.astype(int), axis=0)) > 0
 
@@ -45,7 +55,7 @@ def test_switches_are_those_of_all_waypoints(solver: Solver, manipulator: Manipu
 def test_a_corrected_goal_out_of_reach_is_told_as_it_was_asked(solver: Solver, manipulator: Manipulator) -> None:
     bias = np.array([0.25, -0.5])
     with pytest.raises(Refusal) as caught:
-        plan(solver, trajectory((9, 9.5)).corrected(bias), contracted(manipulator), "ipop-previous")
+        planned(solver, trajectory((9, 9.5)).corrected(bias), "ipop-previous")
     form = r".*: \(9, 9\.5\) seems out of reach; .* \((\S+), (\S+)\), (\S+) away,.* \(0\.2500, -0\.5000\)"
     match = re.fullmatch(form, str(caught.value))
     assert match
@@ -54,13 +64,13 @@ def test_a_corrected_goal_out_of_reach_is_told_as_it_was_asked(solver: Solver, m
 
 
 def test_staying_switches_nothing(solver: Solver, manipulator: Manipulator) -> None:
-    found = plan(solver, trajectory(POINTS[0], POINTS[0]), contracted(manipulator), "ipop-previous")
+    found = planned(solver, trajectory(POINTS[0], POINTS[0]), "ipop-previous")
     assert found.solutions[1].switches == 0
 
 
 def test_out_of_reach_names_waypoint_nearest_point_and_distance(solver: Solver, manipulator: Manipulator) -> None:
     with pytest.raises(Refusal) as caught:
-        plan(solver, trajectory(POINTS[0], (9, 9.5)), contracted(manipulator), "ipop-previous")
+        planned(solver, trajectory(POINTS[0], (9, 9.5)), "ipop-previous")
     assert caught.value.code == GOAL_TOLERANCE_VIOLATED
     form = (
         r"waypoints\[1\]\.position: \(9, 9\.5\) seems out of reach; the nearest point found is \((\S+), (\S+)\),"
@@ -81,7 +91,7 @@ def test_planning_can_be_ended_between_waypoints(solver: Solver, manipulator: Ma
             raise Refusal(Reason.OVERTAKEN)
 
     with pytest.raises(Refusal, match="a cancel, stop, reset or fault"):
-        plan(solver, trajectory(*POINTS), contracted(manipulator), "ipop-previous", proceed)
+        planned(solver, trajectory(*POINTS), "ipop-previous", proceed)
     assert len(asked) == 2
 
 
@@ -93,7 +103,7 @@ def posed(tips: np.ndarray, turns: list[float]) -> Trajectory:
 @pytest.mark.parametrize("method", ["minimum-switch", "ipop-previous"])
 def test_waypoints_are_reached_in_their_orientation(solver: Solver, manipulator: Manipulator, method) -> None:
     tips = manipulator.tips(np.random.default_rng(5).integers(0, 8, (4, 16)))
-    found = plan(solver, posed(tips, [0.03, np.inf, 0.03, 0.03]), contracted(manipulator), method)
+    found = planned(solver, posed(tips, [0.03, np.inf, 0.03, 0.03]), method)
     for k, solution in enumerate(found.solutions):
         assert np.linalg.norm(solution.tip[:2, 3] - tips[k, :2, 3]) <= 0.005
         assert k == 1 or angle_between(solution.tip, tips[k]) <= 0.03
@@ -102,7 +112,7 @@ def test_waypoints_are_reached_in_their_orientation(solver: Solver, manipulator:
 def test_an_orientation_out_of_reach_is_told_with_the_nearest_pose(solver: Solver, manipulator: Manipulator) -> None:
     backwards = manipulator.tips(contracted(manipulator)[None]) @ planar(0.0, 0.0, np.pi)
     with pytest.raises(Refusal) as caught:
-        plan(solver, posed(backwards, [0.03]), contracted(manipulator), "minimum-switch")
+        planned(solver, posed(backwards, [0.03]), "minimum-switch")
     assert caught.value.code == GOAL_TOLERANCE_VIOLATED
     form = r".* out of reach in this orientation; the nearest pose found is at .* and turned (\S+) rad, .* and 0\.03"
     match = re.fullmatch(form, str(caught.value))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.manipulator.manipulator import Manipulator
-from controller.motion.stages.pacing import Pace
+from controller.motion.stages.pacing import Pace, Stager
 from controller.motion.stages.restaging import is_configuration, module_step, restage
 from tests.arms import paper_arm, spatial_arm
 
@@ -16,7 +16,7 @@ ARMS = [paper_arm(4), spatial_arm(4)]  # the second's modules have 6 of 8 codes
 @given(st.data(), st.sampled_from(ARMS), st.integers(1, 5))
 def test_from_anywhere_within_the_bound_through_configurations(data: st.DataObject, arm: Manipulator, most: int):
     here, before, after = (np.array([data.draw(st.integers(0, k - 1)) for k in arm.states]) for _ in range(3))
-    planned = Pace(0.06, most).staged(arm, before, after).stages
+    planned = Stager(arm, Pace(0.06, most)).staged(before, after).stages
     states = arm.actuator_states(here)
     for stage in restage(arm, states, planned, most):
         assert np.count_nonzero(stage != states) <= most
@@ -28,7 +28,7 @@ def test_from_anywhere_within_the_bound_through_configurations(data: st.DataObje
 
 def test_what_has_its_last_state_already_stays():
     arm = ARMS[0]
-    planned = Pace(0.06, 2).staged(arm, [0, 0, 0, 0], [7, 7, 0, 0]).stages
+    planned = Stager(arm, Pace(0.06, 2)).staged([0, 0, 0, 0], [7, 7, 0, 0]).stages
     ways = restage(arm, arm.actuator_states([7, 0, 0, 0]), planned, 2)
     assert np.count_nonzero(np.diff(np.vstack([arm.actuator_states([7, 0, 0, 0]), ways]).astype(int), axis=0)) == 3
 

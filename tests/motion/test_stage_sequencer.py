@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.motion.plans.point_by_point import plan
+from controller.motion.plans.point_by_point import PointByPoint
+from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages import stage_sequencer
-from controller.motion.stages.pacing import Blocked, Pace, Staged
+from controller.motion.stages.pacing import Blocked, Pace, Staged, Stager
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import Clearance
 from controller.obstacles.obstacles import box, sphere, together
@@ -59,7 +60,7 @@ def test_stages_touch_nothing_and_keep_to_the_bound(chain, base, regions_around,
     before, after = (rng.integers(0, manipulator.states) for _ in range(2))
     pace, start = Pace(LEAD, inrush), manipulator.actuator_states(before)
     try:
-        staged = pace.staged(manipulator, before, after, sweep=Sweep(clearance))
+        staged = Stager(manipulator, pace, Sweep(clearance)).staged(before, after)
     except Blocked:
         return
     assert staged.strict
@@ -91,7 +92,7 @@ def test_an_order_is_found_where_trying_all_finds_one(chain, base, regions_aroun
 
     possible = any(clear(order) for order in permutations(flip))
     try:
-        Pace(LEAD).staged(manipulator, before, manipulator.configuration(end), sweep=Sweep(sweep._clearance))
+        Stager(manipulator, Pace(LEAD), Sweep(sweep._clearance)).staged(before, manipulator.configuration(end))
     except Blocked:
         assert not possible
     else:
@@ -104,11 +105,11 @@ def test_a_roundabout_way_is_taken_where_no_order_serves_and_actuators_need_no_r
     post = Sweep(Clearance(manipulator, sphere("disc 'post'", (0.29, 1.675), 0.1)))
     before, after = np.array([0, 0]), np.array([1, 0])
     with pytest.raises(Blocked):
-        Pace(LEAD, rest=0.1).staged(manipulator, before, after, sweep=post)
-    staged = Pace(LEAD).staged(manipulator, before, after, sweep=post)
+        Stager(manipulator, Pace(LEAD, rest=0.1), post).staged(before, after)
+    staged = Stager(manipulator, Pace(LEAD), post).staged(before, after)
     assert staged.stages.tolist() == [[0, 1], [1, 1], [1, 0]]
     with pytest.raises(Blocked, match="a collision-free transition takes 3 stages, there is time for 2"):
-        Pace(LEAD).staged(manipulator, before, after, 2 * LEAD, sweep=post)
+        Stager(manipulator, Pace(LEAD), post).staged(before, after, 2 * LEAD)
 
 
 def test_what_need_not_wait_does_not():
@@ -116,23 +117,23 @@ def test_what_need_not_wait_does_not():
     before, after = np.array([0, 0]), np.array([1, 1])
     far = Sweep(Clearance(manipulator, sphere("disc", (5.0, 5.0), 0.5)))
     near = Sweep(Clearance(manipulator, box("box", (0.0, 2.0), (0.4, 0.4))))
-    free = Pace(LEAD).staged(manipulator, before, after)
-    assert Pace(LEAD).staged(manipulator, before, after, sweep=far).stages.tolist() == free.stages.tolist()
-    staged = Pace(LEAD).staged(manipulator, before, after, sweep=near)
+    free = Stager(manipulator, Pace(LEAD)).staged(before, after)
+    assert Stager(manipulator, Pace(LEAD), far).staged(before, after).stages.tolist() == free.stages.tolist()
+    staged = Stager(manipulator, Pace(LEAD), near).staged(before, after)
     assert staged.stages.tolist() == [[0, 1], [1, 1]]  # the elbow first
     with pytest.raises(Blocked, match=r"takes 2 stages, there is time for 1: module 2 is in box"):
-        Pace(LEAD).staged(manipulator, before, after, LEAD, sweep=near)
-    assert Pace(LEAD).staged(manipulator, before, after, 2 * LEAD, sweep=near).deviation == staged.deviation
+        Stager(manipulator, Pace(LEAD), near).staged(before, after, LEAD)
+    assert Stager(manipulator, Pace(LEAD), near).staged(before, after, 2 * LEAD).deviation == staged.deviation
 
 
 def test_no_way_and_a_start_that_touches_are_named():
     manipulator = arm(ELBOWS)
     walls = together([box("box 'shelf'", (0.0, 2.0), (0.4, 0.4)), box("box 'table'", (1.0, -0.9), (0.4, 0.4))])
     with pytest.raises(Blocked, match=r"module 2 is in box '(shelf|table)'"):
-        Pace(LEAD).staged(manipulator, [0, 0], [1, 1], sweep=Sweep(Clearance(manipulator, walls)))
+        Stager(manipulator, Pace(LEAD), Sweep(Clearance(manipulator, walls))).staged([0, 0], [1, 1])
     stands = Sweep(Clearance(manipulator, sphere("disc 'post'", (1.5, 0.0), 0.1)))
     with pytest.raises(Blocked, match="collides where it stands: module 2 is in disc 'post'"):
-        Pace(LEAD).staged(manipulator, np.array([0, 0]), np.array([1, 1]), sweep=stands)
+        Stager(manipulator, Pace(LEAD), stands).staged(np.array([0, 0]), np.array([1, 1]))
 
 
 CHAIN = [truss("BC" if k % 2 == 0 else "AD", 0.2, 0.2, 0.25) for k in range(4)]
@@ -155,14 +156,14 @@ def test_plans_take_the_next_configuration_where_there_is_no_way_to_the_cheapest
         free = EVERY[~clearance.blocked(EVERY)]
         before, goal = free[rng.integers(len(free))], MANIPULATOR.tip(free[rng.integers(len(free))])[:2, 3]
         try:
-            found = plan(
-                own, through(np.zeros(1), goal[None], 0.03), before, "minimum-switch", pace=Pace(LEAD, rest=LEAD)
-            )
+            found = PointByPoint(
+                TransitionPlanner(own, through(np.zeros(1), goal[None], 0.03), Pace(LEAD, rest=LEAD)), "minimum-switch"
+            ).plan(before)
         except Refusal as refusal:
             refused.append(str(refusal))
             continue
         staged, start = found.transitions[0], MANIPULATOR.actuator_states(before)
-        cheapest = own.solve(goal, before, 0.03)
+        cheapest = own.solve(own.target(goal, 0.03), before)
         aside += found.solutions[0].configuration.tolist() != cheapest.configuration.tolist()
         disc = [Disc(tuple(centre), 0.06)]
         assert room(CHAIN, np.eye(4), disc, displacements(rng, start, staged), POINTS, False)[0] >= 0
@@ -177,7 +178,7 @@ def test_plans_take_the_next_configuration_where_there_is_no_way_to_the_cheapest
 def test_a_plan_from_where_the_arm_touches_is_refused(solver):
     own = solver.avoiding(Clearance(MANIPULATOR, sphere("disc 'post'", MANIPULATOR.tip(EVERY[0])[:2, 3], 0.05)))
     with pytest.raises(Refusal, match=r"may not move from where it stands: module \d is in disc 'post'") as caught:
-        plan(own, through(np.zeros(1), TIPS[-1:], 0.03), EVERY[0], "minimum-switch")
+        PointByPoint(TransitionPlanner(own, through(np.zeros(1), TIPS[-1:], 0.03)), "minimum-switch").plan(EVERY[0])
     assert caught.value.code == INVALID_GOAL
 
 
@@ -187,7 +188,9 @@ def test_no_way_is_refused_naming_waypoint_module_and_region():
     solver = Solver(manipulator, map_densities(manipulator, 0.05, 10_000), clearance=Clearance(manipulator, walls))
     goal = manipulator.tip([1, 1])[:2, 3]
     with pytest.raises(Refusal) as caught:
-        plan(solver, through(np.zeros(1), goal[None], 0.01), np.array([0, 0]), "minimum-switch")
+        PointByPoint(TransitionPlanner(solver, through(np.zeros(1), goal[None], 0.01)), "minimum-switch").plan(
+            np.array([0, 0])
+        )
     assert caught.value.code == GOAL_TOLERANCE_VIOLATED
     form = r"waypoints\[0\]\.position: no collision-free transition to it was found: module 2 is in box '(shelf|table)'"
     assert re.fullmatch(form, str(caught.value))

@@ -307,7 +307,7 @@ def test_importing_it_does_not_import_filterpy():
 def follow(solver: Solver, s: Stream, tracker: GoalTracker | None, within: float) -> tuple[int, float]:
     """Switches of an arm that follows the tracker, or without one the raw stream, and RMS error of its tip."""
     tolerance, manipulator = 0.01, solver.manipulator
-    configuration = solver.solve(circle(NOW)[0], np.zeros(16, dtype=np.int64), tolerance).configuration
+    configuration = solver.solve(solver.target(circle(NOW)[0], tolerance), np.zeros(16, dtype=np.int64)).configuration
     reached = coming = manipulator.tip(configuration)[:2, 3]
     due, switches, errors = NOW, 0, []
     for position, stamp, now in zip(s.positions, s.stamps, s.arrivals, strict=True):
@@ -321,7 +321,7 @@ def follow(solver: Solver, s: Stream, tracker: GoalTracker | None, within: float
             goal = None if np.linalg.norm(position - coming) <= tolerance else position
         if goal is None or now < due:
             continue
-        solution = solver.solve(goal, configuration, within)
+        solution = solver.solve(solver.target(goal, within), configuration)
         if solution.switches:
             configuration, coming, due = solution.configuration, solution.tip[:2, 3], now + DELAY
             switches += solution.switches

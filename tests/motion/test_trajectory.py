@@ -9,7 +9,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.point_by_point import plan
+from controller.motion.plans.point_by_point import PointByPoint
+from controller.motion.plans.points import TrajectoryPoints
+from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import MOST_STAGES, Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through, upwards
 from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
@@ -116,7 +118,7 @@ def test_rounded_upwards_to_three_digits(value):
 def test_a_plan_holds_what_serves_and_is_never_off_the_line(solver, method):
     times = np.array([0.0, 5.0, 8.0])
     trajectory = along(times, WAYPOINTS, 0.002, 0.03, PACE)
-    found = plan(solver, trajectory, np.zeros(16, dtype=np.int64), method, pace=PACE)
+    found = PointByPoint(TransitionPlanner(solver, trajectory, PACE), method).plan(np.zeros(16, dtype=np.int64))
     tips = np.array([solution.tip[:2, 3] for solution in found.solutions])
     assert farthest(times, WAYPOINTS, trajectory, tips) <= 0.03
     moved = [k for k, solution in enumerate(found.solutions) if solution.switches]
@@ -132,12 +134,12 @@ def test_looking_ahead_switches_a_quarter_less_than_the_cheapest_each_time(solve
     times = np.array([0.0, 20.0, 30.0])
     trajectory = along(times, WAYPOINTS, 0.002, 0.02, PACE)
     rest, tolerances = trajectory.positions[1:], trajectory.tolerances[1:]
-    start = solver.solve(WAYPOINTS[0], np.zeros(16, dtype=np.int64), 0.002, deadline=10.0).configuration
+    start = solver.solve(solver.target(WAYPOINTS[0], 0.002), np.zeros(16, dtype=np.int64), timeout=10.0).configuration
     own, cheapest = start, 0
     for goal, tolerance in zip(rest, tolerances, strict=True):
-        found = solver.solve(goal, own, float(tolerance), deadline=10.0)
+        found = solver.solve(solver.target(goal, float(tolerance)), own, timeout=10.0)
         own, cheapest = found.configuration, cheapest + found.switches
-    ahead = LookAhead(solver, start, trajectory, 1)
+    ahead = LookAhead(TrajectoryPoints(solver, trajectory), start, 1)
     for _ in rest:
         ahead.extend()
     chosen = [start, *ahead.decide(len(rest))]
@@ -147,25 +149,24 @@ def test_looking_ahead_switches_a_quarter_less_than_the_cheapest_each_time(solve
     assert switches <= 0.75 * cheapest
 
 
-def test_for_too_few_stages_the_search_is_given_more_time_and_then_the_line_is_named(solver, monkeypatch):
-    monkeypatch.setattr(
-        "controller.motion.plans.point_by_point.PLANNING_TIME", 0.0
-    )  # the first answers have many switches
+def test_for_too_few_stages_the_search_is_given_more_time_and_then_the_line_is_named(solver):
     home, times = np.zeros(16, dtype=np.int64), np.array([0.0, 15.0])
     line = np.array([(-0.2, 2.5), (0.2, 2.25)])
-    staged = Pace(0.06, inrush=2)
-    found = plan(solver, along(times, line, 0.002, 0.02, staged), home, "minimum-switch", pace=staged)
+    staged, single = Pace(0.06, inrush=2), Pace(0.06, inrush=1)
+    planner = TransitionPlanner(solver, along(times, line, 0.002, 0.02, staged), staged)
+    found = PointByPoint(planner, "minimum-switch", 0.0).plan(home)  # the first answers have many switches
     for transition, solution in list(zip(found.transitions, found.solutions, strict=True))[1:]:
         assert len(transition.stages) >= solution.switches / 2
+    fast = TransitionPlanner(solver, along(np.array([0.0, 4.0]), line, 0.002, 0.02, single), single)
     with pytest.raises(Refusal, match=r"^waypoints\[0\] to waypoints\[1\], one of \d+ parts: .* and the line \S+ s$"):
-        plan(solver, along(np.array([0.0, 4.0]), line, 0.002, 0.02, Pace(0.06, 1)), home, "pop", pace=Pace(0.06, 1))
+        PointByPoint(fast, "pop").plan(home)
 
 
 def test_a_point_of_a_line_out_of_reach_names_the_line_and_the_nearest_found(solver):
     ends = solver.manipulator.tips([[2] * 16, [4] * 16])[:, :2, 3]  # bent to either side
     trajectory = along(np.array([0.0, 60.0]), ends, 0.002, 0.05, PACE)
     with pytest.raises(Refusal) as caught:
-        plan(solver, trajectory, np.zeros(16, dtype=np.int64), "pop")
+        PointByPoint(TransitionPlanner(solver, trajectory), "pop").plan(np.zeros(16, dtype=np.int64))
     assert caught.value.code == GOAL_TOLERANCE_VIOLATED
     form = (
         r"waypoints\[0\] to waypoints\[1\]: \(\S+, \S+\) seems out of reach; the nearest point found is \(.*\),"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from controller.motion.plans import whole
+from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import pace_of
 from controller.planning.core.events import Answered
 from controller.planning.core.tasks import ImprovePlan, PlanGoal
@@ -269,7 +270,7 @@ def test_a_plan_query_is_answered_as_plans_are_made_elsewhere(desk: Desk, small_
     goals = whole.TipGoals(positions, np.full(3, 0.002), np.tile(np.eye(3), (3, 1, 1)), np.full(3, np.inf))
     pace = pace_of(desk.arm.settings)
     solver, home = Solver(manipulator, small_densities), np.zeros(4, dtype=np.int64)
-    plan = whole.plan_whole(solver, whole.unhurried(goals, pace), home, "minimum-switch", pace)
+    plan = whole.plan_whole(TransitionPlanner(solver, whole.unhurried(goals, pace), pace), home, "minimum-switch")
     assert answer["certificate"] == plan.certificate == "optimal"
     assert answer["switches"] == answer["lower_bound"] == plan.switches
 

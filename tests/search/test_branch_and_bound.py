@@ -41,12 +41,14 @@ def check(solver: Solver, goal: np.ndarray, previous: np.ndarray, tolerance: flo
     costs = switch_costs(arm, previous, solver.weights)
     incumbent = Incumbent(previous, FOREVER)
     tree.run(target, previous, costs, incumbent, FOREVER)
-    each = [solver.described(c, goal, previous, tolerance, turn) for c in every_configuration(arm)]
+    each = [solver.described(c, solver.target(goal, tolerance, turn), previous) for c in every_configuration(arm)]
     least = min((s.cost for s in each if s.within_tolerance), default=np.inf)
     assert incumbent.proven
     assert incumbent.cost == pytest.approx(least, rel=1e-9)
     if least < np.inf:
-        assert solver.described(incumbent.configuration, goal, previous, tolerance, turn).within_tolerance
+        assert solver.described(
+            incumbent.configuration, solver.target(goal, tolerance, turn), previous
+        ).within_tolerance
 
 
 @pytest.mark.parametrize("seed", range(30))

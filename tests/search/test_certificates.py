@@ -35,9 +35,9 @@ def check(
 
     With `whole` the lists hold every configuration, so that the answer is proven.
     """
-    found = solver.solve(goal, previous, tolerance, deadline=60.0, angle_tolerance=turn)
+    found = solver.solve(solver.target(goal, tolerance, turn), previous, timeout=60.0)
     every = every_configuration(solver.manipulator)
-    each = [solver.described(c, goal, previous, tolerance, turn) for c in every]
+    each = [solver.described(c, solver.target(goal, tolerance, turn), previous) for c in every]
     least = min((s.cost for s in each if s.within_tolerance), default=np.inf)
     if found.certificate == "optimal":
         assert found.within_tolerance
@@ -231,8 +231,10 @@ def test_the_lower_bound_does_not_fall_with_more_time():
     solver, rng = long_arm(), np.random.default_rng(0)
     for goal in solver.manipulator.tips(rng.integers(0, 8, (12, 16)))[:, :2, 3]:
         previous = rng.integers(0, 8, 16)
-        bounds = [solver.solve(goal, previous, 2e-3, deadline=t).lower_bound or 0.0 for t in (2e-3, 3e-2, 2.0)]
-        costs = [solver.solve(goal, previous, 2e-3, deadline=2.0).cost]
+        bounds = [
+            solver.solve(solver.target(goal, 2e-3), previous, timeout=t).lower_bound or 0.0 for t in (2e-3, 3e-2, 2.0)
+        ]
+        costs = [solver.solve(solver.target(goal, 2e-3), previous, timeout=2.0).cost]
         assert max(bounds) <= costs[0] + 1e-9
 
 
@@ -240,17 +242,20 @@ def test_goals_of_a_wrong_dimension_are_refused():
     flat, space = solver_of(paper_arm(2)), solver_of(spatial_arm(2))
     for solver, goal in ((flat, (0.1, 0.2, 0.3)), (flat, (0.1,)), (space, (0.1, 0.2)), (space, np.eye(3))):
         with pytest.raises(ValueError, match="goal"):
-            solver.solve(goal, np.zeros(2, dtype=np.int64), 0.01)
+            solver.solve(solver.target(goal, 0.01), np.zeros(2, dtype=np.int64))
     tilted = turned(X, 0.1)
     with pytest.raises(ValueError, match="plane"):
-        flat.solve(tilted, np.zeros(2, dtype=np.int64), 0.01)
+        flat.solve(flat.target(tilted, 0.01), np.zeros(2, dtype=np.int64))
 
 
 def test_paper_methods_prove_nothing():
     solver, goal = long_arm(), (0.55, 2.9)
-    found = solver.solve(goal, np.zeros(16, dtype=np.int64), 2e-3, "ipop-previous")
+    found = solver.solve(solver.target(goal, 2e-3), np.zeros(16, dtype=np.int64), "ipop-previous")
     assert (found.certificate, found.optimal, found.lower_bound) == ("unknown", None, None)
-    assert solver.solve((90.0, 0.0), found.configuration, 2e-3, "ipop-previous").reach == "seems out of reach"
-    assert solver.solve((90.0, 0.0), found.configuration, 2e-3).reach == "is out of reach"
-    same = solver.solve(found.tip[:2, 3], found.configuration, 2e-3, "ipop-previous")
+    assert (
+        solver.solve(solver.target((90.0, 0.0), 2e-3), found.configuration, "ipop-previous").reach
+        == "seems out of reach"
+    )
+    assert solver.solve(solver.target((90.0, 0.0), 2e-3), found.configuration).reach == "is out of reach"
+    same = solver.solve(solver.target(found.tip[:2, 3], 2e-3), found.configuration, "ipop-previous")
     assert (same.certificate, same.optimal, same.lower_bound) == ("optimal", True, 0.0)

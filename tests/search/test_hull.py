@@ -29,7 +29,8 @@ def test_what_is_just_beyond_the_straight_arm_is_excluded(arm, axis):
 
 def test_a_goal_surely_out_of_reach_is_told_so(arm, densities):
     for goal in ((6.0, 6.0), (9.0, 9.0), (0.0, -2.0), (0.0, 3.67)):
-        found = Solver(arm.manipulator, densities).solve(goal, np.zeros(16, dtype=np.int64), 0.002)
+        solver = Solver(arm.manipulator, densities)
+        found = solver.solve(solver.target(goal, 0.002), np.zeros(16, dtype=np.int64))
         assert found.lower_bound == np.inf
         assert not found.within_tolerance
 
@@ -42,7 +43,7 @@ def test_what_cannot_be_reached_is_approached_as_near_as_brute_force_knows(arm, 
     low, high = tips.min(axis=0) - 0.3, tips.max(axis=0) + 0.3
     for goal in np.random.default_rng(0).uniform(low, high, (60, 3)):
         nearest = np.linalg.norm(tips - goal, axis=1).min()
-        found = solver.solve(goal[: arm.dimension], np.zeros(6, dtype=np.int64), 1e-5, deadline=10.0)
+        found = solver.solve(solver.target(goal[: arm.dimension], 1e-5), np.zeros(6, dtype=np.int64), timeout=10.0)
         assert found.error <= most * nearest + 1e-9
 
 
@@ -51,5 +52,5 @@ def test_the_papers_arm_comes_as_near_as_its_hull_allows(solver):
     hull = Hull(solver.manipulator)
     for angle in np.linspace(0.8, 2.3, 16):
         goal = 6.0 * np.array([np.cos(angle), np.sin(angle), 0.0])
-        error = solver.solve(goal[:2], np.zeros(16, dtype=np.int64), 0.002, deadline=10.0).error
+        error = solver.solve(solver.target(goal[:2], 0.002), np.zeros(16, dtype=np.int64), timeout=10.0).error
         assert hull.excludes(goal, error - 0.02)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from controller.manipulator.locked import lock_actuators, transferred
 from controller.motion.plans.lookahead import LookAhead
+from controller.motion.plans.points import TrajectoryPoints
 from controller.motion.trajectory import through
 from controller.search.method import METHODS
 from controller.search.solver import Solver
@@ -29,7 +30,8 @@ def test_brute_force_agrees_and_what_is_held_stays(case, seed, tolerance):
     weights = rng.uniform(0.5, 2.0, len(arm.actuators))
     previous = rng.integers(0, reduced.states)
     goal = arm.tip(rng.integers(0, arm.states))[:3, 3] + rng.normal(0, tolerance, 3) * (1, 1, not arm.planar)
-    found = solver_of(reduced, weights).solve(goal[: reduced.dimension], previous, tolerance, deadline=10.0)
+    solver = solver_of(reduced, weights)
+    found = solver.solve(solver.target(goal[: reduced.dimension], tolerance), previous, timeout=10.0)
     narrow, wide = brute_force(reduced, goal, previous, tolerance, weights)
     states = arm.actuator_states(transferred(found.configuration, reduced, arm))
     assert np.array_equal(states[locked >= 0], locked[locked >= 0])
@@ -48,7 +50,8 @@ def test_the_papers_methods_reach_what_a_tip_of_the_arm_that_is_left_marks(case,
     reduced = lock_actuators(arm, locked)
     rng = np.random.default_rng(seed)
     goal = reduced.tip(rng.integers(0, reduced.states))[: reduced.dimension, 3]
-    found = solver_of(reduced).solve(goal, rng.integers(0, reduced.states), 1e-6, method)
+    solver = solver_of(reduced)
+    found = solver.solve(solver.target(goal, 1e-6), rng.integers(0, reduced.states), method)
     if np.prod(reduced.states.astype(float)) <= 2**16:  # in the exact table, whole
         assert found.error <= 1e-6
 
@@ -66,7 +69,7 @@ def test_many_ways_along_a_trajectory_are_found_where_few_actuators_are_free(fre
     for _ in solver.expect(start, 0.01):
         pass
     tips = reduced.tips(rng.integers(0, reduced.states, (5, 6)))[:, :2, 3]
-    ahead = LookAhead(solver, start, through(np.arange(5.0), tips, 0.01))
+    ahead = LookAhead(TrajectoryPoints(solver, through(np.arange(5.0), tips, 0.01)), start)
     for _ in tips:
         ahead.extend()
     way = ahead.decide(5)

@@ -47,7 +47,8 @@ def test_brute_force_agrees(arm, seed, tolerance, weighted):
     weights = rng.uniform(0.5, 2.0, len(arm.actuators)) if weighted else np.ones(len(arm.actuators))
     previous = rng.integers(0, arm.states)
     goal = arm.tip(rng.integers(0, arm.states))[:3, 3] + rng.normal(0, tolerance, 3) * (1, 1, not arm.planar)
-    found = solver_of(arm, weights).solve(goal[: arm.dimension], previous, tolerance, deadline=10.0)
+    solver = solver_of(arm, weights)
+    found = solver.solve(solver.target(goal[: arm.dimension], tolerance), previous, timeout=10.0)
     narrow, wide = brute_force(arm, goal, previous, tolerance, weights)
     if found.within_tolerance:
         assert wide - 1e-9 <= found.cost <= narrow + 1e-9
@@ -84,7 +85,7 @@ def test_brute_force_agrees_on_200_goals_of_20_actuators(weighted):
         within = np.column_stack(np.unravel_index(near, tuple(arm.states)))
         states = np.concatenate([arm.bits[i, within[:, i], : len(m.actuators)] for i, m in enumerate(arm.modules)], 1)
         least = ((states != arm.actuator_states(previous)) @ weights).min()
-        found = solver.solve(goal, previous, 0.005, deadline=10.0)
+        found = solver.solve(solver.target(goal, 0.005), previous, timeout=10.0)
         assert found.cost == pytest.approx(least)
         assert found.optimal
         previous = found.configuration
@@ -97,8 +98,8 @@ def test_goals_in_sequence_are_met_proven_and_cheaper_than_ipop(arm, densities):
     previous = np.zeros(16, dtype=np.int64)
     proven = 0
     for goal in goals:
-        ipop = solver.solve(goal, previous, 0.002, "ipop-fewest-switches")
-        found = solver.solve(goal, previous, 0.002, deadline=10.0)
+        ipop = solver.solve(solver.target(goal, 0.002), previous, "ipop-fewest-switches")
+        found = solver.solve(solver.target(goal, 0.002), previous, timeout=10.0)
         assert found.within_tolerance
         assert found.bound <= found.cost == found.switches <= ipop.switches
         proven += found.optimal
@@ -116,7 +117,7 @@ def test_what_was_expected_changes_nothing_but_the_time(arm, densities):
         for step, _ in enumerate(expecting.expect(centre, (0.002, 0.005)[k % 3 == 0])):
             if step == k % 5:
                 break
-        found, same = (s.solve(goal, previous, 0.002, deadline=10.0) for s in (plain, expecting))
+        found, same = (s.solve(s.target(goal, 0.002), previous, timeout=10.0) for s in (plain, expecting))
         assert same.configuration.tolist() == found.configuration.tolist()
         assert same.lower_bound == found.lower_bound
         previous = found.configuration
@@ -125,9 +126,9 @@ def test_what_was_expected_changes_nothing_but_the_time(arm, densities):
 def test_no_time_at_all_still_gives_ipops_answer_or_better(arm, densities):
     solver = Solver(arm.manipulator, densities)
     previous = np.zeros(16, dtype=np.int64)
-    found = solver.solve((0.55, 2.9), previous, 0.002, deadline=0.0)
+    found = solver.solve(solver.target((0.55, 2.9), 0.002), previous, timeout=0.0)
     assert found.within_tolerance
-    assert found.switches <= solver.solve((0.55, 2.9), previous, 0.002, "ipop-fewest-switches").switches
+    assert found.switches <= solver.solve(solver.target((0.55, 2.9), 0.002), previous, "ipop-fewest-switches").switches
 
 
 def test_heavy_actuators_rest(arm, densities):
@@ -138,7 +139,7 @@ def test_heavy_actuators_rest(arm, densities):
     goals = arm.manipulator.tips(rng.integers(0, 8, (10, 16)))[:, :2, 3]
 
     def lower_switches(solver: Solver) -> int:
-        found = [solver.solve(goal, previous, 0.002, deadline=10.0).configuration for goal in goals]
+        found = [solver.solve(solver.target(goal, 0.002), previous, timeout=10.0).configuration for goal in goals]
         return sum(int(arm.manipulator.actuator_states(c)[:24].sum()) for c in found)
 
     dear = lower_switches(Solver(arm.manipulator, densities, weights))
@@ -146,7 +147,8 @@ def test_heavy_actuators_rest(arm, densities):
 
 
 def test_a_goal_out_of_reach_gives_the_nearest_found_and_says_so(arm, densities):
-    found = Solver(arm.manipulator, densities).solve((6.0, 6.0), np.zeros(16, dtype=np.int64), 0.002)
+    solver = Solver(arm.manipulator, densities)
+    found = solver.solve(solver.target((6.0, 6.0), 0.002), np.zeros(16, dtype=np.int64))
     assert not found.within_tolerance
     assert not found.optimal
     assert found.error == pytest.approx(np.linalg.norm(found.tip[:2, 3] - (6.0, 6.0)))
@@ -159,8 +161,8 @@ def test_long_and_spatial_arms():
         previous = rng.integers(0, arm.states)
         for _ in range(3):
             goal = arm.tip(rng.integers(0, arm.states))[: arm.dimension, 3]
-            ipop = solver.solve(goal, previous, tolerance, "ipop-fewest-switches")
-            found = solver.solve(goal, previous, tolerance)
+            ipop = solver.solve(solver.target(goal, tolerance), previous, "ipop-fewest-switches")
+            found = solver.solve(solver.target(goal, tolerance), previous)
             assert found.within_tolerance >= ipop.within_tolerance
             assert not ipop.within_tolerance or found.cost <= ipop.cost
             assert found.bound <= found.cost or not found.within_tolerance
@@ -211,8 +213,8 @@ def test_the_beam_saves_a_long_arm_most_of_ipops_switches():
     saved = []
     for _ in range(5):
         goal = arm.tip(rng.integers(0, arm.states))[:2, 3]
-        ipop = solver.solve(goal, previous, 0.005, "ipop-fewest-switches")
-        found = solver.solve(goal, previous, 0.005, deadline=10.0)
+        ipop = solver.solve(solver.target(goal, 0.005), previous, "ipop-fewest-switches")
+        found = solver.solve(solver.target(goal, 0.005), previous, timeout=10.0)
         assert found.within_tolerance
         saved.append(found.switches / ipop.switches)
         previous = found.configuration

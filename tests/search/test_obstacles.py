@@ -91,7 +91,8 @@ def test_fewest_switches_are_those_of_brute_force(arm, seed, tolerance, turn, to
     goal = arm.tip(rng.integers(0, arm.states))
     goal[:3, 3] += rng.normal(0, tolerance / 2, 3) * (1, 1, not arm.planar)
     asked = goal if turn < np.inf else goal[: arm.dimension, 3]
-    found = solver_of(arm, weights, exact).solve(asked, previous, tolerance, deadline=10.0, angle_tolerance=turn)
+    solver = solver_of(arm, weights, exact)
+    found = solver.solve(solver.target(asked, tolerance, turn), previous, timeout=10.0)
     every = every_configuration(arm)
     own = arm.actuator_states(previous)
     costs = np.array([((arm.actuator_states(c) != own) * weights).sum() for c in every])
@@ -122,7 +123,7 @@ def test_every_method_reaches_what_can_be_reached(arm, method):
             near = near[[turn == np.inf or angle_between(tip, goal) <= turn - SURE for tip in arm.tips(near)]]
             there = near[~strict.blocked(near)]
             asked = goal if turn < np.inf else goal[: arm.dimension, 3]
-            solution = solver.solve(asked, previous, tolerance, method, deadline=1.0, angle_tolerance=turn)
+            solution = solver.solve(solver.target(asked, tolerance, turn), previous, method, timeout=1.0)
             solvable += len(there) > 0
             found += solution.within_tolerance and len(there) > 0
             if solution.optimal and len(there):
@@ -141,7 +142,8 @@ def test_candidates_are_the_cheapest_that_are_clear(arm):
     for _ in range(10):
         exact, _, strict = clearances(arm, parts := scene(arm, rng), 0.01, touch=True)
         previous, goal = rng.integers(0, arm.states), arm.tip(rng.integers(0, arm.states))
-        configurations, costs = plain.avoiding(exact).candidates(goal, previous, tolerance, 8, angle_tolerance=0.5)
+        avoiding = plain.avoiding(exact)
+        configurations, costs = avoiding.candidates(avoiding.target(goal, tolerance, 0.5), previous, 8)
         for configuration, cost in zip(configurations, costs, strict=True):
             check_clear(arm, configuration, parts, 0.01)
             assert cost == arm.switches(configuration, previous)
@@ -159,16 +161,16 @@ def test_what_was_noted_of_other_regions_is_forgotten():
     """The same memory and previous configuration: only the obstacles change, and change back."""
     arm, previous = paper_arm(6), np.zeros(6, dtype=np.int64)
     plain, goal = solver_of(arm), arm.tip([0, 3, 0, 5, 0, 0])[:2, 3]
-    there = plain.solve(goal, previous, 0.01)
+    there = plain.solve(plain.target(goal, 0.01), previous)
     middle = arm.body(there.configuration)[:, :, :2].reshape(-1, 2)[12]
     among = plain.avoiding(Clearance(arm, obstacles_of([Disc(tuple(middle), 0.02)])))
-    around = among.solve(goal, previous, 0.01)
+    around = among.solve(among.target(goal, 0.01), previous)
     assert around.optimal
     assert around.switches > there.switches
-    assert np.array_equal(plain.solve(goal, previous, 0.01).configuration, there.configuration)
-    assert np.array_equal(among.solve(goal, previous, 0.01).configuration, around.configuration)
+    assert np.array_equal(plain.solve(plain.target(goal, 0.01), previous).configuration, there.configuration)
+    assert np.array_equal(among.solve(among.target(goal, 0.01), previous).configuration, around.configuration)
     elsewhere = plain.avoiding(Clearance(arm, obstacles_of([Disc((2.0, 0.0), 0.02)])))
-    assert np.array_equal(elsewhere.solve(goal, previous, 0.01).configuration, there.configuration)
+    assert np.array_equal(elsewhere.solve(elsewhere.target(goal, 0.01), previous).configuration, there.configuration)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -177,7 +179,7 @@ def test_a_goal_in_a_region_is_told_to_be_out_of_reach_and_not_approached_throug
     tip = arm.tip(previous)[:2, 3]
     parts: list[Shape] = [Disc(tuple(tip), 0.1)]  # around where the arm stands
     solver = solver_of(arm, None, Clearance(arm, obstacles_of(parts), 0.01))
-    found = solver.solve(tip, previous, 0.01, method)
+    found = solver.solve(solver.target(tip, 0.01), previous, method)
     assert not found.within_tolerance
     assert not found.optimal
     check_clear(arm, found.configuration, parts, 0.01)

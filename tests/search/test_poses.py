@@ -50,7 +50,8 @@ def test_brute_force_agrees(arm, seed, tolerance, turn, weighted):
     weights = rng.uniform(0.5, 2.0, len(arm.actuators)) if weighted else np.ones(len(arm.actuators))
     previous = rng.integers(0, arm.states)
     goal = near(arm, rng, tolerance, turn)
-    found = solver_of(arm, weights).solve(goal, previous, tolerance, deadline=10.0, angle_tolerance=turn)
+    solver = solver_of(arm, weights)
+    found = solver.solve(solver.target(goal, tolerance, turn), previous, timeout=10.0)
     every = every_configuration(arm)
     away, angles = missed(arm, every, goal)
     own = arm.actuator_states(previous)
@@ -74,7 +75,7 @@ def test_every_method_comes_to_a_pose_that_the_table_holds(arm, method):
     solver, rng = solver_of(arm), np.random.default_rng(2)
     previous = rng.integers(0, arm.states)
     for goal in arm.tips(rng.integers(0, arm.states, (20, 5))):
-        found = solver.solve(goal, previous, 1e-6, method, angle_tolerance=1e-6)
+        found = solver.solve(solver.target(goal, 1e-6, 1e-6), previous, method)
         assert found.within_tolerance
         previous = found.configuration
 
@@ -84,7 +85,7 @@ def test_every_method_comes_to_poses_of_the_papers_arm(arm, densities, method):
     solver, rng = Solver(arm.manipulator, densities), np.random.default_rng(11)
     previous = rng.integers(0, 8, 16)
     for goal in arm.manipulator.tips(rng.integers(0, 8, (10, 16))):
-        found = solver.solve(goal, previous, 0.005, method, angle_tolerance=0.03, patience=10.0)
+        found = solver.solve(solver.target(goal, 0.005, 0.03), previous, method, hard_timeout=10.0)
         assert found.within_tolerance
         previous = found.configuration
 
@@ -95,7 +96,8 @@ def test_candidates_are_the_cheapest_within_both_tolerances(seed, turn):
     rng = np.random.default_rng(seed)
     arm = (paper_arm(4), spatial_arm(4))[seed % 2]
     previous, goal = rng.integers(0, arm.states), near(arm, rng, 0.05, turn)
-    configurations, costs = solver_of(arm).candidates(goal, previous, 0.05, 8, turn)
+    solver = solver_of(arm)
+    configurations, costs = solver.candidates(solver.target(goal, 0.05, turn), previous, 8)
     every = every_configuration(arm)
     away, angles = missed(arm, every, goal)
     switches = np.array([arm.switches(c, previous) for c in every])
@@ -108,8 +110,8 @@ def test_long_arms_keep_both_tolerances_and_claim_no_false_bound(arm, densities)
     solver, rng = Solver(arm.manipulator, densities), np.random.default_rng(7)
     previous = rng.integers(0, 8, 16)
     for goal in arm.manipulator.tips(rng.integers(0, 8, (8, 16))):
-        position = solver.solve(goal[:2, 3], previous, 0.005, deadline=2.0)
-        found = solver.solve(goal, previous, 0.005, deadline=2.0, angle_tolerance=0.03)
+        position = solver.solve(solver.target(goal[:2, 3], 0.005), previous, timeout=2.0)
+        found = solver.solve(solver.target(goal, 0.005, 0.03), previous, timeout=2.0)
         assert found.within_tolerance
         assert found.error <= 0.005
         assert found.angle <= 0.03
@@ -123,8 +125,8 @@ def test_whatever_orientation_will_do_is_a_goal_of_position(arm, densities):
     solver, rng = Solver(arm.manipulator, densities), np.random.default_rng(4)
     previous = rng.integers(0, 8, 16)
     for goal in arm.manipulator.tips(rng.integers(0, 8, (5, 16))):
-        plain = solver.solve(goal[:2, 3], previous, 0.005, deadline=10.0)
-        whole = solver.solve(goal, previous, 0.005, deadline=10.0, angle_tolerance=np.pi)
+        plain = solver.solve(solver.target(goal[:2, 3], 0.005), previous, timeout=10.0)
+        whole = solver.solve(solver.target(goal, 0.005, np.pi), previous, timeout=10.0)
         assert whole.configuration.tolist() == plain.configuration.tolist()
         assert whole.angle == 0
         previous = plain.configuration
@@ -159,6 +161,6 @@ def test_a_pose_is_reached_even_if_branch_and_bound_takes_all_the_time_it_is_giv
     arm = goal_sets.load_arm(task.arm).manipulator
     solver = Solver(arm, map_densities(arm, 0.02, 1 << 18))
     solution = solver.solve(
-        task.frame, task.start, task.tolerance, angle_tolerance=task.angle_tolerance, patience=600.0
+        solver.target(task.frame, task.tolerance, task.angle_tolerance), task.start, hard_timeout=600.0
     )
     assert solution.within_tolerance

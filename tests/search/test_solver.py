@@ -43,7 +43,7 @@ def random_goals(manipulator: Manipulator, count: int, seed: int = 0) -> np.ndar
 def test_the_experiment_of_figure_5(solver, method):
     previous = np.zeros(16, dtype=np.int64)
     for target in TARGETS:
-        solution = solver.solve(target, previous, TOLERANCE, method)
+        solution = solver.solve(solver.target(target, TOLERANCE), previous, method)
         assert solution.error <= 0.003
         assert solution.error == pytest.approx(np.linalg.norm(solution.tip[:2, 3] - target))
         assert np.allclose(solution.tip, solver.manipulator.tip(solution.configuration))
@@ -56,7 +56,7 @@ def followed(solver, method, goals):
     """Solutions for goals, each from the configuration reached for the goal before."""
     previous, solutions = np.zeros(len(solver.manipulator.modules), dtype=np.int64), []
     for goal in goals:
-        solutions.append(solver.solve(goal, previous, TOLERANCE, method))
+        solutions.append(solver.solve(solver.target(goal, TOLERANCE), previous, method))
         previous = solutions[-1].configuration
     return solutions
 
@@ -76,7 +76,7 @@ def test_a_configuration_that_is_good_already_is_kept(solver):
     edge = [[7] * 16, [1] * 16, [4] * 16, [5, 2] * 8]  # few come there, so that no density would lead back to them
     for previous in [*np.array(edge), *np.random.default_rng(3).integers(0, 8, (30, 16))]:
         here = solver.manipulator.tip(previous)[:2, 3]
-        solution = solver.solve(here + np.array([0.0019, 0]), previous, TOLERANCE)
+        solution = solver.solve(solver.target(here + np.array([0.0019, 0]), TOLERANCE), previous)
         assert solution.configuration.tolist() == previous.tolist()
         assert solution.switches == 0
 
@@ -84,7 +84,7 @@ def test_a_configuration_that_is_good_already_is_kept(solver):
 def test_a_configuration_just_not_good_enough_is_left(solver):
     previous = np.random.default_rng(3).integers(0, 8, 16)
     goal = solver.manipulator.tip(previous)[:2, 3] + np.array([0.0021, 0])
-    solution = solver.solve(goal, previous, TOLERANCE)
+    solution = solver.solve(solver.target(goal, TOLERANCE), previous)
     assert solution.within_tolerance
     assert solution.switches > 0
 
@@ -93,8 +93,11 @@ def test_a_configuration_just_not_good_enough_is_left(solver):
 @pytest.mark.parametrize("method", ["ipop-contracted", "ipop-fewest-extended", "pop"])
 def test_without_history_the_previous_configuration_plays_no_part(solver, method, previous):
     for target in TARGETS:
-        from_rest = solver.solve(target, np.zeros(16, dtype=np.int64), TOLERANCE, method).configuration
-        assert solver.solve(target, np.array(previous), TOLERANCE, method).configuration.tolist() == from_rest.tolist()
+        from_rest = solver.solve(solver.target(target, TOLERANCE), np.zeros(16, dtype=np.int64), method).configuration
+        assert (
+            solver.solve(solver.target(target, TOLERANCE), np.array(previous), method).configuration.tolist()
+            == from_rest.tolist()
+        )
 
 
 def test_contraction_extends_fewer_actuators(solver):
@@ -119,7 +122,9 @@ def test_the_arm_carried_elsewhere_does_the_same_there(solver, densities, method
     for target in random_goals(solver.manipulator, 5):
         there = (base @ [*target, 0, 1])[:2]
         previous = np.zeros(16, dtype=np.int64)
-        here, carried = (s.solve(g, previous, TOLERANCE, method) for s, g in ((solver, target), (moved, there)))
+        here, carried = (
+            s.solve(s.target(g, TOLERANCE), previous, method) for s, g in ((solver, target), (moved, there))
+        )
         if carried.configuration.tolist() == here.configuration.tolist():
             same += 1
             assert carried.error == pytest.approx(here.error, abs=1e-9)
@@ -131,7 +136,7 @@ def test_the_arm_carried_elsewhere_does_the_same_there(solver, densities, method
 def test_a_planar_arm_on_a_tilted_base_takes_goals_in_space(base):
     solver = solver_of(Manipulator(paper_arm(4).modules, base))
     goal = solver.manipulator.tip([3, 1, 4, 1])[: solver.manipulator.dimension, 3]
-    assert solver.solve(goal, np.zeros(4, dtype=np.int64), TOLERANCE).within_tolerance
+    assert solver.solve(solver.target(goal, TOLERANCE), np.zeros(4, dtype=np.int64)).within_tolerance
 
 
 @each_method
@@ -145,7 +150,7 @@ def test_short_arms_are_brought_as_near_as_any_configuration_brings_them(method,
     goal = np.random.default_rng(seed).uniform(-1, 1, manipulator.dimension)
     low, high = (corner[: manipulator.dimension] for corner in solver.densities.box(0))
     goal = np.clip(goal, low, high)  # what is farther away is taken to the nearest pixel first
-    solution = solver.solve(goal, np.zeros(len(manipulator.modules), dtype=np.int64), 1e-9, method)
+    solution = solver.solve(solver.target(goal, 1e-9), np.zeros(len(manipulator.modules), dtype=np.int64), method)
     tips = manipulator.tips(every_configuration(manipulator))[:, : manipulator.dimension, 3]
     assert solution.error == pytest.approx(np.linalg.norm(tips - goal, axis=1).min(), abs=1e-9)
 
@@ -182,7 +187,7 @@ def test_every_kind_of_arm_reaches_where_it_can(manipulator, method):
 @pytest.mark.parametrize("direction", np.linspace(0, 2 * np.pi, 8, endpoint=False).round(3))
 def test_a_goal_out_of_reach_is_approached_as_far_as_the_arm_goes(solver, densities, method, distance, direction):
     goal = distance * np.array([np.cos(direction), np.sin(direction)])
-    solution = solver.solve(goal, np.zeros(16, dtype=np.int64), TOLERANCE, method)
+    solution = solver.solve(solver.target(goal, TOLERANCE), np.zeros(16, dtype=np.int64), method)
     y, x = np.nonzero(densities.level(0)[0] >= 0)
     reachable = densities.references[0][:2] + densities.pixels[0] * np.column_stack((x, y))
     nearest = np.linalg.norm(reachable - goal, axis=1).min()
@@ -192,7 +197,7 @@ def test_a_goal_out_of_reach_is_approached_as_far_as_the_arm_goes(solver, densit
 
 def test_a_spatial_arm_approaches_what_is_out_of_reach():
     solver = solver_of(spatial_arm(8), 0.05)
-    solution = solver.solve((0, 0, 50), np.zeros(8, dtype=np.int64), TOLERANCE)
+    solution = solver.solve(solver.target((0, 0, 50), TOLERANCE), np.zeros(8, dtype=np.int64))
     assert solution.tip[2, 3] > 1.95  # of 2.0, all extended
 
 
@@ -202,5 +207,5 @@ def test_another_solver_shares_the_tables_and_searches_at_the_same_time(solver):
     assert other._paths is solver._paths
     assert other._minimum is not solver._minimum
     for target in TARGETS:
-        alone, beside = (one.solve(target, previous, TOLERANCE) for one in (solver, other))
+        alone, beside = (one.solve(one.target(target, TOLERANCE), previous) for one in (solver, other))
         assert alone.within_tolerance == beside.within_tolerance

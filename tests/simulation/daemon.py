@@ -11,7 +11,7 @@ import numpy as np
 from controller.arm.arm import Arm
 from controller.executor.core.arm import ExecutedArm
 from controller.host.process import Quit
-from controller.motion.decoding.goal import schedule
+from controller.motion.decoding.goal import GoalRules, schedule
 from controller.motion.stages.pacing import pace_of
 from controller.program import Snapshot, unpack
 from tests.simulation.agenda import Agenda
@@ -156,8 +156,9 @@ class Daemon:
     def least_cost(self, beginning: Beginning, bias: Sequence[float] | None) -> float:
         """Returns the least cost of a goal from where the arm was; infinite if there is none."""
         message, manipulator = beginning.message, self.arm.manipulator
-        arguments = manipulator.dimension, self.arm.tolerance, self.arm.angle_tolerance, self.pace
-        trajectory = schedule(message, *arguments, message.stamp or self.wall(), manipulator)
+        tolerances = self.arm.tolerance, self.arm.angle_tolerance
+        rules = GoalRules(manipulator.dimension, *tolerances, self.pace, manipulator)
+        trajectory = schedule(message, rules, message.stamp or self.wall())
         wanted = self.search.wanted(trajectory.corrected(None if bias is None else np.array(bias)))
         graph = self.space.graph(beginning.locked, beginning.states, beginning.cubes)
         start = self.space.index.get(beginning.states)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.arm.arm import Arm
-from controller.motion.decoding.goal import schedule
+from controller.motion.decoding.goal import GoalRules, schedule
 from controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
 from controller.motion.stages.pacing import pace_of
 from controller.motion.stages.program import unpack_states
@@ -111,8 +111,8 @@ class ExactSearch:
         """
         arm, manipulator = self._arm, self._arm.manipulator
         bias = None if task.bias is None else np.array(task.bias)
-        arguments = manipulator.dimension, arm.tolerance, arm.angle_tolerance, self._pace, task.received, manipulator
-        return schedule(task.message, *arguments).corrected(bias)
+        rules = GoalRules(manipulator.dimension, arm.tolerance, arm.angle_tolerance, self._pace, manipulator)
+        return schedule(task.message, rules, task.received).corrected(bias)
 
     def wanted(self, trajectory: Trajectory) -> list[NDArray[np.bool_]]:
         """Returns which configurations serve each point of a trajectory."""

@@ -79,7 +79,8 @@ def prepared_search(arm: Arm, options: PlanOptions, *, silent: bool) -> GoalSear
 def described(search: GoalSearch, task: PlanTask, configuration: Configuration) -> PointSolution:
     """Returns a configuration as the solution of its own tip position, without a search."""
     position = search.solver.manipulator.tip(configuration)[: search.solver.manipulator.dimension, 3]
-    solution = search.solver.described(configuration, position, task.start, search.tolerance)
+    target = search.solver.target(position, search.tolerance)
+    solution = search.solver.described(configuration, target, task.start)
     return PointSolution(position.tolist(), None, solution)
 
 
@@ -88,11 +89,12 @@ def search_each(search: GoalSearch, goals: list[WantedGoal], start: Configuratio
 
     Each search starts at the previous solution, or at the goal's own previous configuration.
     """
-    solver, tolerance, method = search.solver, search.tolerance, search.method
+    solver = search.solver
     for goal in goals:
         own = start if goal.previous is None else goal.previous
         angle_tolerance = np.inf if goal.orientation is None else search.angle_tolerance
-        found = solver.solve(goal.target(), own, tolerance, method, angle_tolerance=angle_tolerance)
+        target = solver.target(goal.target(), search.tolerance, angle_tolerance)
+        found = solver.solve(target, own, search.method)
         start = found.configuration
         yield PointSolution(goal.position, goal.orientation, found)
 
@@ -111,6 +113,7 @@ def follow(search: GoalSearch, goals: list[WantedGoal], start: Configuration) ->
     Raises:
         CommandFailed: the lines between the goals cannot be followed.
     """
+    from controller.motion.plans.transitions import TransitionPlanner
     from controller.motion.plans.whole import plan_whole, unhurried
     from controller.motion.stages.pacing import pace_of
 
@@ -119,7 +122,7 @@ def follow(search: GoalSearch, goals: list[WantedGoal], start: Configuration) ->
         start = start if part[0].previous is None else part[0].previous
         try:
             trajectory = unhurried(as_arrays(search, part), pace, search.path_tolerance)
-            found = plan_whole(search.solver, trajectory, start, search.method, pace)
+            found = plan_whole(TransitionPlanner(search.solver, trajectory, pace), start, search.method)
         except Refusal as refusal:
             if search.path_tolerance is not None:
                 raise CommandFailed(str(refusal)) from None

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -234,31 +234,38 @@ def refusal_of(value: Any, kind: type[Struct], name: str) -> Refusal:
     return Refusal(Reason.INVALID_FIELDS, faults=all_faults(faults))
 
 
-def schedule(
-    message: GoalMessage,
-    dimension: int,
-    tolerance: float,
-    turn: float,
-    pace: Pace,
-    now: float,
-    manipulator: Manipulator | None = None,
-) -> Trajectory:
+class GoalRules(NamedTuple):
+    """What the trajectories of an arm's goals depend on.
+
+    Attributes:
+        dimension: number of coordinates of a position, 2 or 3.
+        tolerance: default tolerance of the position.
+        angle_tolerance: default tolerance of the orientation [rad].
+        pace: of the actuators.
+        manipulator: the whole arm, for waypoints that are configurations; None: such waypoints are refused.
+    """
+
+    dimension: int
+    tolerance: float
+    angle_tolerance: float
+    pace: Pace
+    manipulator: Manipulator | None = None
+
+
+def schedule(message: GoalMessage, rules: GoalRules, now: float) -> Trajectory:
     """Returns the trajectory of a goal.
 
     Args:
         message: the goal.
-        dimension: number of coordinates of a position, 2 or 3.
-        tolerance: default tolerance of the position.
-        turn: default tolerance of the orientation [rad].
-        pace: of the actuators.
+        rules: of the arm.
         now: time of arrival [UNIX s].
-        manipulator: the whole arm, for waypoints that are configurations; None: such waypoints are refused.
 
     Raises:
         Refusal: the goal is invalid; the message names the field.
     """
     if not message.waypoints:
         raise Refusal(Reason.NO_WAYPOINTS)
+    dimension, tolerance, angle_tolerance, pace, manipulator = rules
     places, fixed = list[Position](), dict[int, NDArray[np.uint8]]()
     for k, waypoint in enumerate(message.waypoints):
         position: Position = waypoint.position or ()
@@ -276,7 +283,7 @@ def schedule(
     positions, times = np.array(places, dtype=np.float64), np.array(moments)
     own, stamp = message.tolerance.position or tolerance, message.stamp or None
     if message.path_tolerance is None:
-        angle = message.tolerance.orientation or turn
+        angle = message.tolerance.orientation or angle_tolerance
         wanted = [waypoint.orientation for waypoint in message.waypoints]
         turns = rotations = None
         if any(orientation is not None for orientation in wanted):

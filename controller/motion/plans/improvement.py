@@ -8,8 +8,7 @@ import numpy as np
 from controller.manipulator.manipulator import Configuration
 from controller.motion.plans.lookahead import LookAhead
 from controller.motion.plans.plan import TrajectoryPlan
-from controller.motion.stages.pacing import Pace
-from controller.search.solver import Solver
+from controller.motion.plans.transitions import TransitionPlanner
 
 MARGIN = 0.1  # [s] between the decision of a point and its first switch, at least
 BATCH = 4  # points staged at a time: staging one may take some hundredths of a second, the next are due first
@@ -28,14 +27,13 @@ class Improvement:
     """Improves a plan from its second point on; the arm already moves to the first.
 
     Args:
-        solver: of the arm.
+        planner: of the transitions of the plan's trajectory.
         plan: to improve.
-        pace: of the arm's transitions.
         start: t = 0 of the trajectory [s, monotonic clock]; infinite: no point is ever due.
     """
 
-    def __init__(self, solver: Solver, plan: TrajectoryPlan, pace: Pace, start: float = np.inf) -> None:
-        self._solver, self._plan, self._pace, self._start = solver, plan, pace, start
+    def __init__(self, planner: TransitionPlanner, plan: TrajectoryPlan, start: float = np.inf) -> None:
+        self._planner, self._plan, self._start = planner, plan, start
         self._longest = 0.0  # to extend to a point, to stage and to check [s]; nothing is decided meanwhile
 
     def plans(self) -> Iterator[TrajectoryPlan]:
@@ -45,11 +43,10 @@ class Improvement:
         iteration takes longer, the point keeps its earlier plan, which is as accurate but may switch more.
         """
         trajectory, handed_over = self._plan.trajectory, 0
-        first = self._plan.solutions[0].configuration
-        ahead = LookAhead(self._solver, first, trajectory, 1)
-        between, actuators = np.diff(trajectory.times, prepend=-np.inf), len(self._solver.manipulator.actuators)
+        ahead = LookAhead(self._planner.points, self._plan.solutions[0].configuration, 1)
+        between, actuators = np.diff(trajectory.times, prepend=-np.inf), len(self._planner.solver.manipulator.actuators)
         strict = any(transition.strict for transition in self._plan.transitions)
-        earliest = trajectory.times - self._pace.longest(between, actuators, strict)
+        earliest = trajectory.times - self._planner.pace.longest(between, actuators, strict)
         for k in range(1, len(trajectory.times)):
             began = time.perf_counter()
             ahead.extend()
@@ -70,4 +67,4 @@ class Improvement:
     def _improve(self, first: int, configurations: list[Configuration]) -> None:
         """Puts configurations into the plan from point `first` on."""
         if configurations:
-            self._plan = self._plan.improved(self._solver, self._pace, first, configurations)
+            self._plan = self._plan.improved(self._planner, first, configurations)

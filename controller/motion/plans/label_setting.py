@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration
 from controller.motion.plans.candidate_sets import CandidateSets
 from controller.motion.plans.lookahead import LookAhead
+from controller.motion.plans.points import TrajectoryPoints
 from controller.motion.trajectory import Trajectory
 from controller.search.solution import EPSILON, proves
-from controller.search.solver import Solver
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -67,16 +67,16 @@ class LabelSetting:
         best: the cheapest sequence found and the proven lower bound.
 
     Args:
-        solver: of the arm.
-        trajectory: the points to serve.
+        points: to serve.
         start: configuration before the first point, shape (B,).
         stop: returns whether to stop before the time is over.
     """
 
     def __init__(
-        self, solver: Solver, trajectory: Trajectory, start: Configuration, stop: Callable[[], bool] = lambda: False
+        self, points: TrajectoryPoints, start: Configuration, stop: Callable[[], bool] = lambda: False
     ) -> None:
-        self._solver, self._trajectory, self._stop = solver, trajectory, stop
+        self._points, self._stop = points, stop
+        self._solver, self._trajectory = solver, trajectory = points.solver, points.trajectory
         self._sets = CandidateSets(solver.manipulator, solver.weights)
         self._until = np.inf
         self._start = Layer(np.asarray(start, np.uint16)[None], np.zeros(1), np.zeros(1, dtype=np.int64))
@@ -112,7 +112,7 @@ class LabelSetting:
     def _look_ahead(self) -> None:
         """Offers the result of look-ahead; if the time is short, its beginning with the end of the best sequence."""
         trajectory, solver, count = self._trajectory, self._solver, 0
-        search = LookAhead(solver, self._start.configurations[0].astype(np.int64), trajectory)
+        search = LookAhead(self._points, self._start.configurations[0].astype(np.int64))
         while count < len(trajectory.times) and not self._late():
             search.extend()
             count += 1
@@ -120,10 +120,8 @@ class LabelSetting:
             return
         rest = [] if self.best.configurations is None else list(self.best.configurations[count:])
         rows = np.array([self._start.configurations[0], *search.decide(count), *rest], dtype=np.int64)
-        for k, row in enumerate(rows[1:]):
-            tolerance, turn = float(trajectory.tolerances[k]), float(trajectory.turns[k])
-            if not solver.described(row, trajectory.goal(k), row, tolerance, turn).within_tolerance:
-                return
+        if not all(solver.feasible(point.target, row) for point, row in zip(self._points, rows[1:], strict=True)):
+            return
         self.offer(rows[1:], float(solver.cost(rows[1:], rows[:-1]).sum()))
 
     def prove(self) -> None:
@@ -184,12 +182,11 @@ class LabelSetting:
 
     def _cheapest(self, layer: Layer, k: int, width: int) -> Layer | None:
         """Returns about `width` of the cheapest configurations for point k; None if none is found in time."""
-        least, solver, trajectory = float(layer.costs.min()), self._solver, self._trajectory
+        least, solver, point = float(layer.costs.min()), self._solver, self._points[k]
         seed = layer.configurations[int(np.argmin(layer.costs))].astype(np.int64)
-        if k in trajectory.fixed:
+        if point.states is not None:
             return self._next_layer(layer, k, np.inf, MOST)
-        tolerance, turn = float(trajectory.tolerances[k]), float(trajectory.turns[k])
-        solution = solver.solve(trajectory.goal(k), seed, tolerance, deadline=FIRST, angle_tolerance=turn)
+        solution = solver.solve(point.target, seed, timeout=FIRST)
         if not solution.within_tolerance or self._late():
             return None
         found = Layer(
@@ -225,15 +222,14 @@ class LabelSetting:
             ceiling: greatest cost of a sequence.
             most: configurations of the layer.
         """
-        trajectory, solver = self._trajectory, self._solver
-        if (states := trajectory.fixed.get(k)) is not None:
-            return self._fixed_layer(layer, solver.manipulator.configuration(states), ceiling)
-        served = trajectory.serve(solver.manipulator.tips(layer.configurations), slice(k, k + 1))[:, 0]
+        solver, point = self._solver, self._points[k]
+        if (given := point.configuration) is not None:
+            return self._given_layer(layer, given, ceiling)
+        served = self._trajectory.serve(solver.manipulator.tips(layer.configurations), slice(k, k + 1))[:, 0]
         room = ceiling * (1 + EPSILON) - layer.costs
         staying, moving = np.flatnonzero(served & (room >= 0)), np.flatnonzero(~served & (room >= solver.least_weight))
         moving = moving[np.argsort(-room[moving], kind="stable")]
-        target = solver.target(trajectory.goal(k), float(trajectory.tolerances[k]), float(trajectory.turns[k]))
-        found = self._sets.find(target, layer.configurations[moving], room[moving], most, self._late)
+        found = self._sets.find(point.target, layer.configurations[moving], room[moving], most, self._late)
         if found is None:
             return None
         before = np.concatenate([staying, moving[found.sources]])
@@ -244,7 +240,7 @@ class LabelSetting:
         chosen = order[first]
         return Layer(rows[chosen], costs[chosen], before[chosen])
 
-    def _fixed_layer(self, layer: Layer, configuration: Configuration, ceiling: float) -> Layer:
+    def _given_layer(self, layer: Layer, configuration: Configuration, ceiling: float) -> Layer:
         """Returns the layer of one configuration (B,); it is empty if each sequence to it costs more than `ceiling`."""
         costs = layer.costs + self._solver.cost(layer.configurations, configuration)
         n = int(np.argmin(costs)) if len(costs) else 0

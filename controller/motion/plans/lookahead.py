@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration
-from controller.motion.trajectory import Trajectory
-from controller.search.solver import Solver
+from controller.motion.plans.points import TrajectoryPoints
 
 WIDTH = 64  # labels kept at a point
 MOST = 32  # successors of a label
@@ -45,14 +44,13 @@ class LookAhead:
     inequality.
 
     Args:
-        solver: of the arm.
+        points: of the trajectory.
         start: configuration at which all paths begin, shape (B,).
-        trajectory: the points.
         first: index of the first point after `start`.
     """
 
-    def __init__(self, solver: Solver, start: Configuration, trajectory: Trajectory, first: int = 0) -> None:
-        self._solver, self._trajectory, self._first = solver, trajectory, first
+    def __init__(self, points: TrajectoryPoints, start: Configuration, first: int = 0) -> None:
+        self._points, self._solver, self._first = points, points.solver, first
         self._labels = [PathLabel(0.0, np.array(start, dtype=np.int64), 0, None)]
         self._decided: list[Configuration] = []  # after `start`
         self._next = 0
@@ -67,8 +65,7 @@ class LookAhead:
                     best[key] = successor
         if not best:  # too far for the small tables: one successor, by the complete search
             label = self._labels[0]
-            goal, tolerance, turn = self._goal()
-            found = self._solver.solve(goal, label.configuration, tolerance, angle_tolerance=turn)
+            found = self._solver.solve(self._points[self._first + self._next].target, label.configuration)
             best[b""] = PathLabel(label.cost + found.cost, found.configuration, self._next + 1, label)
         self._next += 1
         # Of two labels of equal cost the one that serves longer is better: a point is worth the mean cost so far.
@@ -78,12 +75,11 @@ class LookAhead:
     def _successors(self, label: PathLabel) -> list[PathLabel]:
         if label.until > self._next:
             return [PathLabel(label.cost, label.configuration, label.until, label)]
-        goal, tolerance, turn = self._goal()
-        if (states := self._trajectory.fixed.get(self._first + self._next)) is not None:
-            fixed = self._solver.manipulator.configuration(states)
-            described = self._solver.described(fixed, goal, label.configuration, tolerance, turn)
-            return [PathLabel(label.cost + described.cost, fixed, self._until(fixed[None])[0], label)]
-        configurations, costs = self._solver.candidates(goal, label.configuration, tolerance, MOST, turn)
+        point = self._points[self._first + self._next]
+        if (given := point.configuration) is not None:
+            cost = float(self._solver.cost(given, label.configuration))
+            return [PathLabel(label.cost + cost, given, self._until(given[None])[0], label)]
+        configurations, costs = self._solver.candidates(point.target, label.configuration, MOST)
         if len(costs) == 0:
             return []
         near = costs <= costs.min() + SPREAD * self._solver.least_weight
@@ -97,13 +93,8 @@ class LookAhead:
         """Returns the first point after the next that configurations (m,) of the next point do not serve."""
         following = self._first + self._next + 1
         tips = self._solver.manipulator.tips(configurations)
-        served = self._trajectory.serve(tips, slice(following, following + FARTHEST))
+        served = self._points.trajectory.serve(tips, slice(following, following + FARTHEST))
         return (self._next + 1 + np.logical_and.accumulate(served, axis=1).sum(axis=1)).tolist()  # type: ignore[no-any-return]
-
-    def _goal(self) -> tuple[NDArray[np.float64], float, float]:
-        """Returns the next point, see Solver.solve, and its tolerances of position and orientation."""
-        point, it = self._first + self._next, self._trajectory
-        return it.goal(point), float(it.tolerances[point]), float(it.turns[point])
 
     def decided(self) -> list[Configuration]:
         """Returns the configurations after the start that all paths share."""

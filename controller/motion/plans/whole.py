@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration
 from controller.motion.plans.label_setting import LabelSetting
 from controller.motion.plans.plan import TrajectoryPlan
-from controller.motion.plans.point_by_point import plan
+from controller.motion.plans.point_by_point import PointByPoint
+from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along
 from controller.search.method import MINIMUM_SWITCH, Method
-from controller.search.solver import DEADLINE, Solver
+from controller.search.solver import TIMEOUT
 
 FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s]: most for the first answers of all points; for the search of the whole
 
@@ -37,64 +38,57 @@ class TipGoals(NamedTuple):
 
 
 def plan_whole(
-    solver: Solver,
-    trajectory: Trajectory,
+    planner: TransitionPlanner,
     previous: Configuration,
     method: Method,
-    pace: Pace,
     first: float | None = None,
     seconds: float | None = None,
 ) -> TrajectoryPlan:
     """Returns the cheapest plan found for a trajectory: point by point first, then over the whole trajectory.
 
     Args:
-        solver: of the arm.
-        trajectory: the goal.
+        planner: of the trajectory's transitions.
         previous: configuration of the arm at the start, shape (B,).
         method: the search algorithm; the whole trajectory is searched for `minimum-switch` only.
-        pace: of the transitions.
         first: time for the first answers of all points [s]; None: `first_time`.
         seconds: time for the search of the whole trajectory [s]; None: WHOLE_TIME.
 
     Raises:
-        Refusal: see `plan`.
+        Refusal: see `PointByPoint.plan`.
     """
-    first = first_time(trajectory) if first is None else first
-    found = plan(solver, trajectory, previous, method, pace=pace, seconds=first)
-    return found if method != MINIMUM_SWITCH else look_ahead(solver, found, previous, pace, seconds)
+    found = PointByPoint(planner, method, first_time(planner.trajectory) if first is None else first).plan(previous)
+    return found if method != MINIMUM_SWITCH else look_ahead(planner, found, previous, seconds)
 
 
 def first_time(trajectory: Trajectory) -> float:
     """Returns the time [s] for the first answers of all points if no arm waits for them."""
-    return min(DEADLINE * len(trajectory.times), FIRST_TIME)
+    return min(TIMEOUT * len(trajectory.times), FIRST_TIME)
 
 
 def look_ahead(
-    solver: Solver,
+    planner: TransitionPlanner,
     found: TrajectoryPlan,
     previous: Configuration,
-    pace: Pace,
     seconds: float | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> TrajectoryPlan:
     """Returns a plan that costs at most as much as `found`, with the lower bound that is proven.
 
     Args:
-        solver: of the arm.
+        planner: of the trajectory's transitions.
         found: the plan to improve.
         previous: configuration before, shape (B,).
-        pace: of the transitions.
         seconds: time for the search [s], None: WHOLE_TIME; the time to stage its answer is extra.
         stop: returns whether to end sooner.
     """
-    search = LabelSetting(solver, found.trajectory, previous, stop)
+    search = LabelSetting(planner.points, previous, stop)
     search.offer(
         np.array([solution.configuration for solution in found.solutions]), found.cost, found.solutions[0].bound
     )
     best = search.run(WHOLE_TIME if seconds is None else seconds)
     better = found
     if best.configurations is not None and best.cost < found.cost:
-        better = found.improved(solver, pace, 0, list(best.configurations), previous)
+        better = found.improved(planner, 0, list(best.configurations), previous)
     return better.proven(best.bound) if better.cost <= found.cost else found.proven(best.bound)
 
 

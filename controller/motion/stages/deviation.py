@@ -1,12 +1,14 @@
 """Deviation of the tip from the straight line of a transition, for every subset of actuators that may have switched."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import boolean, float64, njit, types
 from numpy.typing import NDArray
 
 from controller.manipulator.frame_kernels import compose, set_identity
+from controller.manipulator.kernel_types import F1, F2, F3, F4, I1, named
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -16,17 +18,32 @@ COUNTED = 12  # most actuators for which all subsets are enumerated
 STARTS = 16  # random starts of the ascent to the greatest deviation, beside the two ends
 
 
+class MovingModules(NamedTuple):
+    """The frames of m modules that move. A module's mask has a bit for each of its switched actuators.
+
+    Attributes:
+        rotations: of each module for each mask, composed with its neighbours that do not move, shape (m, 2^bits, 3, 3).
+        translations: likewise, shape (m, 2^bits, 3).
+        known: whether the module has a state for the mask, shape (m, 2^bits).
+    """
+
+    rotations: Array
+    translations: Array
+    known: Known
+
+
+MOVING = named(MovingModules, F4, F3, boolean[:, ::1])
+
+
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """One transition: n actuators switch, in m modules. A module's mask has a bit for each of its switched actuators.
+    """One transition: n actuators switch, in m modules.
 
     Attributes:
         actuators: indices into the arm's actuators, shape (n,).
         owners: module of each actuator, shape (n,).
         flags: bit of each actuator in its module's mask, shape (n,).
-        rotations: of each module for each mask, composed with its neighbours that do not move, shape (m, 2^bits, 3, 3).
-        translations: likewise, shape (m, 2^bits, 3).
-        known: whether the module has a state for the mask, shape (m, 2^bits).
+        modules: frames of the modules.
         end: masks after the transition, shape (m,).
         line: tip before and after, shape (2, 3).
         unknown: deviation that is assumed for masks without a state.
@@ -35,9 +52,7 @@ class Transition:
     actuators: Index
     owners: Index
     flags: Index
-    rotations: Array
-    translations: Array
-    known: Known
+    modules: MovingModules
     end: Index
     line: Array
     unknown: float = np.inf
@@ -51,33 +66,31 @@ class Transition:
 
     def deviations(self, masks: Index, stage: Index) -> Array:
         """Returns the deviations (2^k,) after each subset of a stage (k,), from masks (m,); bit j is stage[j]."""
-        t = self
-        arguments = (t.rotations, t.translations, t.known, t.owners, t.flags, t.line, masks, stage, t.unknown)
-        return np.asarray(subsets(*arguments))
+        return np.asarray(subsets(self.modules, self.owners, self.flags, self.line, masks, stage, self.unknown))
 
     def greatest(self, masks: Index, stage: Index) -> float:
         """Returns the greatest of `deviations`; above COUNTED actuators the greatest found by coordinate ascent."""
         if len(stage) <= COUNTED:
             return float(self.deviations(masks, stage).max())
-        t, every = self, np.arange(self.known.shape[1])
+        modules, every = self.modules, np.arange(self.modules.known.shape[1])
         lower, upper = masks[:, None], (masks + self.masks([stage]))[:, None]
         between = (every & lower == lower) & (every | upper == upper)
-        if t.unknown == np.inf and (between & ~t.known).any():
+        if self.unknown == np.inf and (between & ~modules.known).any():
             return np.inf
         mixed = np.random.default_rng(0).integers(0, 2, (STARTS, len(masks)), dtype=bool)
         starts = [masks.copy(), upper[:, 0].copy(), *np.where(mixed, upper[:, 0], masks)]
-        return max(float(ascend(t.rotations, t.translations, between & t.known, t.line, s)) for s in starts)
+        allowed = modules._replace(known=between & modules.known)
+        return max(float(ascend(allowed, self.line, masks)) for masks in starts)
 
     def singles(self, masks: Index) -> Array:
         """Returns the deviations (k, n) after one more actuator, from masks (k, m); infinite if it cannot switch."""
-        t = self
-        return np.asarray(singles(t.rotations, t.translations, t.known, t.owners, t.flags, t.line, masks))
+        return np.asarray(singles(self.modules, self.owners, self.flags, self.line, masks))
 
     def back(self) -> "Transition":
         """Returns the reverse transition, through the same states."""
-        rows, masks = np.arange(len(self.end))[:, None], self.end[:, None] ^ np.arange(self.known.shape[1])
-        r, b, known = (np.ascontiguousarray(a[rows, masks]) for a in (self.rotations, self.translations, self.known))
-        return replace(self, rotations=r, translations=b, known=known, line=self.line[::-1].copy())
+        rows, masks = np.arange(len(self.end))[:, None], self.end[:, None] ^ np.arange(self.modules.known.shape[1])
+        modules = MovingModules(*(np.ascontiguousarray(array[rows, masks]) for array in self.modules))
+        return replace(self, modules=modules, line=self.line[::-1].copy())
 
 
 @njit("f8(f8[::1], f8[:,::1])", cache=True, nogil=True, inline="always")
@@ -102,23 +115,12 @@ def carry(r: Array, b: Array, point: Array, out: Array) -> None:
         out[i] = b[i] + r[i, 0] * x + r[i, 1] * y + r[i, 2] * z
 
 
-@njit(
-    "f8[::1](f8[:,:,:,::1], f8[:,:,::1], b1[:,::1], i8[::1], i8[::1], f8[:,::1], i8[::1], i8[::1], f8)",
-    cache=True,
-    nogil=True,
-)
+@njit([F1(MOVING, I1, I1, F2, I1, I1, float64)], cache=True, nogil=True)
 def subsets(
-    r: Array,
-    b: Array,
-    known: Known,
-    owners: Index,
-    flags: Index,
-    line: Array,
-    masks: Index,
-    stage: Index,
-    unknown: float,
+    modules: MovingModules, owners: Index, flags: Index, line: Array, masks: Index, stage: Index, unknown: float
 ) -> Array:
     """Returns the deviation of each subset of a stage; see Transition.deviations."""
+    r, b, known = modules
     slots, count = np.full(len(masks), -1), 0
     for j in range(len(stage)):
         slots[owners[stage[j]]] = 0
@@ -161,9 +163,16 @@ def fill_tails(r: Array, b: Array, masks: Index, tails: Array) -> None:
         carry(r[i, masks[i]], b[i, masks[i]], tails[i + 1], tails[i])
 
 
-@njit("f8(f8[:,:,:,::1], f8[:,:,::1], b1[:,::1], f8[:,::1], i8[::1])", cache=True, nogil=True)
-def ascend(r: Array, b: Array, allowed: Known, line: Array, masks: Index) -> float:
-    """Changes one mask at a time as long as the deviation grows; returns the deviation of that local maximum."""
+@njit([float64(MOVING, F2, I1)], cache=True, nogil=True)
+def ascend(modules: MovingModules, line: Array, masks: Index) -> float:
+    """Changes one mask at a time as long as the deviation grows; returns the deviation of that local maximum.
+
+    Args:
+        modules: frames; `known` for masks that are allowed.
+        line: see Transition.
+        masks: to begin with, shape (m,); overwritten.
+    """
+    r, b, allowed = modules
     tails, point = np.empty((len(masks) + 1, 3)), np.empty(3)
     head_r, head_b = np.empty((3, 3)), np.empty(3)
     fill_tails(r, b, masks, tails)
@@ -184,11 +193,10 @@ def ascend(r: Array, b: Array, allowed: Known, line: Array, masks: Index) -> flo
     return float(best)
 
 
-@njit(
-    "f8[:,::1](f8[:,:,:,::1], f8[:,:,::1], b1[:,::1], i8[::1], i8[::1], f8[:,::1], i8[:,::1])", cache=True, nogil=True
-)
-def singles(r: Array, b: Array, known: Known, owners: Index, flags: Index, line: Array, masks: Index) -> Array:
+@njit([F2(MOVING, I1, I1, F2, types.int64[:, ::1])], cache=True, nogil=True)
+def singles(modules: MovingModules, owners: Index, flags: Index, line: Array, masks: Index) -> Array:
     """Returns the deviation after one more actuator, from each of the masks; see Transition.singles."""
+    r, b, known = modules
     result, m = np.full((len(masks), len(owners)), np.inf), len(r)
     heads_r, heads_b, tails, point = np.empty((m + 1, 3, 3)), np.empty((m + 1, 3)), np.empty((m + 1, 3)), np.empty(3)
     set_identity(heads_r[0], heads_b[0])

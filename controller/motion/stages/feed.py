@@ -83,6 +83,7 @@ class Route(NamedTuple):
         between: whether each point lies between waypoints; without switches it then needs no stage.
         lead: time of one stage [s].
         delay: the trajectory's t = 0 in the program's time [s].
+        most: actuators that may switch at once.
     """
 
     start: bytes
@@ -91,6 +92,7 @@ class Route(NamedTuple):
     between: Sequence[bool]
     lead: float
     delay: float
+    most: int
 
 
 class Unchecked(NamedTuple):
@@ -146,7 +148,6 @@ class Feed:
         strict: whether no stage may be skipped.
         checked: generation of the obstacles for which all stages are clear.
         proof: of the plan; None for a jog.
-        most: actuators that may switch at once.
     """
 
     def __init__(
@@ -157,10 +158,9 @@ class Feed:
         strict: bool,
         checked: int,
         proof: PlanProof | None,
-        most: int,
     ) -> None:
         self.begun, self.strict, self.checked, self.proof = -1, strict, checked, proof
-        self._manipulator, self._program, self._route, self._most = manipulator, program, route, most
+        self._manipulator, self._program, self._route = manipulator, program, route
         self._points = list(route.points)
         self._stages = list[Stage]()  # of the first points, as far as they were needed
         self._ends = list[int]()  # number of stages up to each of these points
@@ -317,7 +317,7 @@ class Feed:
         """Returns the stages to a point from other states than planned."""
         size = len(self._manipulator.actuators)
         planned = np.array([unpack_states(states, size) for states in point.stages])
-        stages = restage(self._manipulator, unpack_states(self._before(start), size), planned, self._most)
+        stages = restage(self._manipulator, unpack_states(self._before(start), size), planned, self._route.most)
         return point._replace(stages=tuple(pack_states(stages)), deviation=None)
 
     # --- the flat list of stages

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from controller.armfile.actuators import longest_travel
 from controller.armfile.settings import ArmSettings
 from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion.stages.deviation import Index, Transition
 from controller.motion.stages.stage_sequencer import DETOUR_TIME, StageSequencer
 from controller.motion.stages.stages import SKIPPED, order_stages, peaks
 from controller.motion.stages.transition import build_transition
@@ -78,7 +79,7 @@ class Pace:
 
     def needed(self, switches: int) -> float:
         """Returns the least time between two waypoints for a number of switches [s]."""
-        return self.rest + self.lead * max(self._fewest(switches), 1)
+        return self.rest + self.lead * max(self.fewest(switches), 1)
 
     def longest(self, available: NDArray[np.float64], actuators: int, strict: bool) -> NDArray[np.float64]:
         """Returns the longest duration of transitions (n,) [s], from the time that is available to each (n,) [s]."""
@@ -86,97 +87,102 @@ class Pace:
             return np.minimum(available - self.rest, self.lead * actuators)
         if self.inrush is None:
             return np.full_like(available, self.lead)
-        return np.minimum(available - self.rest, self.lead * max(MOST_STAGES, self._fewest(actuators)))
+        return np.minimum(available - self.rest, self.lead * max(MOST_STAGES, self.fewest(actuators)))
+
+    def fewest(self, switches: int) -> int:
+        """Returns the fewest stages for a number of switches."""
+        return -(-switches // (self.inrush or max(switches, 1)))
+
+
+class Stager:
+    """Cuts the transitions of one arm into stages that fit into their time.
+
+    Args:
+        manipulator: the arm.
+        pace: the limits on its transitions.
+        sweep: swept checks that the stages must pass, in any order of a stage's actuators; None: no checks.
+    """
+
+    def __init__(self, manipulator: Manipulator, pace: Pace, sweep: Sweep | None = None) -> None:
+        self._m, self._pace, self._sweep = manipulator, pace, sweep
 
     def staged(
         self,
-        manipulator: Manipulator,
         before: Configuration,
         after: Configuration,
         available: float | None = None,
         with_deviation: bool = True,
-        sweep: Sweep | None = None,
-        patience: float = DETOUR_TIME,
+        detour_time: float = DETOUR_TIME,
     ) -> Staged:
-        """Returns the stages of a transition.
+        """Returns the stages of a transition; those without obstacles if they are clear.
 
         Args:
-            manipulator: the arm.
             before: configuration, shape (B,).
             after: configuration, shape (B,).
             available: time from the waypoint before to the one after [s]; None: unlimited.
             with_deviation: compute the deviation, also without an inrush bound.
-            sweep: swept checks that the stages must pass, in any order of a stage's actuators; None: no checks.
-            patience: time to search for a detour, on which actuators switch back and forth [s].
+            detour_time: time to search for a detour, on which actuators switch back and forth [s].
 
         Raises:
             Infeasible: the time is too short; the message says what is needed.
             Blocked: no collision-free stages were found; the message names the obstacle.
         """
-        if sweep is not None:
-            return self._clear(manipulator, before, after, available, with_deviation, sweep, patience)
-        n = manipulator.switches(before, after)
-        if n == 0:
-            return Staged(manipulator.actuator_states(after)[None], 0.0)
-        if self.inrush is None and not with_deviation:
-            return Staged(manipulator.actuator_states(after)[None], None)
-        if self.inrush is None or n <= 1:
-            return at_once(manipulator, before, after)
-        fewest = self._fewest(n)
-        room = n if available is None else min(n, int((available - self.rest) / self.lead + 1e-9))
-        if room < fewest:
-            raise Infeasible(f"{n} switches, at most {self.inrush} at once, need {self.needed(n):.3g} s")
-        if room == 1:
-            return at_once(manipulator, before, after)
-        for limit in sorted({max(min(room, MOST_STAGES), fewest), room}):
-            try:
-                found = order_stages(manipulator, before, after, self.inrush, limit)
-            except ValueError:  # with so few stages, each order ends a stage in a module's unknown state
-                continue
-            return Staged(rows(manipulator.actuator_states(before), found.actuators), found.deviation)
-        raise Infeasible(f"{n} switches, at most {self.inrush} at once, need more than {room} stages")
-
-    def _clear(
-        self,
-        manipulator: Manipulator,
-        before: Configuration,
-        after: Configuration,
-        available: float | None,
-        with_deviation: bool,
-        sweep: Sweep,
-        patience: float,
-    ) -> Staged:
-        """Returns collision-free stages: those without obstacles if they are clear, otherwise a sequence of others."""
-        start, transition = manipulator.actuator_states(before), build_transition(manipulator, before, after)
-        n = len(transition.actuators)
-        room = np.inf if available is None or self.lead == 0 else int((available - self.rest) / self.lead + 1e-9)
-        sequencer = StageSequencer(sweep, start, self.inrush or len(start))
-        usual = self.staged(manipulator, before, after, available, with_deviation)
+        usual = self._without_obstacles(before, after, available, with_deviation)
+        if self._sweep is None:
+            return usual
+        start, end = self._m.actuator_states(before), self._m.actuator_states(after)
+        sequencer = StageSequencer(self._sweep, start, self._pace.inrush or len(start))
         stages = numbered(start, usual.stages)
         if sequencer.clear(stages):
             return replace(usual, strict=True)
-        if (touch := sweep.first_collision(start, np.arange(0))) is not None:  # also if no time is left for a search
-            raise Blocked(f"the arm collides where it stands: {sweep.describe(touch)}")
+        if (touch := self._sweep.first_collision(start, np.arange(0))) is not None:  # also without time for a search
+            raise Blocked(f"the arm collides where it stands: {self._sweep.describe(touch)}")
+        room = np.inf if available is None or self._pace.lead == 0 else self._room(available)
+        transition = build_transition(self._m, before, after)
         upwards, own = transition.actuators, np.concatenate(stages)
         cuts = [cut for order in (own, upwards, upwards[::-1]) if (cut := sequencer.cut(order))]
-        if not any(len(cut) <= room for cut in cuts) and patience > 0:
-            order = sequencer.order(manipulator.actuator_states(after), self.rest == 0, patience)
-            cuts += [cut for cut in ([] if order is None else [sequencer.cut(order)]) if cut]
+        if not any(len(cut) <= room for cut in cuts) and detour_time > 0:
+            detour = sequencer.order(end, self._pace.rest == 0, detour_time)
+            cuts += [cut for cut in ([] if detour is None else [sequencer.cut(detour)]) if cut]
         if not cuts:
             raise Blocked(sequencer.obstruction)
         best = min(cuts, key=len)
         if len(best) > room:
             detail = f"takes {len(best)} stages, there is time for {room}: {sequencer.obstruction}"
             raise Blocked(f"a collision-free transition {detail}")
-        deviation = None
-        if with_deviation and sum(map(len, best)) == n:
-            known = replace(transition, unknown=SKIPPED)
-            deviation = max(peaks(known, known.masks([]), [np.searchsorted(upwards, stage) for stage in best]))
+        direct = sum(map(len, best)) == len(upwards)
+        deviation = deviation_in_stages(transition, best) if with_deviation and direct else None
         return Staged(rows(start, tuple(tuple(stage.tolist()) for stage in best)), deviation, strict=True)
 
-    def _fewest(self, switches: int) -> int:
-        """Returns the fewest stages for a number of switches."""
-        return -(-switches // (self.inrush or max(switches, 1)))
+    def _without_obstacles(
+        self, before: Configuration, after: Configuration, available: float | None, with_deviation: bool
+    ) -> Staged:
+        """Returns the stages of a transition without obstacles; see `staged`."""
+        m, inrush = self._m, self._pace.inrush
+        n = m.switches(before, after)
+        if n == 0:
+            return Staged(m.actuator_states(after)[None], 0.0)
+        if inrush is None and not with_deviation:
+            return Staged(m.actuator_states(after)[None], None)
+        if inrush is None or n <= 1:
+            return at_once(m, before, after)
+        fewest = self._pace.fewest(n)
+        room = n if available is None else min(n, self._room(available))
+        if room < fewest:
+            raise Infeasible(f"{n} switches, at most {inrush} at once, need {self._pace.needed(n):.3g} s")
+        if room == 1:
+            return at_once(m, before, after)
+        for limit in sorted({max(min(room, MOST_STAGES), fewest), room}):
+            try:
+                found = order_stages(m, before, after, inrush, limit)
+            except ValueError:  # with so few stages, each order ends a stage in a module's unknown state
+                continue
+            return Staged(rows(m.actuator_states(before), found.actuators), found.deviation)
+        raise Infeasible(f"{n} switches, at most {inrush} at once, need more than {room} stages")
+
+    def _room(self, available: float) -> int:
+        """Returns the number of stages for which there is time."""
+        return int((available - self._pace.rest) / self._pace.lead + 1e-9)
 
 
 def pace_of(settings: ArmSettings) -> Pace:
@@ -196,6 +202,13 @@ def deviation_at_once(manipulator: Manipulator, before: Configuration, after: Co
         return 0.0
     known = replace(transition, unknown=SKIPPED)
     return max(known.greatest(known.masks([]), np.arange(len(transition.actuators))), 0.0)
+
+
+def deviation_in_stages(transition: Transition, stages: list[Index]) -> float:
+    """Returns the deviation of a transition in stages, each of indices of the arm's actuators."""
+    known = replace(transition, unknown=SKIPPED)
+    places = [np.searchsorted(transition.actuators, stage) for stage in stages]
+    return max(peaks(known, known.masks([]), places))
 
 
 def rows(states: NDArray[np.uint8], stages: tuple[tuple[int, ...], ...]) -> NDArray[np.uint8]:

@@ -64,7 +64,7 @@ class StageSequencer:
             first += low
         return stages
 
-    def order(self, end: States, repeats: bool, patience: float) -> Index | None:
+    def order(self, end: States, repeats: bool, timeout: float) -> Index | None:
         """Returns an order of actuators (n,) in which each switch is clear; None if none is found in time.
 
         Best-first search from both ends. The estimate is the number of actuators that have yet to switch.
@@ -72,16 +72,16 @@ class StageSequencer:
         Args:
             end: actuator states after, shape (A,).
             repeats: an actuator may switch more than once.
-            patience: time for the search [s].
+            timeout: time for the search [s].
         """
-        until, n = time.perf_counter() + patience, int(np.count_nonzero(self._states != end))
+        deadline, n = time.perf_counter() + timeout, int(np.count_nonzero(self._states != end))
         ends = [self._states, end]
         paths: list[dict[bytes, list[int]]] = [{}, {}]
         heaps: list[list[tuple[float, int, int, bytes, list[int]]]] = [[], []]
         for side in (0, 1):
             heappush(heaps[side], (0.0, 0, 0, ends[side].tobytes(), []))
         count = 0
-        while all(heaps) and time.perf_counter() < until:
+        while all(heaps) and time.perf_counter() < deadline:
             count += 1
             side = count % 2
             *_, code, path = heappop(heaps[side])

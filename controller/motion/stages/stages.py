@@ -151,7 +151,7 @@ def cut(transition: Transition, order: Index, most: int, limit: int) -> list[Ind
     wide = limit * min(most, WINDOW) < n  # stages must be too large for their deviations: minimize their number only
     longest = min(most, n if wide else WINDOW)
     masks = np.array([transition.masks([order[:i]]) for i in range(n + 1)])
-    ends = np.all(transition.known[modules, masks[1:]], axis=1)
+    ends = np.all(transition.modules.known[modules, masks[1:]], axis=1)
     spans = np.full((n, longest), np.inf)
     for i in range(n):
         sizes = np.arange(1, min(longest, n - i) + 1)

@@ -1,12 +1,36 @@
 """Builds a transition between two configurations: the frames of each module in every intermediate state."""
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit
+from numba import boolean, njit, types, uint8
 from numpy.typing import NDArray
 
 from controller.manipulator.frame_kernels import compose, set_identity
+from controller.manipulator.kernel_types import F2, F3, F4, I1, named
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.stages.deviation import Array, Index, Known, Transition
+from controller.motion.stages.deviation import MOVING, Array, Index, Known, MovingModules, Transition
+
+
+class ModuleStates(NamedTuple):
+    """The states of an arm's modules; see Manipulator.
+
+    Attributes:
+        base: frame F_0 in the world, shape (4, 4).
+        rotations: configuration sets, shape (B, Kmax, 3, 3).
+        translations: configuration sets, shape (B, Kmax, 3).
+        bits: actuator states of each module state, shape (B, Kmax, Amax).
+        states: K_i, shape (B,).
+    """
+
+    base: Array
+    rotations: Array
+    translations: Array
+    bits: NDArray[np.uint8]
+    states: Index
+
+
+MODULE_STATES = named(ModuleStates, F2, F4, F3, uint8[:, :, ::1], I1)
 
 
 def build_transition(manipulator: Manipulator, start: Configuration, end: Configuration) -> Transition:
@@ -20,46 +44,26 @@ def build_transition(manipulator: Manipulator, start: Configuration, end: Config
     offsets = np.cumsum([0, *(len(module.actuators) for module in m.modules)])
     size = 1 << int(counts.max())
     rotations, translations = np.tile(np.eye(3), (len(moving), size, 1, 1)), np.zeros((len(moving), size, 3))
-    known = np.zeros((len(moving), size), dtype=np.bool_)
-    before = np.asarray(start, dtype=np.int64)
-    fill_links(m.base, m.rotations, m.translations, m.bits, m.states, before, differ, rotations, translations, known)
+    frames = MovingModules(rotations, translations, np.zeros((len(moving), size), dtype=np.bool_))
+    own = ModuleStates(m.base, m.rotations, m.translations, m.bits, m.states)
+    fill_frames(own, np.asarray(start, dtype=np.int64), differ, frames)
     line = np.array([m.tip(start)[:3, 3], m.tip(end)[:3, 3]])
     ended = (1 << counts[moving]) - 1
-    return Transition(offsets[modules] + columns, owners, flags, rotations, translations, known, ended, line)
+    return Transition(offsets[modules] + columns, owners, flags, frames, ended, line)
 
 
-@njit(
-    "void(f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], u1[:,:,::1], i8[::1], i8[::1], b1[:,::1], f8[:,:,:,::1], f8[:,:,::1],"
-    " b1[:,::1])",
-    cache=True,
-    nogil=True,
-)
-def fill_links(
-    base: Array,
-    rotations: Array,
-    translations: Array,
-    bits: NDArray[np.uint8],
-    states: Index,
-    start: Index,
-    differ: Known,
-    out_r: Array,
-    out_b: Array,
-    known: Known,
-) -> None:
-    """Writes `rotations`, `translations` and `known` of a Transition from the arm's arrays; see Manipulator.
+@njit([types.void(MODULE_STATES, I1, boolean[:, ::1], MOVING)], cache=True, nogil=True)
+def fill_frames(arm: ModuleStates, start: Index, differ: Known, moving: MovingModules) -> None:
+    """Writes the frames of the modules that move.
 
     Args:
-        base: of the arm.
-        rotations: of the arm.
-        translations: of the arm.
-        bits: of the arm.
-        states: of the arm.
+        arm: its modules.
         start: configuration before, shape (B,).
         differ: which actuators of each module switch, shape (B, Amax).
-        out_r: rotations of each moving module for each mask; identities on entry.
-        out_b: translations, likewise; zeros on entry.
-        known: likewise; false on entry.
+        moving: written; on entry identities, zeros and false.
     """
+    base, rotations, translations, bits, states = arm
+    out_r, out_b, known = moving
     lead_r, lead_b, row = base[:3, :3].copy(), base[:3, 3].copy(), -1
     for i in range(len(start)):
         own = start[i]

@@ -3,17 +3,15 @@
 import time
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.plans.plan import sweep_for
-from controller.motion.stages.pacing import Blocked, Pace
+from controller.motion.plans.transitions import sweep_for
+from controller.motion.stages.pacing import Blocked, Pace, Stager
 from controller.motion.stages.restaging import restage
 from controller.obstacles.keep_out import KeepOutSet, States
 from controller.search.method import MINIMUM_SWITCH, Method
 from controller.search.solution import Solution
 from controller.search.solver import Solver
+from controller.search.target import SearchTarget
 
 SEARCH_TIME = 0.01  # [s] for one search; it is never worse than IPOP
 FAR = 10.0  # tolerances; IPOP missed none of 2000 reachable positions by more than 2
@@ -28,26 +26,24 @@ class SetpointQuery(NamedTuple):
         keep_out: the obstacles that the solver avoids, for the whole arm.
         commanded: actuator states from which stages begin, shape (A,).
         start: configuration to plan from, of the solver's arm, shape (B,).
-        goal: position of the computed tip, shape (dimension,).
-        tolerance: greatest distance from the goal.
+        target: position of the computed tip, and greatest distance from it.
     """
 
     solver: Solver
     keep_out: KeepOutSet
     commanded: States
     start: Configuration
-    goal: NDArray[np.float64]
-    tolerance: float
+    target: SearchTarget
 
 
 def find(query: SetpointQuery, method: Method) -> Solution:
     """Searches by a method; returns IPOP's result if it misses by far, as longer searches miss, too."""
-    solver, _, _, start, goal, tolerance = query
+    solver, target, start = query.solver, query.target, query.start
     if method == MINIMUM_SWITCH:
-        first = solver.solve(goal, start, tolerance, "ipop-fewest-switches", patience=SEARCH_TIME)
-        if first.error > FAR * tolerance:
+        first = solver.solve(target, start, "ipop-fewest-switches", hard_timeout=SEARCH_TIME)
+        if first.error > FAR * target.tolerance:
             return first
-    return solver.solve(goal, start, tolerance, method, SEARCH_TIME, patience=SEARCH_TIME)
+    return solver.solve(target, start, method, timeout=SEARCH_TIME, hard_timeout=SEARCH_TIME)
 
 
 def stages_to(query: SetpointQuery, end: Configuration, whole: Manipulator, pace: Pace) -> States:
@@ -56,20 +52,21 @@ def stages_to(query: SetpointQuery, end: Configuration, whole: Manipulator, pace
     Raises:
         Blocked: no collision-free stages were found.
     """
-    solver, keep_out, commanded, start, goal, tolerance = query
+    solver, keep_out, commanded, start, target = query
     reduced = solver.manipulator
     if keep_out.free:
         most = pace.inrush or len(commanded)
         return restage(whole, commanded, reduced.actuator_states(end)[None], most)
-    until, obstruction = time.perf_counter() + ALTERNATIVE_TIME, None
-    for configuration in (end, *solver.candidates(goal, start, tolerance, ALTERNATIVES)[0]):
+    deadline, obstruction = time.perf_counter() + ALTERNATIVE_TIME, None
+    stager = Stager(reduced, pace, sweep_for(solver))
+    for configuration in (end, *solver.candidates(target, start, ALTERNATIVES)[0]):
         try:
-            stages = pace.staged(reduced, start, configuration, None, False, sweep_for(solver), patience=0.0).stages
+            stages = stager.staged(start, configuration, None, with_deviation=False, detour_time=0.0).stages
             if (collision := keep_out.first_collision(commanded, stages)) is None:
                 return stages
             obstruction = obstruction or Blocked(collision)
         except Blocked as blocked:
             obstruction = obstruction or blocked
-        if time.perf_counter() > until:
+        if time.perf_counter() > deadline:
             break
     raise obstruction or Blocked("no collision-free transition was found")

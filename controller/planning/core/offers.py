@@ -94,8 +94,8 @@ def goal_program(parts: Parts, motion: Motion, planned: Planned, state: ArmState
         delay = delay_of(trajectory, parts.pace.lead * len(first) + waits)
     between = np.ones(len(planned.points), np.bool_)
     between[trajectory.waypoints] = False
-    times = trajectory.times.tolist()
-    route = Route(state.snapshot.outputs, planned.points, times, between.tolist(), parts.pace.lead, delay)
+    times, most = trajectory.times.tolist(), parts.pace.inrush or len(parts.view.manipulator.actuators)
+    route = Route(state.snapshot.outputs, planned.points, times, between.tolist(), parts.pace.lead, delay, most)
     report = GoalReport(parts.view.manipulator, motion.id, trajectory)
     waypoints, switches = len(trajectory.waypoints), planned.proof.switches
     points = f"{waypoints} {'waypoint' if waypoints == 1 else 'waypoints'}"
@@ -127,7 +127,8 @@ def jog_program(
     """Returns the program that switches single actuators in stages (k, A), given the present state and basis."""
     labels, lead = state.manipulator.actuators, parts.pace.lead
     point = PlannedPoint(0, tuple(state.pack(stages)), None, 0)
-    route = Route(state.snapshot.outputs, (point,), (lead * len(point.stages),), (False,), lead, 0.0)
+    times, most = (lead * len(point.stages),), parts.pace.inrush or len(labels)
+    route = Route(state.snapshot.outputs, (point,), times, (False,), lead, 0.0, most)
     known = state.unknown_state is None and state.configuration is not None
     unchecked = UNCHECKED if not known and not basis.scene.free else ""
     switches = np.count_nonzero(state.commanded != stages[-1])
@@ -144,8 +145,7 @@ def _in_flight(parts: Parts, motion: Motion, draft: Draft, basis: Basis) -> InFl
     """Returns the program, and what belongs to it while it is in flight."""
     number, manipulator = parts.next_number(), parts.view.manipulator
     route, report, name, words, strict, begin, proof, homed = draft
-    most = parts.pace.inrush or len(manipulator.actuators)
-    feed = Feed(manipulator, number, route, strict, basis.scene.generation, proof, most)
+    feed = Feed(manipulator, number, route, strict, basis.scene.generation, proof)
     epoch, context = motion.ticket.epoch or 0, report.context(parts.moment.wall, proof)
     program = Program(number, epoch, route.start, begin, feed.first, feed.complete, strict, name, context, homed)
     return InFlight(program, motion.request, report, feed, {**done(words), "id": motion.id})

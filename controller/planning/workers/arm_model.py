@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from controller.arm.arm import Arm
 from controller.manipulator.locked import lock_actuators, transferred
 from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion.decoding.goal import GoalRules
 from controller.motion.stages.pacing import pace_of
 from controller.motion.stages.program import pack_states, unpack_states
 from controller.obstacles.keep_out import KeepOutSet, States
@@ -38,6 +39,11 @@ class Solvers(NamedTuple):
 class ArmModel:
     """The arm for one worker. Not thread-safe, because the memory of its solver is not.
 
+    Attributes:
+        arm: the whole arm.
+        pace: of its transitions.
+        rules: of its goals.
+
     Args:
         arm: the whole arm.
         worker: which of the solvers is used.
@@ -45,6 +51,8 @@ class ArmModel:
 
     def __init__(self, arm: Arm, worker: Literal["goals", "queries", "setpoints"]) -> None:
         self.arm, self.pace, self._worker = arm, pace_of(arm.settings), worker
+        whole = arm.manipulator
+        self.rules = GoalRules(whole.dimension, arm.tolerance, arm.angle_tolerance, self.pace, whole)
         self._generations = (-1, -1)  # of tables and obstacles of the latest solver
         self._solver: Solver | None = None
 

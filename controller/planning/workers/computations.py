@@ -8,18 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.manipulator.manipulator import Configuration
 from controller.motion.decoding.goal import check_reach, schedule
 from controller.motion.plans.description import describe_plan
 from controller.motion.plans.improvement import Improvement, changed_points
-from controller.motion.plans.plan import TrajectoryPlan, first_transition
-from controller.motion.plans.point_by_point import PLANNING_TIME, plan
+from controller.motion.plans.plan import TrajectoryPlan
+from controller.motion.plans.point_by_point import PLANNING_TIME, PointByPoint
+from controller.motion.plans.transitions import TransitionPlanner, first_transition
 from controller.motion.plans.whole import first_time, look_ahead
 from controller.motion.stages.feed import Improved, PlannedPoint, PlanProof, most_stages
 from controller.motion.stages.pacing import Blocked, Staged
 from controller.motion.stages.program import unpack_states
 from controller.motion.tracking.following import SetpointQuery, find, stages_to
-from controller.motion.trajectory import Trajectory
 from controller.obstacles.keep_out import KeepOutSet, States
 from controller.planning.core import tasks
 from controller.planning.core.events import done
@@ -29,7 +28,6 @@ from controller.program import MOST_PROGRAM_STAGES
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 from controller.search.method import MINIMUM_SWITCH
-from controller.search.solver import Solver
 
 # --- goals
 
@@ -60,8 +58,8 @@ def plan_goal(model: ArmModel, task: tasks.PlanGoal, proceed: Proceed) -> tasks.
         Refusal: there is no plan.
         Abandoned: `proceed` has raised it.
     """
-    trajectory, start = schedule_goal(model, task), task.basis.start
-    found = search_plan(model, task, trajectory, proceed, PLANNING_TIME)[0]
+    start, planner = task.basis.start, planner_of(model, task)
+    found = search_plan(model, task.basis, planner, PLANNING_TIME, proceed)
     first, *others = transitions = found.transitions
     if start.commanded != start.states:
         arm, keep_out, commanded = model.arm.manipulator, task.basis.scene.keep_out, model.unpack(start.commanded)
@@ -70,11 +68,11 @@ def plan_goal(model: ArmModel, task: tasks.PlanGoal, proceed: Proceed) -> tasks.
         check_size(model, transitions)
     points = tuple(points_of(model, start, start.commanded, transitions))
     opaque = PlannedGoal(found, first, points, start, task.basis.tables.generation)
-    return tasks.Planned(trajectory, points, proof_of(found), opaque)
+    return tasks.Planned(found.trajectory, points, proof_of(found), opaque)
 
 
-def schedule_goal(model: ArmModel, task: tasks.PlanGoal) -> Trajectory:
-    """Returns the trajectory of a goal, corrected by the tip bias.
+def planner_of(model: ArmModel, task: tasks.PlanGoal) -> TransitionPlanner:
+    """Returns the planner of a goal's trajectory, which is corrected by the tip bias.
 
     Raises:
         Refusal: the goal is invalid, or a position is farther than the arm's length; the message names the field.
@@ -83,32 +81,29 @@ def schedule_goal(model: ArmModel, task: tasks.PlanGoal) -> Trajectory:
     base = manipulator.base[: manipulator.dimension, 3].tolist()
     clamp = arm.settings.tracker.clamp if arm.settings.tracker else 0.0
     check_reach(message, base, manipulator.length + clamp, arm.tolerance)
-    scheduled = schedule(
-        message, manipulator.dimension, arm.tolerance, arm.angle_tolerance, model.pace, task.received, manipulator
-    )
-    return scheduled.corrected(None if task.bias is None else np.array(task.bias))
+    scheduled = schedule(message, model.rules, task.received)
+    trajectory = scheduled.corrected(None if task.bias is None else np.array(task.bias))
+    return TransitionPlanner(model.solver(task.basis.tables, task.basis.scene), trajectory, model.pace)
 
 
 def search_plan(
-    model: ArmModel, task: tasks.PlanGoal, trajectory: Trajectory, proceed: Proceed, seconds: float
-) -> tuple[TrajectoryPlan, Configuration, Solver]:
-    """Returns a plan whose stages are clear, the configuration (B,) before it, and the solver that found it.
+    model: ArmModel, basis: tasks.Basis, planner: TransitionPlanner, seconds: float, proceed: Proceed
+) -> TrajectoryPlan:
+    """Returns a plan whose stages are clear.
 
     All searches together take at most `seconds`. `proceed` is called before each point and each check of a stage.
 
     Raises:
         Refusal: there is no plan.
     """
-    start, tables, scene = task.basis
-    solver = model.solver(tables, scene)
-    previous = model.configuration(start, solver.manipulator)
-    found = plan(solver, trajectory, previous, model.arm.settings.method, proceed, model.pace, seconds)
+    previous = model.configuration(basis.start, planner.solver.manipulator)
+    found = PointByPoint(planner, model.arm.settings.method, seconds).plan(previous, proceed)
     check_size(model, found.transitions)
     # All stages are checked, so that the executor need not ask. Most results are known from the planning.
-    before, stages = model.unpack(start.states), stages_of(found.transitions)
-    if (collision := scene.keep_out.first_collision(before, stages, proceed)) is not None:
+    before, stages = model.unpack(basis.start.states), stages_of(found.transitions)
+    if (collision := basis.scene.keep_out.first_collision(before, stages, proceed)) is not None:
         raise Refusal(Reason.PLAN_COLLIDES, collision=collision)
-    return found, previous, solver
+    return found
 
 
 def check_size(model: ArmModel, transitions: Sequence[Staged]) -> None:
@@ -169,7 +164,8 @@ def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Itera
         return
     current, keep_out = goal.plan, task.scene.keep_out
     points = [point._replace(deviation=d) for point, d in zip(goal.points, deviations, strict=True)]
-    for better in Improvement(model.solver(task.tables, task.scene), current, model.pace, task.begin).plans():
+    planner = TransitionPlanner(model.solver(task.tables, task.scene), current.trajectory, model.pace)
+    for better in Improvement(planner, current, task.begin).plans():
         proceed()
         if (changed := changed_points(current, better)) is None:
             continue
@@ -214,11 +210,13 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
         if time.monotonic() > until:
             raise Refusal(Reason.PLANNING_TOO_LONG, seconds=task.seconds)
 
-    trajectory = schedule_goal(model, task.goal)
-    found, previous, solver = search_plan(model, task.goal, trajectory, in_time, first_time(trajectory))
+    planner = planner_of(model, task.goal)
+    reduced = planner.solver.manipulator
+    found = search_plan(model, task.goal.basis, planner, first_time(planner.trajectory), in_time)
+    previous = model.configuration(task.goal.basis.start, reduced)
     if model.arm.settings.method == MINIMUM_SWITCH:
-        found = look_ahead(solver, found, previous, model.pace, stop=hurry)
-    fields = describe_plan(model.arm.manipulator, solver.manipulator, previous, found)
+        found = look_ahead(planner, found, previous, stop=hurry)
+    fields = describe_plan(model.arm.manipulator, reduced, previous, found)
     return tasks.Described({**done(fields.pop("message")), **fields})
 
 
@@ -235,7 +233,8 @@ def follow(model: ArmModel, task: tasks.FollowSetpoint) -> tasks.Followed:
         return tasks.Followed((), f", which is not possible now: {refusal}", False, 0.0)
     commanded, goal = model.unpack(arm_start.commanded), np.array(task.position)
     # The arm may lag behind a moving set-point by the other half of the tolerance.
-    query = SetpointQuery(solver, scene.keep_out, commanded, start, goal, task.tolerance / 2)
+    target = solver.target(goal, task.tolerance / 2)
+    query = SetpointQuery(solver, scene.keep_out, commanded, start, target)
     began = time.perf_counter()
     found = find(query, model.arm.settings.method)
     seconds = time.perf_counter() - began

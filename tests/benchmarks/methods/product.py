@@ -6,7 +6,7 @@ from controller.bench.methods.planar import Array
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.method import Method
 from controller.search.solution import Solution
-from controller.search.solver import DEADLINE, Solver
+from controller.search.solver import TIMEOUT, Solver
 from controller.workspace.densities import Densities
 
 
@@ -17,7 +17,7 @@ class Problem:
     deadline: float
 
 
-def prepare(manipulator: Manipulator, densities: Densities, method: Method, deadline: float = DEADLINE) -> Problem:
+def prepare(manipulator: Manipulator, densities: Densities, method: Method, deadline: float = TIMEOUT) -> Problem:
     solver = Solver(manipulator, densities)
     if method == "minimum-switch":
         solver.prepare()
@@ -30,4 +30,6 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
 
 def solution(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Solution:
     """Returns the solver's whole solution, with its certificate."""
-    return problem.solver.solve(goal, previous, tolerance, problem.method, problem.deadline)
+    return problem.solver.solve(
+        problem.solver.target(goal, tolerance), previous, problem.method, timeout=problem.deadline
+    )
