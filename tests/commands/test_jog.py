@@ -8,7 +8,7 @@ from contextlib import ExitStack
 import pytest
 
 from controller.planning.core.events import LockMessage
-from tests.gateway.conftest import Gateway, endpoint  # noqa: F401
+from tests.gateway.conftest import NO_ACTUATOR, Gateway, endpoint  # noqa: F401
 
 NOWHERE = ("--connect", "tcp/127.0.0.1:1")
 FIRST, SECOND = "4646676700771206", "4646676700771207"
@@ -64,7 +64,7 @@ def test_a_local_halt_without_an_executor_fails_with_a_message(hyperbit, tmp_pat
 @pytest.mark.parametrize("command", ["lock", "degrade"])
 def test_lock_is_degrade(hyperbit, gateway, command):
     code, _, err = hyperbit(command, "a", "5.left=contracted", "--connect", gateway.endpoint)
-    assert (code, err) == (1, "refused (code -1): no such actuator\n")
+    assert (code, err) == (1, f"refused (code -1): {NO_ACTUATOR}\n")
     assert gateway.planner.heard == [("degrade", LockMessage("5.left", 0))]
 
 

@@ -34,7 +34,7 @@ from controller.program import (
 from tests.keys import DEPLOY
 
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
-ROOMS = {f"controller.{name}" for name in ("armfile", "executor", "flight_recorder", "host", "program")}
+ROOMS = {f"controller.{name}" for name in ("armfile", "executor", "flight_recorder", "host", "program", "refusals")}
 MOST_RESIDENT = 80 * 1024  # [kB]
 SIMULATION = {"canopen", "drivers.simulation"}  # a real arm's process loads neither
 SIZE = 48

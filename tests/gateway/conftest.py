@@ -23,6 +23,8 @@ from controller.refusals.refusal import Refusal
 from tests.waiting import PATIENCE, eventually
 
 ARM = "a"
+FAR = Refusal(Reason.OUT_OF_REACH, where="waypoints[0].position", position="9, 9", turned="", nearest="4 is the limit")
+NO_ACTUATOR = Refusal(Reason.UNKNOWN_ACTUATOR, field="actuator", actuator="9.left", first="1.left", last="8.right")
 
 
 class FakePlanner:
@@ -75,11 +77,11 @@ class FakePlanner:
             case "arm", _:
                 return {"limits": [], "running": None}
             case "goal", GoalMessage(id="far"):
-                return refused(Refusal(Reason.OUT_OF_REACH), "far")
+                return refused(FAR, "far")
             case "goal", GoalMessage(id=known):
                 return {**done("accepted"), "id": known or "made-up"}
             case "degrade", _:
-                return refused(Refusal(Reason.UNKNOWN_ACTUATOR))
+                return refused(NO_ACTUATOR)
             case _:
                 return done(key)
 

@@ -100,7 +100,7 @@ def test_a_goal_without_a_word_is_given_up(gateway: Gateway) -> None:
 
 
 def test_a_refused_goal_is_answered_at_once(gateway: Gateway) -> None:
-    assert gateway.client().run({"id": "far", "waypoints": []})["message"] == "out of reach"
+    assert gateway.client().run({"id": "far", "waypoints": []})["reason"] == "out-of-reach"
 
 
 def test_messages_are_heard(gateway: Gateway) -> None:

@@ -10,9 +10,7 @@ import zenoh
 from controller.gateway.arrivals import Rate
 from controller.gateway.server import MOST_REFUSALS, MOST_UNANSWERED, content
 from controller.planning.core.events import CancelMessage, refused
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from tests.gateway.conftest import ARM, Gateway
+from tests.gateway.conftest import ARM, NO_ACTUATOR, Gateway
 from tests.waiting import PATIENCE, eventually
 
 BLOCK = zenoh.CongestionControl.BLOCK
@@ -43,7 +41,7 @@ def test_a_put_that_names_its_key_is_carried_out_and_only_refusals_are_published
     if key == "degrade":
         eventually(lambda: results)
     gateway.reached()
-    refusal = {"id": None, "status": "refused", **refused(Refusal(Reason.UNKNOWN_ACTUATOR))}
+    refusal = {"id": None, "status": "refused", **refused(NO_ACTUATOR)}
     assert results == ([refusal] if key == "degrade" else [])
 
 

@@ -196,7 +196,7 @@ def test_actions_are_carried_out_in_order(bench: Bench, caplog: pytest.LogCaptur
     assert bench.handle()[:2] == [REQUEST, Tick()]
     assert bench.services.calls == [
         ("start", 1, TASK), ("reply", {"accepted": True}), ("publish", "state", {"mode": "ready"}),
-        ("publish_result", result), ("record", record), ("counts", (1, 2)), ("abandon", 1), ("send", "WATCHDOG=1"),
+        ("publish_result", result), ("record", record), ("counts", (1, 2)), ("abandon", 1), ("notify", "WATCHDOG=1"),
     ]  # fmt: skip
     (line,) = [record for record in caplog.records if record.levelno == logging.WARNING]
     assert (line.getMessage(), line.journal) == ("100 % moved", {"HYPERBIT_GOAL": "a"})  # type: ignore[attr-defined]
