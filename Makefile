@@ -16,14 +16,14 @@ panel: $(VENV)/kernels
 	$(BIN)/pip install --quiet --editable '.[panel]'
 	$(BIN)/hyperbit run deploy/planar16.yaml --simulate --panel
 
-# What runs in real time comes last, two files at a time, and leaves the processors idle for half of the time. Two
-# processes leave BLAS no threads to gain by. The second part runs even if the first one fails; then make fails, too.
+# There are more processes than processors, because many tests wait: three for two, and four where tests run in real
+# time. They leave BLAS no threads to gain by. The second part runs even if the first one fails; then make fails, too.
 REAL_TIME := tests/system
 test: check $(VENV)/kernels
 	failed=0; \
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) \
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 3 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) \
 		--ignore tests/browser || failed=$$?; \
-	$(BIN)/pytest --numprocesses 2 --dist loadfile $(REAL_TIME) $(ARGS) || failed=$$?; \
+	$(BIN)/pytest --numprocesses 4 --dist loadfile $(REAL_TIME) $(ARGS) || failed=$$?; \
 	exit $$failed
 
 # Prepares the virtual machine, so that its tests begin at once.
@@ -35,7 +35,7 @@ vm: $(VENV)/installed
 vm-test: $(VENV)/installed
 	$(BIN)/python -m tests.vm.boot $(ARGS)
 
-# The whole of tests/system on the kernel's CAN, in user-mode Linux, without root: make vcan-test ARGS="tests/system -k reset"
+# The tests of tests/system that need the kernel's CAN, in user-mode Linux, without root: make vcan-test ARGS="tests/system -k reset"
 vcan-test: $(VENV)/installed
 	$(BIN)/python -m tests.uml.boot $(ARGS)
 
@@ -50,19 +50,19 @@ check: $(VENV)/installed
 	$(BIN)/lint-imports
 
 bench: $(VENV)/installed
-	$(BIN)/python -m tests.benchmarks.mapping
-	$(BIN)/python -m tests.benchmarks.search
-	$(BIN)/python -m tests.benchmarks.lines
-	$(BIN)/python -m tests.benchmarks.trajectories
-	$(BIN)/python -m tests.benchmarks.arms
-	$(BIN)/python -m tests.benchmarks.poses
-	$(BIN)/python -m tests.benchmarks.obstacles
-	$(BIN)/python -m tests.benchmarks.obstacle_transitions
-	$(BIN)/python -m tests.benchmarks.daemon
-	$(BIN)/python -m tests.benchmarks.real_time
-	$(BIN)/python -m tests.benchmarks.load
-	$(BIN)/python -m tests.benchmarks.floods
-	$(BIN)/python -m tests.benchmarks.steps
+	$(BIN)/python -m tests.benchmarks.workspace.mapping
+	$(BIN)/python -m tests.benchmarks.search.comparison
+	$(BIN)/python -m tests.benchmarks.motion.lines
+	$(BIN)/python -m tests.benchmarks.motion.trajectories
+	$(BIN)/python -m tests.benchmarks.arm.shipped
+	$(BIN)/python -m tests.benchmarks.search.poses
+	$(BIN)/python -m tests.benchmarks.search.obstacles
+	$(BIN)/python -m tests.benchmarks.motion.obstacle_transitions
+	$(BIN)/python -m tests.benchmarks.daemon.goal_latency
+	$(BIN)/python -m tests.benchmarks.daemon.real_time
+	$(BIN)/python -m tests.benchmarks.daemon.load
+	$(BIN)/python -m tests.benchmarks.daemon.floods
+	$(BIN)/python -m tests.benchmarks.motion.steps
 
 fuzz: $(VENV)/installed
 	$(BIN)/pip install --quiet --editable '.[fuzz]'

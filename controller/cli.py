@@ -5,7 +5,7 @@ A command's module is imported when the command runs: `hyperbit stop` must not w
 
 import importlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -75,7 +75,21 @@ class DeferredCommand(TyperCommand):
         single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
         function, epilog = getattr(module, self._entry.function), f"Example: {self._entry.example}"
         single.command(self.name, cls=QuickCommand, epilog=epilog, context_settings=WIDE)(function)
-        return typer.main.get_command(single).make_context(info_name, args, parent, **extra)
+        words = with_omitted_values(args, self._entry.omitted)
+        return typer.main.get_command(single).make_context(info_name, words, parent, **extra)
+
+
+def with_omitted_values(args: list[str], omitted: Mapping[str, str]) -> list[str]:
+    """Returns the arguments with values for options that have none: Typer has no options with an optional value.
+
+    Args:
+        args: arguments of a command.
+        omitted: values by option. A number that follows the option is its value.
+    """
+    return [
+        f"{arg}={omitted[arg]}" if arg in omitted and not "".join(args[k : k + 1]).isdecimal() else arg
+        for k, arg in enumerate(args, 1)
+    ]
 
 
 class Commands(TyperGroup):

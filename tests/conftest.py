@@ -30,9 +30,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Runs what opens a bus on each kind of bus, or on those that its mark names."""
     if "bus" in metafunc.fixturenames:
-        mark, only = metafunc.definition.get_closest_marker("buses"), metafunc.config.getoption("bus")
-        buses = mark.args if mark else BUSES
-        metafunc.parametrize("bus", [bus for bus in buses if only in (None, bus)], indirect=True)
+        only = metafunc.config.getoption("bus")
+        buses = [bus for bus in buses_of(metafunc.definition) if only in (None, bus)]
+        metafunc.parametrize("bus", buses, indirect=True)
+
+
+def buses_of(test: pytest.Item) -> tuple[str, ...]:
+    """Returns the kinds of bus that a test runs on: those of its mark, else all."""
+    mark = test.get_closest_marker("buses")
+    return mark.args if mark else BUSES
 
 
 @pytest.fixture(scope="session")

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from controller.arm.chain import build_frame, build_modules
 from controller.armfile.actuators import longest_travel, map_actuators
+from controller.armfile.places import placed_faults
 from controller.armfile.settings import ActuatorSettings, ArmSettings, read_settings
 from controller.armfile.strict import InputFaults
 from controller.manipulator.locked import STATES, LockedStates, lock_actuators, none_locked
 from controller.manipulator.manipulator import Manipulator
-from controller.obstacles.clearance import Clearance
+from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.notation import parse_obstacles
 from controller.obstacles.obstacles import NONE, Obstacles, together
 
@@ -53,9 +54,9 @@ class Arm:
         """The chain without the module states that the stuck actuators rule out."""
         return lock_actuators(self.manipulator, self.locked)
 
-    def clearance(self, manipulator: Manipulator | None = None, others: Obstacles = NONE) -> Clearance:
+    def clearance(self, manipulator: Manipulator | None = None, others: Obstacles = NONE) -> BodyClearance:
         """Returns the collision checks of the chain, or of a reduced one, against the file's obstacles and others."""
-        return Clearance(
+        return BodyClearance(
             manipulator or self.manipulator,
             together([self.obstacles, others]),
             self.settings.body_radius,
@@ -105,10 +106,11 @@ def load(path: Path) -> Arm:
     """Returns the arm that a YAML file describes.
 
     Raises:
-        InputFaults: the file is missing or wrong; one line per fault, each with the path of its field.
+        InputFaults: the file is missing or wrong; one line per fault, each with its line and the path of its field.
     """
-    settings, faults = read_settings(path)
-    return replace(build(settings, path, faults), path=path)
+    with placed_faults(path):
+        settings, faults = read_settings(path)
+        return replace(build(settings, path, faults), path=path)
 
 
 def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:

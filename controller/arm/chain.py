@@ -9,12 +9,12 @@ from controller.arm.tables import is_unit, read_table
 from controller.armfile.settings import (
     Diagonal,
     FrameSettings,
-    Legs,
     ModuleSettings,
     PlatformSettings,
     PrismaticSettings,
     RevoluteSettings,
     TransformsSettings,
+    VgtLengths,
     VgtSettings,
 )
 from controller.manipulator import frames
@@ -46,8 +46,12 @@ def build_modules(groups: Sequence[ModuleSettings], folder: Path, faults: list[s
                 own = build_platform(group, path, faults)
             case TransformsSettings():
                 own = build_transforms(group, path, folder, faults)
-        if own:
-            modules += [own[k % len(own)] for k in range(group.count)]
+        if not own:
+            continue
+        chain = [own[k % len(own)] for k in range(group.count)]
+        if isinstance(group, VgtSettings) and g > 0 and not isinstance(groups[g - 1], VgtSettings):
+            chain[0] = build_vgt(group, path, [], base_bar=True)[0]  # the module below has no bar there
+        modules += chain
     return modules
 
 
@@ -67,16 +71,16 @@ def build_frame(settings: FrameSettings, path: str, faults: list[str]) -> frames
     return frames.planar(position[0], position[1], angle)
 
 
-def build_vgt(group: VgtSettings, path: str, faults: list[str]) -> list[Module]:
+def build_vgt(group: VgtSettings, path: str, faults: list[str], *, base_bar: bool = False) -> list[Module]:
     """Returns the two kinds of truss that alternate; none if there are faults."""
-    legs = group.lengths if isinstance(group.lengths, Legs) else Legs(*[group.lengths] * 3)
+    legs = group.lengths if isinstance(group.lengths, VgtLengths) else VgtLengths(*[group.lengths] * 3)
     lengths = (legs.left, legs.diagonal, legs.right)
     for name, (contracted, extended) in zip(ACTUATORS, lengths, strict=True):
         if contracted >= extended:
             faults.append(f"{path}.lengths: {name} is {contracted:g} contracted, so not {extended:g} extended")
     order: list[Diagonal] = ["BC", "AD"] if group.first_diagonal == "BC" else ["AD", "BC"]
     try:
-        return [vgt(diagonal, group.width, *lengths) for diagonal in order]
+        return [vgt(diagonal, group.width, *lengths, base_bar=base_bar) for diagonal in order]
     except ValueError as error:
         faults.append(f"{path}.lengths: {error}")
         return []

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from controller.armfile.csv_files import check_states, read_states
 from controller.armfile.error_states import check_error_states
+from controller.armfile.places import placed_faults
 from controller.armfile.settings import (
     ActuatorSettings,
     ArmSettings,
@@ -33,13 +34,14 @@ def read_wired(path: Path) -> tuple[ArmSettings, tuple[str, ...], tuple[Actuator
     Raises:
         InputFaults: the file is missing or wrong in these parts, or maps no actuator; geometry is not checked.
     """
-    settings, faults = read_settings(path)
-    modules = actuator_names(settings.modules, path.parent, faults)
-    wiring = () if faults else map_actuators(settings, modules, faults)
-    if not faults and not wiring:
-        faults.append("actuators: none is mapped to a board, so there is nothing to run")
-    if faults:
-        raise InputFaults(path, faults)
+    with placed_faults(path):
+        settings, faults = read_settings(path)
+        modules = actuator_names(settings.modules, path.parent, faults)
+        wiring = () if faults else map_actuators(settings, modules, faults)
+        if not faults and not wiring:
+            faults.append("actuators: none is mapped to a board, so there is nothing to run")
+        if faults:
+            raise InputFaults(path, faults)
     return settings, labels(modules), wiring
 
 
@@ -166,7 +168,7 @@ def check_kinds(settings: ArmSettings, faults: list[str]) -> None:
         if entry.pulse is not None and on_loss == "contract":
             faults.append(
                 f"{field}: contract, but the outputs of actuator {entry.module}.{entry.actuator} are off between"
-                f" pulses, so it stays where it is; {path}.on_loss: hold is needed"
+                " pulses, so it stays where it is; this actuator needs its own on_loss: hold"
             )
 
 

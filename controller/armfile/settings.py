@@ -41,7 +41,7 @@ class FrameSettings(Struct, forbid_unknown_fields=True, frozen=True):
     orientation: float | Quaternion = 0.0
 
 
-class Legs(Struct, forbid_unknown_fields=True, frozen=True):
+class VgtLengths(Struct, forbid_unknown_fields=True, frozen=True):
     """Contracted and extended length of each actuator of a truss module."""
 
     left: Pair
@@ -53,7 +53,7 @@ class VgtSettings(Struct, tag_field="type", tag="vgt", forbid_unknown_fields=Tru
     """`count` truss modules of the paper's section 4; the diagonals alternate, beginning with `first_diagonal`."""
 
     width: Positive
-    lengths: Pair | Legs
+    lengths: Pair | VgtLengths
     count: Count = 1
     first_diagonal: Diagonal = "BC"
 

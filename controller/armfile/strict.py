@@ -1,6 +1,7 @@
 """Strict conversion of YAML and JSON values to msgspec structs; each fault is reported with the path of its field."""
 
 import math
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from types import UnionType
@@ -8,6 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get
 
 import msgspec
 from msgspec import Struct
+
+from controller.armfile.choices import must_be, number_hint, tags_of, unknown_field, values_of, wrong_choice
 
 if TYPE_CHECKING:
     import yaml
@@ -19,12 +22,24 @@ UNIT = 1e-3  # tolerance of a quaternion's length, because it may be written wit
 
 
 class InputFaults(ValueError):
-    """All faults of one file."""
+    """All faults of one file.
 
-    def __init__(self, path: Path, faults: list[str]) -> None:
-        """Stores the faults in printable form; the message has one line for each."""
+    Attributes:
+        faults: each fault in printable form, as "path: fault".
+        lines: line of the file for each fault, None where unknown; empty if no line was looked for.
+    """
+
+    def __init__(self, path: Path, faults: Sequence[str], lines: Sequence[int | None] = ()) -> None:
+        """Stores the faults; the message has one line for each."""
         self.faults = tuple(fault.encode("utf-8", "backslashreplace").decode() for fault in faults)
-        super().__init__("\n".join(f"{path}: {fault}" for fault in self.faults))
+        self.lines = tuple(lines)
+        super().__init__(fault_list(str(path), self.faults, self.lines))
+
+
+def fault_list(file: str, faults: Sequence[str], lines: Sequence[int | None] = ()) -> str:
+    """Returns a message with one line for each fault, such as "arm.yaml, line 12: modules[1].width: ..."."""
+    places = [file if line is None else f"{file}, line {line}" for line in lines] or [file] * len(faults)
+    return "\n".join(f"{place}: {fault}" for place, fault in zip(places, faults, strict=True))
 
 
 @cache
@@ -81,7 +96,9 @@ def parse_yaml(text: str, path: Path) -> Any:
     try:
         return yaml.load(text, build_loader())
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise InputFaults(path, [f"is not YAML: {' '.join(str(error).split())}"]) from None
+        mark = getattr(error, "problem_mark", None)
+        line = None if mark is None else mark.line + 1
+        raise InputFaults(path, [f"is not YAML: {' '.join(str(error).split())}"], [line]) from None
     except (LookupError, AttributeError):  # raised by PyYAML's constructors of tagged values, e.g. `!!bool maybe`
         raise InputFaults(path, ["is not YAML: a value does not suit its !!tag"]) from None
 
@@ -97,12 +114,18 @@ def check(value: Any, kind: type[S], faults: list[str]) -> S | None:
 def validate(value: Any, kind: Any, path: str, faults: list[str]) -> None:
     """Appends the faults of `value` against the type `kind`; structs, dicts and lists are checked part by part."""
     kind = union_member(value, kind)
+    tags = tags_of(kind) if isinstance(value, dict) else None
+    if tags is not None:
+        name, known_tags = tags
+        missing = f"required, but missing; {must_be(known_tags)}"
+        fault = wrong_choice(value[name], shown(value[name]), known_tags) if name in value else missing
+        faults.append(f"{join(path, name)}: {fault}")
+        return
     if isinstance(kind, type) and issubclass(kind, Struct) and isinstance(value, dict):
         hints = get_type_hints(kind, include_extras=True)
         config = kind.__struct_config__
         known = set(kind.__struct_encode_fields__) | ({config.tag_field} if config.tag_field else set())
-        options = ", ".join(sorted(known))
-        faults += [f"{join(path, name)}: unknown field; known are {options}" for name in value if name not in known]
+        faults += [f"{join(path, name)}: {unknown_field(name, known)}" for name in value if name not in known]
         required = [f for f in msgspec.structs.fields(kind) if f.required]
         faults += [f"{join(path, f.name)}: required, but missing" for f in required if f.name not in value]
         for name in kind.__struct_fields__:
@@ -124,12 +147,17 @@ def validate(value: Any, kind: Any, path: str, faults: list[str]) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         faults.append(f"{path}: {value} is not a finite number")
         return
+    choices = [each for each in values_of(kind) if isinstance(each, str)]
+    if choices and isinstance(value, str | bool) and not is_kind(value, kind):
+        faults.append(f"{path or 'file'}: {wrong_choice(value, shown(value), choices)}")
+        return
     try:
         msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
         text, _, inner = str(error).partition(" - at `$")
         inner = inner.rstrip("`") if inner else ""
-        faults.append(f"{(path + inner).lstrip('.') or 'file'}: {text} (given: {shown(value)})")
+        hint = "" if inner else number_hint(value, kind)
+        faults.append(f"{(path + inner).lstrip('.') or 'file'}: {text} (given: {shown(value)}){hint}")
     except UnicodeEncodeError:  # a lone surrogate, which JSON and YAML can contain
         faults.append(f"{path.lstrip('.') or 'file'}: a lone surrogate is no text (given: {shown(value)})")
 
@@ -150,6 +178,15 @@ def union_member(value: Any, kind: Any) -> Any:
         if lists:
             return lists[0]
     return kind
+
+
+def is_kind(value: Any, kind: Any) -> bool:
+    """Returns whether a scalar suits a type."""
+    try:
+        msgspec.convert(value, kind)
+    except (msgspec.ValidationError, UnicodeEncodeError):
+        return False
+    return True
 
 
 def element_type(kind: Any) -> Any:

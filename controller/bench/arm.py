@@ -13,7 +13,7 @@ from controller.arm import arm as config
 from controller.bench.goal_sets import arm_path, load_arm
 from controller.library import arm as library
 from controller.library.obstacles import KINDS, Obstacle
-from controller.obstacles.clearance import Clearance
+from controller.obstacles.clearance import BodyClearance
 from controller.workspace.cache import default_directory, load_or_map
 from controller.workspace.densities import Densities
 
@@ -88,7 +88,7 @@ class BenchArm:
         return load_arm(self.name)
 
     @cached_property
-    def clearance(self) -> Clearance:
+    def clearance(self) -> BodyClearance:
         """Collision checks of the arm."""
         return self.model.clearance()
 

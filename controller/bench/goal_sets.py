@@ -1,6 +1,7 @@
 """Goal sets: arms, start configurations, goals, and the proven minimum of switches for each goal.
 
-A set is a CSV file in `sets`; the arms are in `arms`. `tests/benchmarks/goal_sets.py` draws the goals and proves them.
+A set is a CSV file in `sets`; the arms are in `arms`. `tests/benchmarks/proofs/goal_sets.py` draws the goals and proves
+them.
 """
 
 import math

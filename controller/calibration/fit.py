@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.special import gammaincinv
 
 from controller.calibration.model import Array, Model
@@ -82,6 +81,8 @@ class LeastSquares:
         Raises:
             CannotFit: the least squares fail.
         """
+        from scipy.optimize import least_squares  # takes half a second to import
+
         weights = 1 / noise[self.kinds]
 
         def missed(x: Array) -> Array:

@@ -1,5 +1,7 @@
 """The table of commands: each command's module, summary and example, in the groups of `hyperbit --help`."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 
@@ -11,12 +13,14 @@ class CommandEntry(NamedTuple):
         function: name of its function in the module.
         summary: first line of the function's docstring.
         example: a call of the command.
+        omitted: values of options that may be given without one, by option.
     """
 
     module: str
     function: str
     summary: str
     example: str
+    omitted: Mapping[str, str] = MappingProxyType({})
 
 
 GROUPS = {
@@ -78,6 +82,12 @@ GROUPS = {
             "Replace the obstacles that were sent before; those of the arm's file remain. Nothing moves.",
             "hyperbit obstacles planar16 --none",
         ),
+        "fault": CommandEntry(
+            "use.fault",
+            "fault",
+            "Play a fault in the boards of a simulated arm, or end it; an arm with real boards refuses.",
+            "hyperbit fault planar16 silence can0/5",
+        ),
         "panel": CommandEntry(
             "use.panel",
             "panel",
@@ -103,6 +113,7 @@ GROUPS = {
             "run",
             "Run the daemon until SIGTERM: it takes goals over Zenoh and moves the arm by an executor.",
             "hyperbit run my-arm.yaml",
+            omitted={"--panel": "7480"},
         ),
         "execute": CommandEntry(
             "operate.execute",
@@ -133,7 +144,7 @@ GROUPS = {
         "check": CommandEntry(
             "configure.check",
             "check",
-            "Check an arm's file and name each fault by its field; --bus also reads the boards.",
+            "Check an arm's file, name each fault by its line, and sum the arm up; --bus also reads the boards.",
             "hyperbit check my-arm.yaml --bus",
         ),
         "probe": CommandEntry(

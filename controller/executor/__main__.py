@@ -1,11 +1,15 @@
 """The executor's process: `python -m controller.executor ARM.yaml --socket PATH`; see `hyperbit execute`."""
 
+from __future__ import annotations
+
 import argparse
 import contextlib
+import logging
 import secrets
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from controller.armfile.strict import InputFaults
 from controller.executor.core.arm import read_arm
@@ -20,6 +24,11 @@ from controller.executor.process.switch_journal import FileJournal, default_path
 from controller.flight_recorder import FlightRecorder, Label
 from controller.host.notify import Notifier
 from controller.host.sockets import socket_path
+
+if TYPE_CHECKING:
+    from controller.executor.process.embedded_boards import EmbeddedBoards
+
+log = logging.getLogger("executor")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -62,26 +71,31 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         OSError: socket or journal cannot be created.
     """
     arm = read_arm(file)
+    boards: EmbeddedBoards | None = None
     if simulate:  # the process of a real arm loads no simulation
-        from controller.executor.process.embedded_boards import simulated
+        from controller.executor.process.embedded_boards import simulated_boards
 
-        arm, simulation = simulated(arm, board)
+        boards = simulated_boards(arm, board)
     elif board:
         raise InputFaults(Path("--board"), ["the variant of a simulated board needs --simulate"])
     with contextlib.ExitStack() as closing:  # the log ends last
         closing.callback(start_logging(arm.name))
         notifier = Notifier()
-        path = journal or default_path(arm.name)
-        counts = FileJournal(path, arm.actuators, notifier.kept_file("switches"))
+        path = journal or default_path(arm.name, simulated=simulate)
+        kept = notifier.kept_file("simulated-switches" if simulate else "switches")
+        counts = FileJournal(path, arm.actuators, kept)
         closing.callback(counts.close)
         counts.start_copier()
         server = ExecutorServer(socket_path(socket, arm.name))
-        core = Executor(arm, counts, secrets.randbits(62), notifier.watchdog)
+        simulation = boards.simulation() if boards else None
+        core = Executor(arm, counts, secrets.randbits(62), notifier.watchdog, simulation)
         label = Label("executor", arm.name, arm.digest)
         recorder = closing.enter_context(FlightRecorder(label, path.parent, batch=MOST_PENDING))
         core.reports.real_time = enter_real_time(arm.real_time)
-        buses: Buses = simulation if simulate else CanBuses(arm.wiring.buses)
-        EventLoop(core, buses, server, notifier, recorder=recorder).run_until_signal()
+        buses: Buses = boards or CanBuses(arm.wiring.buses)
+        play_fault = boards.play_fault if boards else None
+        log.info("the boards of %s are %s", arm.name, "simulated in this process" if boards else "on CAN buses")
+        EventLoop(core, buses, server, notifier, recorder=recorder, play_fault=play_fault).run_until_signal()
 
 
 if __name__ == "__main__":

@@ -70,7 +70,7 @@ class FloodBrake:
 
 
 @dataclass(eq=False)
-class Known:
+class ArrivedGoal:
     """A goal that has arrived."""
 
     keys: list[bytes]  # by which it is recognized
@@ -88,7 +88,7 @@ class Known:
         self.replies.append(reply)
         self.reply()
 
-    def give(self, answer: Payload) -> None:
+    def store_answer(self, answer: Payload) -> None:
         """Stores the answer, and replies to all that wait."""
         self.answer, self.ended = answer, self.ended or not answer.get("accepted")
         self.reply()
@@ -113,9 +113,11 @@ class RepeatedGoals:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._forget_at = clock, -float("inf")
-        self._known: dict[bytes, Known] = {}
+        self._known: dict[bytes, ArrivedGoal] = {}
 
-    def submit(self, payload: bytes | None, number: bytes, reply: Reply, request: Callable[[Reply], object]) -> None:
+    def receive_goal(
+        self, payload: bytes | None, number: bytes, reply: Reply, request: Callable[[Reply], object]
+    ) -> None:
         """Requests a new goal, or repeats the answer to a known one. For any thread.
 
         Args:
@@ -127,13 +129,13 @@ class RepeatedGoals:
         keys = [b"number" + number[:64]] if number else []
         if payload is not None:
             keys.append(b"payload" + hashlib.blake2b(payload, digest_size=16).digest())
-        goal = Known(keys, self._clock())
+        goal = ArrivedGoal(keys, self._clock())
         goal.await_answer(reply)
         for key in keys:
             known = self._known.setdefault(key, goal)
             if known is not goal:  # `goal` may be known by its number already; it gets the same answer
                 known.at = self._clock()
-                known.await_answer(goal.give)
+                known.await_answer(goal.store_answer)
                 return
         try:
             request(partial(self._answered, goal))
@@ -149,10 +151,10 @@ class RepeatedGoals:
                 known.ended = True
                 self._forget_payload(known)
 
-    def _answered(self, goal: Known, answer: Payload) -> None:
+    def _answered(self, goal: ArrivedGoal, answer: Payload) -> None:
         """Gives an answer, and forgets goals that ended long ago, and the oldest ones above MOST."""
         goal.at = self._clock()
-        goal.give(answer)
+        goal.store_answer(answer)
         if goal.ended:
             self._forget_payload(goal)
         if goal.at >= self._forget_at:
@@ -163,7 +165,7 @@ class RepeatedGoals:
         for key in list(self._known)[:-MOST]:
             self._known.pop(key, None)
 
-    def _forget_payload(self, goal: Known) -> None:
+    def _forget_payload(self, goal: ArrivedGoal) -> None:
         for key in goal.keys:
             if key.startswith(b"payload") and self._known.get(key) is goal:
                 self._known.pop(key, None)

@@ -11,7 +11,7 @@ import zenoh
 from controller.network.session import LEASE
 
 GRACE = 0.5  # [s] for a token to reach all other sessions, also those that were opened a moment ago
-PATIENCE = LEASE + 2.0  # [s] until the tokens of a killed daemon, or of a lost host, disappear
+CLAIM_TIMEOUT = LEASE + 2.0  # [s] until the tokens of a killed daemon, or of a lost host, disappear
 ANSWER = 1.0  # [s] for a daemon to answer where it runs
 POLL = 0.1  # [s]
 
@@ -21,11 +21,15 @@ class AlreadyRunning(Exception):
 
 
 class Claimant(msgspec.Struct):
-    """The owner of a claim, as it answers; `serves` is false until it has looked for other claims."""
+    """The owner of a claim, as it answers; `serves` is false until it has looked for other claims.
+
+    `simulated`: whether its boards are simulated.
+    """
 
     host: str
     pid: int
     serves: bool = True
+    simulated: bool = False
 
 
 class Claim:
@@ -38,25 +42,25 @@ class Claim:
     its claim has reached the others. So of two daemons, at least one finds the other.
     """
 
-    def __init__(self, session: zenoh.Session, arm: str) -> None:
+    def __init__(self, session: zenoh.Session, arm: str, *, simulated: bool = False) -> None:
         self._session, self._arm, self._own = session, arm, str(session.zid())
-        self._claimant = Claimant(socket.gethostname(), os.getpid(), serves=False)
+        self._claimant = Claimant(socket.gethostname(), os.getpid(), serves=False, simulated=simulated)
         key = f"hyperbit/{arm}/@claim/{self._own}"
         self._queryable = session.declare_queryable(key, self._answer)  # before the token, which others then ask
         self._token = session.liveliness().declare_token(key)
         self._declared_at = time.monotonic()
 
-    def confirm(self, patience: float = PATIENCE) -> None:
+    def confirm(self, timeout: float = CLAIM_TIMEOUT) -> None:
         """Returns when this process may serve the arm, GRACE after its claim at the earliest.
 
         Args:
-            patience: how long a daemon that does not answer may keep its token [s].
+            timeout: how long a daemon that does not answer may keep its token [s].
 
         Raises:
             AlreadyRunning: another daemon serves the arm, or will.
         """
         time.sleep(max(self._declared_at + GRACE - time.monotonic(), 0.0))
-        until = time.monotonic() + patience
+        until = time.monotonic() + timeout
         while silent := self._silent_tokens():
             if time.monotonic() > until:
                 what = f"another daemon of the arm {self._arm!r} is in the network, and does not say where it runs"
@@ -86,7 +90,8 @@ class Claim:
             claimants = self._claimants(f"hyperbit/{self._arm}/arm" if other == "alive" else token)
             for who in claimants:
                 if who.serves or other < self._own:
-                    what = f"another daemon drives the arm {self._arm!r}: process {who.pid} on {who.host}"
+                    boards = ", with simulated boards" if who.simulated else ""
+                    what = f"another daemon drives the arm {self._arm!r}: process {who.pid} on {who.host}{boards}"
                     raise AlreadyRunning(f"{what}. End it, or rename this arm")
             if not claimants:
                 silent.append(token)

@@ -15,6 +15,7 @@ from pathlib import Path
 import zenoh
 
 from controller.arm.arm import Arm
+from controller.arm.warnings import file_warnings
 from controller.flight_recorder import FlightRecorder, Label
 from controller.gateway.arrivals import RepeatedGoals
 from controller.gateway.claim import Claim
@@ -61,7 +62,14 @@ class Daemon:
 
 @contextlib.contextmanager
 def running(
-    arm: Arm, densities: Densities, config: zenoh.Config, ledger: Path, socket: Path, digest: str
+    arm: Arm,
+    densities: Densities,
+    config: zenoh.Config,
+    ledger: Path,
+    socket: Path,
+    digest: str,
+    *,
+    simulated: bool,
 ) -> Iterator[Daemon]:
     """Serves an arm while the context lasts.
 
@@ -75,6 +83,7 @@ def running(
         ledger: path of the ledger.
         socket: path of the executor's socket.
         digest: SHA-256 of the arm's file, in hexadecimal.
+        simulated: whether the executor simulates the boards.
 
     Raises:
         zenoh.ZError: the session cannot be opened.
@@ -85,7 +94,7 @@ def running(
     with ExitStack() as closing:
         os.environ.setdefault("ZENOH_RUNTIME", RECEIVERS)
         session = closing.enter_context(zenoh.open(config))
-        claim = Claim(session, name)
+        claim = Claim(session, name, simulated=simulated)
         closing.callback(claim.close)
         book = Ledger(ledger, arm.manipulator.actuators, lambda entry: inbox.post(Recorded(entry)), daemon.fail)
         closing.callback(book.close)
@@ -99,8 +108,8 @@ def running(
         label = Label("planner", name, digest, arm.path.read_text() if arm.path is not None else "")
         constant = {"manipulator": arm.manipulator}
         recorder = closing.enter_context(FlightRecorder(label, ledger.absolute().parent, OPAQUE, constant, RECORDS))
-        link = ExecutorLink(socket, name, digest)
-        planner = closing.enter_context(planning(arm, densities, link, services, recorder))
+        link = ExecutorLink(socket, name, digest, simulated=simulated)
+        planner = closing.enter_context(planning(arm, densities, link, services, recorder, simulated=simulated))
         claim.confirm()
         server = Server(session, name, planner, outbox, goals, tracker=arm.settings.tracker is not None)
         closing.callback(server.close)
@@ -110,7 +119,9 @@ def running(
         closing.callback(gc.unfreeze)
         notifier.notify("READY=1")
         closing.callback(notifier.notify, "STOPPING=1")
-        log.info("serving the arm %s", name)
+        for warning in file_warnings(arm):
+            log.warning("%s", warning)
+        log.info("serving the arm %s%s", name, ", whose boards are simulated" if simulated else "")
         yield daemon
 
 

@@ -24,7 +24,7 @@ MOST_WAITING = 1_000  # messages in each lane
 POLL = 0.2  # [s] between two readings of the clock
 SENT_WITHIN = 0.05  # [s] after which a put has left the process; Zenoh tells nobody, nearly all have after 3 ms
 RECONNECTED = 5.0  # [s] after a standstill, or after the start; clients reconnect at least every 4 s
-COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles")
+COMMANDS = ("goal", "jog", "cancel", "stop", "reset", "degrade", "obstacles", "fault")
 PUBLISHED = {"result": zenoh.CongestionControl.BLOCK} | dict.fromkeys(
     ("feedback", "state", "diagnostics", "@request"), zenoh.CongestionControl.DROP
 )

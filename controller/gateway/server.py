@@ -64,6 +64,7 @@ class Server:
         self._command("jog")
         self._command("degrade")
         self._command("obstacles")
+        self._command("fault")
         self._query("plan")
         self._query("arm")
         mailboxes = planner.loop.mailboxes
@@ -162,7 +163,7 @@ class Way:
         arrival = Arrival(str(it.key_expr), content(it.payload), content(it.attachment), deliver, time.time())
         self._unanswered.add(arrival)
         try:
-            self._submit(arrival)
+            self._request(arrival)
         except Refusal as refusal:
             self._answer(arrival, refused(refusal))
         except Exception:
@@ -170,8 +171,8 @@ class Way:
             self._answer(arrival, refused(Refusal(Reason.INTERNAL_ERROR)))
         self._brake.slow_down()
 
-    def _submit(self, arrival: Arrival) -> None:
-        """Gives a request to the planner; raises Refusal if it is malformed, names no arm, or too many wait."""
+    def _request(self, arrival: Arrival) -> None:
+        """Queues a request for the planner; raises Refusal if it is malformed, names no arm, or too many wait."""
         self._check_named(arrival.name, named=self._reach == "named")
         if self._reach != "each arm" and len(self._unanswered) > MOST_UNANSWERED:
             raise Refusal(Reason.BUSY, most=MOST_UNANSWERED, what=f"requests on {self._key}")
@@ -182,7 +183,7 @@ class Way:
         if self._key == "goal" and isinstance(message, GoalMessage):
             identified = arrival.payload if message.id else None
             request = partial(self._planner.loop.request, self._key, message)
-            self._goals.submit(identified, arrival.number, reply, request)
+            self._goals.receive_goal(identified, arrival.number, reply, request)
         else:
             self._planner.loop.request(self._key, message, reply)
 
@@ -219,7 +220,7 @@ class Way:
 class Description(Way):
     """The way of queries on `arm`. Adds the parts that the planner's core does not know."""
 
-    def _submit(self, arrival: Arrival) -> None:
+    def _request(self, arrival: Arrival) -> None:
         parts = wanted(arrival.payload)
         static = self._planner.description(parts)
         self._planner.loop.request("arm", None, partial(self._describe, arrival, static, "running" in parts))

@@ -1,4 +1,4 @@
-"""Compiles the kernels of the demo and the daemon on all processors: python -m controller.host.kernels.
+"""Compiles the kernels of the demo, the daemon and the library on all processors: python -m controller.host.kernels.
 
 numba compiles a kernel when its module is imported, and stores the machine code in its cache. A single process that
 imports all modules takes minutes. Here a process of its own imports each module, after those that it depends on.
@@ -11,7 +11,10 @@ from pathlib import Path
 
 import controller
 
-ROOTS = ("controller.commands.operate.demo", "controller.commands.operate.run")
+ROOTS = (
+    *("controller.commands.operate.demo", "controller.commands.operate.run"),
+    *("controller.library.arm", "controller.library.solver", "controller.library.calibration"),
+)
 FOLDER = Path(controller.__file__).parent
 
 

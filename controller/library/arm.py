@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -16,12 +16,13 @@ from controller.armfile.settings import ArmSettings
 from controller.armfile.strict import InputFaults
 from controller.library.density import Density
 from controller.library.errors import ArmError, ConfigurationError, GoalError, LockError
-from controller.library.modules import Module, base_settings, checked
+from controller.library.modules import Module, base_settings, build, checked
 from controller.library.obstacles import Obstacle, obstacle_settings
 from controller.manipulator.locked import STATES, LockedStates, lock_actuators, transferred
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import format_configuration, parse_configuration
 from controller.workspace.cache import default_directory, load_or_map
+from controller.workspace.coverage import Coverage, coverage_of
 from controller.workspace.densities import Densities
 from controller.workspace.locked_reach import LockChoices, LockedReach, reach_when_locked
 from controller.workspace.orientations import Orientations, orientations_at
@@ -92,6 +93,22 @@ class Arm:
         self._arm = arm
         self._locked_states = arm.locked if locked_states is None else locked_states
         self._reduced = arm.reduced if locked_states is None else lock_actuators(arm.manipulator, locked_states)
+
+    def __repr__(self) -> str:
+        """Returns name, kind and size of the arm, and its locked actuators."""
+        kind = "planar" if self.dimension == 2 else "spatial"
+        locked = "".join(f", {label} {state}" for label, state in self.locked.items())
+        return f"Arm({self.name!r}: {kind}, {len(self.states)} modules, {len(self.actuators)} actuators{locked})"
+
+    def _repr_html_(self) -> str:
+        """Returns a picture of `home` for notebooks."""
+        from controller.library.plot import html
+
+        return html(repr(self), self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns what is pickled: all but the densities, which the cache folder has."""
+        return {name: value for name, value in vars(self).items() if name != "_densities"}
 
     @property
     def name(self) -> str:
@@ -180,7 +197,11 @@ class Arm:
         Raises:
             ConfigurationError: the arm has no such configuration.
         """
-        return self._whole.tips([self.parse(row) for row in np.atleast_2d(np.asarray(configurations))])
+        rows, states = np.atleast_2d(np.asarray(configurations)), self._whole.states
+        valid = rows.ndim == 2 and rows.shape[1] == len(states) and np.issubdtype(rows.dtype, np.integer)
+        if not valid or ((rows < 0) | (rows >= states)).any():
+            rows = np.array([self.parse(row) for row in rows])  # names the wrong row, or reads text
+        return self._whole.tips(rows)
 
     def position(self, configuration: ArrayLike | str) -> Array:
         """Returns the tip's position in the world, shape (dimension,), of a configuration (B,).
@@ -242,6 +263,21 @@ class Arm:
     def density(self) -> Density:
         """Returns the density of the tip's positions; locked actuators are respected."""
         return Density(self._densities, self._reduced)
+
+    def coverage(self, radius: float | None = None, *, seed: int = 0) -> Coverage:
+        """Returns area or volume within a radius of the tips, and redundancy over it; locked actuators are respected.
+
+        Args:
+            radius: greatest distance of the tip from a covered position; the arm's tolerance if None.
+            seed: seed of the random positions.
+
+        Raises:
+            GoalError: the radius is not positive.
+        """
+        own = self.tolerance if radius is None else radius
+        if not 0 < own < np.inf:
+            raise GoalError(f"a radius above 0 is needed, got {radius!r}")
+        return coverage_of(self._reduced, self._densities, own, seed=seed)
 
     def orientations(self, point: ArrayLike, radius: float | None = None, *, seed: int = 0) -> Orientations:
         """Returns the density of orientations at a point; locked actuators are respected.
@@ -311,16 +347,4 @@ def load(path: str | Path) -> Arm:
     try:
         return Arm._of(config.load(Path(path)))
     except InputFaults as error:
-        raise ArmError(error.faults, str(path)) from None
-
-
-def build(settings: ArmSettings, path: Path) -> config.Arm:
-    """Builds the arm of a file's fields.
-
-    Raises:
-        ArmError: the fields are wrong.
-    """
-    try:
-        return config.build(settings, path, [])
-    except InputFaults as error:
-        raise ArmError(error.faults, str(path)) from None
+        raise ArmError(error.faults, str(path), error.lines) from None

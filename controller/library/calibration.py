@@ -11,9 +11,9 @@ from controller.armfile.settings import ArmSettings
 from controller.calibration.calibration import Calibration, calibrated
 from controller.calibration.fit import CannotFit
 from controller.calibration.samples import Samples
-from controller.library.arm import Arm, build
+from controller.library.arm import Arm
 from controller.library.errors import CalibrationError
-from controller.library.modules import checked
+from controller.library.modules import build, checked
 
 
 class Fitted(NamedTuple):

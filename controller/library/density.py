@@ -36,6 +36,11 @@ class Density:
         self.pixel = float(densities.pixels[0])
         self._to_base = inverse(manipulator.base)
 
+    def __repr__(self) -> str:
+        """Returns the number of configurations and the pixels."""
+        size = " x ".join(map(str, self.log_counts.shape[::-1]))
+        return f"Density(10^{self.total / np.log(10):.1f} configurations, {size} pixels of {self.pixel:.4g})"
+
     @cached_property
     def total(self) -> float:
         """Natural logarithm of the number of all configurations."""

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 
+from controller.armfile.strict import fault_list
 
-class Error(Exception):
-    """Base class of all exceptions that the library documents."""
+
+class Error(ValueError):
+    """Base class of all exceptions that the library documents; each is a `ValueError`, too."""
 
 
 class ArmError(Error):
@@ -12,12 +14,13 @@ class ArmError(Error):
 
     Attributes:
         faults: one sentence for each fault, with the path of the field.
+        lines: line of the arm's file for each fault, None where unknown; empty if the arm was not read from a file.
     """
 
-    def __init__(self, faults: Sequence[str], where: str = "") -> None:
+    def __init__(self, faults: Sequence[str], where: str = "", lines: Sequence[int | None] = ()) -> None:
         """Creates the exception; its message has one line for each fault."""
-        self.faults = tuple(faults)
-        super().__init__("\n".join(f"{where}: {fault}" if where else fault for fault in self.faults))
+        self.faults, self.lines = tuple(faults), tuple(lines)
+        super().__init__(fault_list(where, self.faults, self.lines) if where else "\n".join(self.faults))
 
 
 class ConfigurationError(Error):

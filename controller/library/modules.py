@@ -1,13 +1,16 @@
 """Modules for arms built in code. Each function returns an entry of `modules` of an arm's file."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike
 
+from controller.arm import arm as config
 from controller.armfile.settings import (
+    ArmSettings,
     Diagonal,
     FrameSettings,
     ModuleSettings,
@@ -17,7 +20,7 @@ from controller.armfile.settings import (
     TransformsSettings,
     VgtSettings,
 )
-from controller.armfile.strict import check
+from controller.armfile.strict import InputFaults, check
 from controller.library.errors import ArmError
 from controller.manipulator import frames
 
@@ -180,3 +183,15 @@ def in_plane(frame: frames.Frame) -> bool:
 def base_settings(base: ArrayLike | None) -> FrameSettings:
     """Returns the base of an arm: a position (2,) or (3,), or a frame (4, 4); the origin if None."""
     return checked(FrameSettings, placement((0.0, 0.0) if base is None else base), "base")
+
+
+def build(settings: ArmSettings, path: Path) -> config.Arm:
+    """Builds the arm of a file's fields.
+
+    Raises:
+        ArmError: the fields are wrong.
+    """
+    try:
+        return config.build(settings, path, [])
+    except InputFaults as error:
+        raise ArmError(error.faults, str(path)) from None

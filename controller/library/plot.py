@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Mapping, Sequence
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +34,7 @@ def plot(
     targets: ArrayLike = (),
     title: str | None = None,
     unit: str = "m",
+    density: bool = True,
 ) -> Figure:
     """Returns a matplotlib figure: the arm in the world, over the density of its tips if it is planar.
 
@@ -42,6 +46,7 @@ def plot(
         targets: further positions, drawn as crosses, shape (n, dimension).
         title: title of the picture; None: the arm's name.
         unit: unit of length, for the axes.
+        density: whether to draw the density of a planar arm.
 
     Raises:
         ObstacleError: an obstacle is invalid, or has another dimension than the arm.
@@ -62,9 +67,17 @@ def plot(
     regions = together([arm._arm.obstacles, build_obstacles(obstacles, arm.dimension)])
     subplot = plots.Subplot(arm.name if title is None else title, given, targets, curve)
     if arm.dimension == 2:
-        return plots.figure(arm._whole, arm._densities, [subplot], unit, regions)
+        return plots.figure(arm._whole, arm._densities if density else None, [subplot], unit, regions)
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.6, 6.2), layout="constrained")
     plots.draw_spatial(figure.add_subplot(projection="3d"), arm._whole, subplot, unit, regions)
     return figure
+
+
+def html(text: str, arm: Arm, obstacles: Sequence[Obstacle] = ()) -> str:
+    """Returns HTML for notebooks: a text over a picture of the arm's `home`, without density."""
+    picture = io.BytesIO()
+    plot(arm, {"home": arm.home}, obstacles=obstacles, density=False).savefig(picture, dpi=60, format="png")
+    data = base64.b64encode(picture.getvalue()).decode()
+    return f'<p><code>{escape(text)}</code></p><img alt="{escape(arm.name)}" src="data:image/png;base64,{data}">'

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from queue import SimpleQueue
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +28,7 @@ from controller.search import solver as search
 from controller.search.method import METHODS, MINIMUM_SWITCH, Method
 from controller.search.solution import Certificate, Solution
 
-DEADLINE, PATH_DEADLINE = search.TIMEOUT, WHOLE_TIME
+GOAL_DEADLINE, PATH_DEADLINE = search.TIMEOUT, WHOLE_TIME
 
 Start: TypeAlias = "ArrayLike | Solution | Path | None"  # a configuration may be text
 
@@ -95,6 +98,22 @@ class Solver:
         valid = np.isfinite(self._weights) & (self._weights > 0)
         if self._weights.shape != arm.weights.shape or not valid.all():
             raise GoalError(f"weights: {len(arm.actuators)} positive numbers are needed, one an actuator")
+        self._others = list[search.Solver]()
+
+    def __repr__(self) -> str:
+        """Returns the arm and the solver's own obstacles."""
+        own = "".join(f", {obstacle!r}" for obstacle in self.obstacles)
+        return f"Solver({self.arm!r}{own})"
+
+    def _repr_html_(self) -> str:
+        """Returns a picture of the arm among the obstacles for notebooks."""
+        from controller.library.plot import html
+
+        return html(repr(self), self.arm, self.obstacles)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns what is pickled: all but the tables, which the first search builds again."""
+        return {name: value for name, value in vars(self).items() if name != "_search"} | {"_others": []}
 
     def solve(
         self,
@@ -102,7 +121,7 @@ class Solver:
         start: Start = None,
         *,
         method: Method = MINIMUM_SWITCH,
-        deadline: float = DEADLINE,
+        deadline: float = GOAL_DEADLINE,
     ) -> Solution:
         """Returns a configuration for a goal. If the goal is out of reach, returns the nearest configuration found.
 
@@ -117,15 +136,47 @@ class Solver:
             GoalError: the goal has another dimension than the arm, or the method or the deadline is invalid.
             ConfigurationError: the start is no configuration of the arm.
         """
-        if method not in METHODS:
-            raise GoalError(f"no method {method!r}; there are {', '.join(METHODS)}")
-        if not 0 < deadline < math.inf:
-            raise GoalError(f"deadline: a positive number of seconds is needed, got {deadline!r}")
-        asked = self._with_tolerances(goal)
-        before = self._start(start)
-        target = self._search.target(asked.target, asked.tolerance, asked.angle_tolerance)
-        found = self._search.solve(target, before, method, timeout=deadline)
-        return self._whole(found)
+        check_search(method, deadline=deadline)
+        return self._solve(self._search, self._with_tolerances(goal), self._start(start), method, deadline)
+
+    def solve_many(
+        self,
+        goals: Sequence[Goal | ArrayLike],
+        start: Start = None,
+        *,
+        method: Method = MINIMUM_SWITCH,
+        deadline: float = GOAL_DEADLINE,
+    ) -> list[Solution]:
+        """Returns a configuration for each goal, all from the same start, in the order of the goals.
+
+        The goals are searched in threads, one for each processor core: the kernels run without Python's lock. Solutions
+        are those of `solve`, if the searches end before their deadlines.
+
+        Args:
+            goals: goals, or positions of shape (dimension,).
+            start: see solve.
+            method: one of `METHODS`.
+            deadline: see solve; of each goal.
+
+        Raises:
+            GoalError: see solve.
+            ConfigurationError: the start is no configuration of the arm.
+        """
+        check_search(method, deadline=deadline)
+        asked, before = [self._with_tolerances(goal) for goal in goals], self._start(start)
+        idle, count = SimpleQueue[search.Solver](), min(len(os.sched_getaffinity(0)), len(asked))
+        for searcher in self._searches(count):
+            idle.put(searcher)
+
+        def solved(goal: ToleratedGoal) -> Solution:
+            searcher = idle.get()
+            try:
+                return self._solve(searcher, goal, before, method, deadline)
+            finally:
+                idle.put(searcher)
+
+        with ThreadPoolExecutor(max(count, 1)) as pool:
+            return list(pool.map(solved, asked))
 
     def follow(
         self,
@@ -134,7 +185,7 @@ class Solver:
         *,
         path_tolerance: float | None = None,
         method: Method = MINIMUM_SWITCH,
-        deadline: float = DEADLINE,
+        deadline: float = GOAL_DEADLINE,
         path_deadline: float = PATH_DEADLINE,
     ) -> Path:
         """Returns a path through goals.
@@ -155,13 +206,9 @@ class Solver:
             ConfigurationError: the start is no configuration of the arm.
             PathError: a goal is out of reach, or an obstacle blocks the path.
         """
-        if method not in METHODS:
-            raise GoalError(f"no method {method!r}; there are {', '.join(METHODS)}")
+        check_search(method, deadline=deadline, path_deadline=path_deadline)
         if not 1 <= len(goals) <= MOST_POINTS:
             raise GoalError(f"1 to {MOST_POINTS} goals are needed, got {len(goals)}")
-        for name, value in (("deadline", deadline), ("path_deadline", path_deadline)):
-            if not 0 < value < math.inf:
-                raise GoalError(f"{name}: a positive number of seconds is needed, got {value!r}")
         asked = [self._with_tolerances(goal) for goal in goals]
         before, pace = self._start(start), pace_of(self.arm._arm.settings)
         try:
@@ -191,6 +238,20 @@ class Solver:
         solver.prepare()
         return solver
 
+    def _searches(self, count: int) -> list[search.Solver]:
+        """Returns searches that may run at the same time; they share tables."""
+        while len(self._others) < count - 1:
+            other = self._search.another()
+            other.prepare()
+            self._others.append(other)
+        return [self._search, *self._others][:count]
+
+    def _solve(
+        self, searcher: search.Solver, asked: ToleratedGoal, before: Configuration, method: Method, deadline: float
+    ) -> Solution:
+        target = searcher.target(asked.target, asked.tolerance, asked.angle_tolerance)
+        return self._whole(searcher.solve(target, before, method, timeout=deadline))
+
     def _with_tolerances(self, goal: Goal | ArrayLike) -> ToleratedGoal:
         return with_tolerances(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
 
@@ -219,3 +280,16 @@ class Solver:
     def _whole(self, found: Solution) -> Solution:
         """Returns a solution with its configuration in the numbering of the whole arm."""
         return replace(found, configuration=self.arm._to_whole(found.configuration))
+
+
+def check_search(method: str, **deadlines: float) -> None:
+    """Checks the method and the deadlines of a search, by the names of the arguments.
+
+    Raises:
+        GoalError: there is no such method, or a deadline is not positive.
+    """
+    if method not in METHODS:
+        raise GoalError(f"no method {method!r}; there are {', '.join(METHODS)}")
+    for name, value in deadlines.items():
+        if not 0 < value < math.inf:
+            raise GoalError(f"{name}: a positive number of seconds is needed, got {value!r}")

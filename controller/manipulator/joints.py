@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.displacement_rates import joint_rates
 from controller.manipulator.frames import Frame, spatial, turned
@@ -20,13 +20,13 @@ def revolute(axis: ArrayLike, angles: Sequence[float], link: Frame) -> Module:
     """Returns a joint that turns about an axis (3,) to one of K angles [rad], followed by a link (4, 4)."""
     unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     radius = float(np.linalg.norm(np.cross(unit, link[:3, 3])))
-    return joint(lambda angle: turned(axis, angle), angles, link, radius, 1.0)
+    return joint(partial(turned, axis), angles, link, radius, 1.0)
 
 
 def prismatic(axis: ArrayLike, lengths: Sequence[float], link: Frame) -> Module:
     """Returns a joint that slides along an axis (3,) to one of K lengths, followed by a link (4, 4)."""
     unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
-    return joint(lambda length: spatial(length * unit), lengths, link, 1.0, 0.0)
+    return joint(partial(slid, unit), lengths, link, 1.0, 0.0)
 
 
 def joint(position: Callable[[float], Frame], values: Sequence[float], link: Frame, move: float, turn: float) -> Module:
@@ -41,10 +41,23 @@ def joint(position: Callable[[float], Frame], values: Sequence[float], link: Fra
     """
     stack, bits = np.array([position(value) for value in values]) @ link, gray_code(len(values))
     flat = bool((stack[:, 2] == [0.0, 0.0, 1.0, 0.0]).all())
-
-    def motion(displacements: Array) -> tuple[Frame, Array]:
-        frames = np.array([position(value) for value in shares(bits, displacements) @ values]) @ link
-        return frames, lines(frames)
-
+    motion = partial(joint_motion, position, np.array(values, dtype=float), link, bits)
     rates = partial(joint_rates, bits, np.array(values, dtype=float), move, turn)
     return spelled(stack, bits, planar=flat, motion=motion, rates=rates)
+
+
+def slid(unit: Array, length: float) -> Frame:
+    """Returns the frame (4, 4) slid by a length along a unit vector (3,)."""
+    return spatial(length * unit)
+
+
+def joint_motion(
+    position: Callable[[float], Frame],
+    values: Array,
+    link: Frame,
+    bits: NDArray[np.uint8],
+    displacements: Array,
+) -> tuple[Frame, Array]:
+    """Returns frames and bodies of a joint in mid-travel, see Module.motion; for the arguments see joint."""
+    frames = np.array([position(value) for value in shares(bits, displacements) @ values]) @ link
+    return frames, lines(frames)

@@ -65,11 +65,7 @@ class Manipulator:
 
     def tips(self, configurations: ArrayLike) -> Frame:
         """Returns the tip frames (n, 4, 4) of configurations (n, B)."""
-        chosen = np.asarray(configurations, dtype=np.int64)
-        tip = np.tile(self.base, (len(chosen), 1, 1))
-        for i in range(len(self.modules)):
-            tip = tip @ self.frames[i, chosen[:, i]]
-        return np.asarray(tip)
+        return np.asarray(tips(self.base, self.frames, np.ascontiguousarray(configurations, dtype=np.int64)))
 
     def tip(self, configuration: ArrayLike) -> Frame:
         """Returns the tip frame (4, 4) of one configuration (B,)."""
@@ -159,3 +155,15 @@ def tip(base: Frame, frames: Frame, configuration: Configuration) -> Frame:
                 following[a, b] = total
         frame, following = following, frame
     return frame
+
+
+@njit("f8[:,:,::1](f8[:,::1], f8[:,:,:,::1], i8[:,::1])", cache=True, nogil=True, boundscheck=True)
+def tips(base: Frame, frames: Frame, configurations: NDArray[np.int64]) -> Frame:
+    """Returns the tip frames (n, 4, 4) of configurations (n, B), see tip."""
+    result = np.empty((len(configurations), 4, 4))
+    for n in range(len(configurations)):
+        frame = tip(base, frames, configurations[n])
+        for a in range(4):
+            for b in range(4):
+                result[n, a, b] = frame[a, b]
+    return result

@@ -11,6 +11,7 @@ which one the plate continues.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -183,13 +184,19 @@ def platform(base: ArrayLike, top: ArrayLike, lengths: tuple[float, float]) -> M
     stack = np.array(frames)
     stack[:, :3, 3] *= size
 
-    def motion(displacements: Array) -> tuple[Frame, Array]:
-        there = legs.track(middle, (lengths[0] + displacements * (lengths[1] - lengths[0])) / size)
-        bodies = np.array([legs.body(frame) for frame in there]) * size
-        there[:, :3, 3] *= size
-        return there, bodies
-
+    motion = partial(platform_motion, legs, middle, lengths)
     return Module(stack, bits, names, drawn, planar=len(legs.free) == 3, motion=motion)
+
+
+def platform_motion(
+    legs: Legs, middle: Frame, lengths: tuple[float, float], displacements: Array
+) -> tuple[Frame, Array]:
+    """Returns frames and bodies of a platform in mid-travel, see Module.motion; `middle` is its middle pose (4, 4)."""
+    size = (lengths[0] + lengths[1]) / 2
+    there = legs.track(middle, (lengths[0] + displacements * (lengths[1] - lengths[0])) / size)
+    bodies = np.array([legs.body(frame) for frame in there]) * size
+    there[:, :3, 3] *= size
+    return there, bodies
 
 
 def legs_of(base: ArrayLike, top: ArrayLike, size: float) -> Legs:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -18,60 +19,88 @@ Lengths = tuple[float, float]
 ACTUATORS = ("left", "diagonal", "right")
 
 
-def vgt(diagonal: Diagonal, width: float, left: Lengths, middle: Lengths, right: Lengths) -> Module:
-    """Returns a truss module with base nodes A, B and top nodes C, D, where |AB| = |CD| = `width`.
+@dataclass(frozen=True, eq=False)
+class Truss:
+    """The geometry of a truss module with base nodes A, B and top nodes C, D, where |AB| = |CD| = `width`.
+
+    Attributes:
+        diagonal: "BC" (odd modules of the paper) or "AD" (even modules).
+        width: width of base and top.
+        legs: contracted and extended length of the leg AC, the diagonal and the leg BD, shape (3, 2).
+        base_bar: whether the body includes the bar AB. In a chain of trusses AB is the bar CD of the module below.
+    """
+
+    diagonal: Diagonal
+    width: float
+    legs: Array
+    base_bar: bool
+
+    def motion(self, displacements: Array) -> tuple[Frame, Array]:
+        """Returns frames and bodies in mid-travel, see Module.motion."""
+        return self.assemble((self.legs[:, 0] + displacements * (self.legs[:, 1] - self.legs[:, 0])).tolist())
+
+    def rates(self, fixed: Array, moving: NDArray[np.int64]) -> Array:
+        """Returns proven bounds in mid-travel, see Module.rates."""
+        legs = self.legs
+        ranges = legs[:, 0, None] + np.repeat(fixed[:, None], 2, axis=1) * (legs[:, 1] - legs[:, 0])[:, None]
+        ranges[moving] = legs[moving]
+        order = [0, 1, 2] if self.diagonal == "BC" else [2, 1, 0]
+        first, middle, second = ranges[order]
+        bounds = truss_rates(first, middle, second, self.width)[order]
+        return np.asarray(bounds[moving] * abs(legs[moving, 1] - legs[moving, 0])[:, None])
+
+    def assemble(self, lengths: Iterable[tuple[float, float, float]]) -> tuple[Frame, Array]:
+        """Returns frames (n, 4, 4) and bodies (n, L, 2, 3) for lengths of left leg, diagonal and right leg.
+
+        Raises:
+            ValueError: the two triangles of a state do not close.
+        """
+        states = [self.assemble_state(*three) for three in lengths]
+        return np.array([frame for frame, _ in states]), np.array([body for _, body in states])
+
+    def assemble_state(self, ac: float, across: float, bd: float) -> tuple[Frame, Array]:
+        """Returns the frame (4, 4) and body (L, 2, 3) for the lengths of left leg, diagonal and right leg.
+
+        Raises:
+            ValueError: the two triangles do not close.
+        """
+        width = self.width
+        a, b = np.array([-width / 2, 0.0]), np.array([width / 2, 0.0])
+        try:
+            if self.diagonal == "BC":
+                c = apex(a, b, ac, across)
+                d = apex(c, b, width, bd)
+            else:
+                d = apex(a, b, across, bd)
+                c = apex(a, d, ac, width)
+        except ValueError as error:
+            raise ValueError(f"legs {ac:g} and {bd:g}, diagonal {across:g}, width {width:g}: {error}") from None
+        x, y = (c + d) / 2
+        brace = (b, c) if self.diagonal == "BC" else (a, d)
+        bars = [(a, c), brace, (b, d), (c, d), *([(a, b)] if self.base_bar else [])]
+        body = [[(*p, 0.0), (*q, 0.0)] for p, q in bars]
+        return planar(x, y, math.atan2(d[1] - c[1], d[0] - c[0])), np.array(body)
+
+
+def vgt(
+    diagonal: Diagonal, width: float, left: Lengths, middle: Lengths, right: Lengths, *, base_bar: bool = False
+) -> Module:
+    """Returns a truss module, see Truss.
 
     Args:
-        diagonal: "BC" (odd modules of the paper) or "AD" (even modules).
+        diagonal: "BC" or "AD".
         width: width of base and top.
         left: contracted and extended length of the leg AC.
         middle: contracted and extended length of the diagonal.
         right: contracted and extended length of the leg BD.
+        base_bar: whether the body includes the bar AB.
 
     Raises:
         ValueError: the two triangles of a state do not close.
     """
-    legs = np.array([left, middle, right])
-
-    def assembly(lengths: Iterable[tuple[float, float, float]]) -> tuple[Frame, Array]:
-        states = [assembled(diagonal, width, *three) for three in lengths]
-        return np.array([frame for frame, _ in states]), np.array([body for _, body in states])
-
-    def motion(displacements: Array) -> tuple[Frame, Array]:
-        return assembly((legs[:, 0] + displacements * (legs[:, 1] - legs[:, 0])).tolist())
-
-    def rates(fixed: Array, moving: NDArray[np.int64]) -> Array:
-        ranges = legs[:, 0, None] + np.repeat(fixed[:, None], 2, axis=1) * (legs[:, 1] - legs[:, 0])[:, None]
-        ranges[moving] = legs[moving]
-        order = [0, 1, 2] if diagonal == "BC" else [2, 1, 0]
-        first, middle, second = ranges[order]
-        bounds = truss_rates(first, middle, second, width)[order]
-        return np.asarray(bounds[moving] * abs(legs[moving, 1] - legs[moving, 0])[:, None])
-
-    frames, body = assembly(product(left, middle, right))
-    return Module(frames, binary_code(8), ACTUATORS, body, planar=True, motion=motion, rates=rates)
-
-
-def assembled(diagonal: Diagonal, width: float, ac: float, across: float, bd: float) -> tuple[Frame, Array]:
-    """Returns the frame (4, 4) and body (4, 2, 3) of a truss from the lengths of left leg, diagonal and right leg.
-
-    Raises:
-        ValueError: the two triangles do not close.
-    """
-    a, b = np.array([-width / 2, 0.0]), np.array([width / 2, 0.0])
-    try:
-        if diagonal == "BC":
-            c = apex(a, b, ac, across)
-            d = apex(c, b, width, bd)
-        else:
-            d = apex(a, b, across, bd)
-            c = apex(a, d, ac, width)
-    except ValueError as error:
-        raise ValueError(f"legs {ac:g} and {bd:g}, diagonal {across:g}, width {width:g}: {error}") from None
-    x, y = (c + d) / 2
-    brace = (b, c) if diagonal == "BC" else (a, d)
-    body = [[(*p, 0.0), (*q, 0.0)] for p, q in ((a, c), brace, (b, d), (c, d))]
-    return planar(x, y, math.atan2(d[1] - c[1], d[0] - c[0])), np.array(body)
+    truss = Truss(diagonal, width, np.array([left, middle, right]), base_bar)
+    frames, body = truss.assemble(product(left, middle, right))
+    return Module(frames, binary_code(8), ACTUATORS, body, planar=True, motion=truss.motion, rates=truss.rates)
 
 
 def apex(p: Point, q: Point, from_p: float, from_q: float) -> Point:

@@ -147,9 +147,40 @@ def along(
         Refusal: a line is too fast, or the lines are too long, for the path tolerance.
     """
     lengths, durations = np.linalg.norm(np.diff(positions, axis=0), axis=1), np.diff(times)
+    parts = parts_of_lines(lengths, durations, path_tolerance, pace)
+    lines = list(zip(times, positions, durations, np.diff(positions, axis=0), parts.astype(int), strict=False))
+    steps = np.append(lengths / parts, 0.0)
+    return Trajectory(
+        stamp,
+        np.concatenate([t + duration * np.arange(n) / n for t, _, duration, _, n in lines] + [times[-1:]]),
+        np.concatenate([p + np.outer(middles(n), way) for _, p, _, way, n in lines] + [positions[-1:]]),
+        np.concatenate(
+            [
+                [min(tolerance, path_tolerance - step), *[path_tolerance - step / 2] * (n - 1)]
+                for step, n in zip(steps, [*parts.astype(int), 1], strict=True)
+            ]
+        ),
+        *unoriented(int(parts.sum()) + 1),
+        np.concatenate([[0], np.cumsum(parts)]).astype(np.int64),
+        path_tolerance,
+    )
+
+
+def parts_of_lines(lengths: Array, durations: Array, path_tolerance: float, pace: Pace) -> Array:
+    """Returns the number of parts into which each line is divided, shape (m - 1,).
+
+    Args:
+        lengths: of the lines, shape (m - 1,).
+        durations: of the lines, shape (m - 1,) [s].
+        path_tolerance: greatest distance of the tip from the moving target.
+        pace: of the transitions.
+
+    Raises:
+        Refusal: a line is too fast, or the lines are too long, for the path tolerance.
+    """
     fewest = count_parts(lengths, path_tolerance / COARSEST)
     if fewest.sum() + 1 > MOST_POINTS:
-        least = COARSEST * lengths.sum() / max(MOST_POINTS - len(times), 1)
+        least = COARSEST * lengths.sum() / max(MOST_POINTS - len(lengths) - 1, 1)
         raise Refusal(
             Reason.TOO_MANY_POINTS,
             tolerance=path_tolerance,
@@ -171,24 +202,7 @@ def along(
         )
     finest = count_parts(lengths, path_tolerance / FINEST)
     parts = np.clip(np.floor(durations / pace.unhurried + 1e-9), fewest, finest)
-    if parts.sum() + 1 > MOST_POINTS:
-        parts = fewest
-    lines = list(zip(times, positions, durations, np.diff(positions, axis=0), parts.astype(int), strict=False))
-    steps = np.append(lengths / parts, 0.0)
-    return Trajectory(
-        stamp,
-        np.concatenate([t + duration * np.arange(n) / n for t, _, duration, _, n in lines] + [times[-1:]]),
-        np.concatenate([p + np.outer(middles(n), way) for _, p, _, way, n in lines] + [positions[-1:]]),
-        np.concatenate(
-            [
-                [min(tolerance, path_tolerance - step), *[path_tolerance - step / 2] * (n - 1)]
-                for step, n in zip(steps, [*parts.astype(int), 1], strict=True)
-            ]
-        ),
-        *unoriented(int(parts.sum()) + 1),
-        np.concatenate([[0], np.cumsum(parts)]).astype(np.int64),
-        path_tolerance,
-    )
+    return fewest if parts.sum() + 1 > MOST_POINTS else parts
 
 
 def count_parts(lengths: Array, longest: float) -> Array:

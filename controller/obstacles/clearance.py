@@ -13,7 +13,7 @@ from controller.obstacles.obstacles import Obstacles
 ROUNDING = 1e-7
 
 
-class Clearance:
+class BodyClearance:
     """The bodies of an arm among obstacles. A body is a module's line segments, thickened by a radius.
 
     Attributes:

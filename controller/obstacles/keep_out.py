@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.obstacles.clearance import Clearance
+from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.obstacles import NONE, Obstacles
 from controller.obstacles.sweep import sweep_of
 
@@ -27,7 +27,7 @@ class KeepOutSet:
         sent: the obstacles that were sent, without those of the arm's file.
     """
 
-    clearance: Clearance
+    clearance: BodyClearance
     sent: Obstacles = NONE
     _known: dict[bytes, str | None] = field(init=False, default_factory=dict)
 

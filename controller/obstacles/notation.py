@@ -26,7 +26,7 @@ def parse_obstacles(listed: Sequence[ObstacleSettings], dimension: int, path: st
         where = f"{path}[{k}]"
         names = [other.name for other in listed[:k]]
         if entry.name is not None and entry.name in names:
-            faults.append(f"{where}.name: {entry.name!r} is {path}[{names.index(entry.name)}]'s already")
+            faults.append(f"{where}.name: {entry.name!r} is the name of another obstacle already")
         if (part := parse_obstacle(entry, dimension, where, faults)) is not None:
             parts.append(part)
     return together(parts)

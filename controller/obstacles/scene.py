@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from controller.manipulator.frame_kernels import compose
 from controller.manipulator.kernel_types import F2, F3, I1, UNCOUNTED, named
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.clearance import Clearance
+from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.collision import ARM_BODIES, WORLD_BODIES, ArmBodies, WorldBodies, first_touch
 from controller.obstacles.distance import SURROUNDINGS, Surroundings
 
@@ -51,7 +51,7 @@ def for_scenes(signature: Callable[[Any], Any]) -> list[Any]:
     return [signature(types.none), signature(SCENE)]
 
 
-def scene_of(manipulator: Manipulator, clearance: Clearance | None) -> Scene | None:
+def scene_of(manipulator: Manipulator, clearance: BodyClearance | None) -> Scene | None:
     """Returns the scene of an arm, or None if it has nothing to avoid."""
     if clearance is None or clearance.free:
         return None

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.obstacles.clearance import Clearance, balls
+from controller.obstacles.clearance import BodyClearance, balls
 from controller.obstacles.displacements import displacements_of
 from controller.obstacles.distance import Array, Index
 from controller.obstacles.swept_check import CLEAR, COLLIDING, Chains, Switching, swept_check
@@ -39,7 +39,7 @@ class Sweep:
         clearance: bodies and obstacles of the arm.
     """
 
-    def __init__(self, clearance: Clearance) -> None:
+    def __init__(self, clearance: BodyClearance) -> None:
         self._clearance, arm = clearance, clearance.manipulator
         self._arm = arm
         counts = [len(module.actuators) for module in arm.modules]
@@ -78,7 +78,7 @@ class Sweep:
         return np.column_stack([known[states[:, a:b] @ self._flags[a:b]] for known, a, b in parts])
 
     def describe(self, collision: Collision) -> str:
-        """Returns a collision as a sentence, as Clearance.where has it."""
+        """Returns a collision as a sentence, as BodyClearance.where has it."""
         if collision.obstacle >= 0:
             return f"module {collision.module + 1} is in {self._clearance.obstacles.names[collision.obstacle]}"
         if collision.other >= 0:
@@ -161,7 +161,7 @@ def cut(middles: Array, half_widths: Array, axes: Index) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=16)
-def sweep_of(clearance: Clearance) -> Sweep:
+def sweep_of(clearance: BodyClearance) -> Sweep:
     """Returns the cached sweep of a clearance."""
     return Sweep(clearance)
 

@@ -6,8 +6,9 @@ import contextlib
 import hashlib
 import json
 import re
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import zenoh
 from starlette.applications import Starlette
@@ -20,16 +21,20 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from controller.panel import requests
-from controller.panel.access import LASTS, Access, Person, TooManyWrong
+from controller.panel.access import Access
 from controller.panel.arm_page import ArmPage, Flood, RequestThreads, encoded
 from controller.panel.arm_view import ArmView
 from controller.panel.arms import Arms, valid
 from controller.panel.metrics import endpoint
 from controller.panel.pages import Page
-from controller.panel.shield import Shield, TooLarge, policy
+from controller.panel.people import Person
+from controller.panel.places import Place, Places
+from controller.panel.sessions import LASTS
+from controller.panel.shield import LOCAL, Shield, TooLarge, policy
+from controller.panel.wrong_tokens import WrongTokens
 
 STATIC = Path(__file__).parent / "static"
-MOST_PAGES = 100
+SESSION_EVERY = 1.0  # [s] between two checks that the session of an open page goes on
 NO_LOGIN, TOO_MANY, BAD = 4401, 4429, 4400  # close codes of the WebSocket
 
 
@@ -44,7 +49,7 @@ class PanelServer:
         access: checks who may view and command.
         prefix: prefix of all Zenoh keys.
         secure: whether the page is served over TLS.
-        local: whether the page is served on the loopback interface.
+        hosts: names that are accepted as host; None: any.
     """
 
     def __init__(
@@ -54,11 +59,11 @@ class PanelServer:
         *,
         prefix: str = "hyperbit",
         secure: bool = False,
-        local: bool = True,
+        hosts: Sequence[str] | None = LOCAL,
     ) -> None:
         self._open_session, self._access, self._prefix, self._secure = open_session, access, prefix, secure
         self._cookie = "__Host-hyperbit" if secure else "hyperbit"
-        self._pages = 0
+        self._places, self._wrong = Places(), WrongTokens()
         self._arms: Arms | None = None
         self._threads = RequestThreads()
         routes = [
@@ -75,7 +80,7 @@ class PanelServer:
         ]
         handlers = {HTTPException: refuse, TooLarge: too_large}
         inner = Starlette(routes=routes, lifespan=self._lifespan, exception_handlers=handlers)
-        self.app: ASGIApp = Shield(inner, policy(inline_scripts()), secure=secure, local=local)
+        self.app: ASGIApp = Shield(inner, policy(inline_scripts()), secure=secure, hosts=hosts)
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
@@ -122,11 +127,10 @@ class PanelServer:
         """Answers the metrics of all arms in Prometheus' format, to people and to programs with a bearer token."""
         if self._person(request) is None:
             kind, _, token = request.headers.get("authorization", "").partition(" ")
-            try:
-                person = self._access.bearer(token) if kind.lower() == "bearer" else None
-            except TooManyWrong:
-                raise HTTPException(429, "Too many wrong tokens were sent: wait a minute.") from None
-            if person is None:
+            if kind.lower() != "bearer":
+                raise HTTPException(401, "Log in first, or send a bearer token.", {"www-authenticate": "Bearer"})
+            if self._access.bearer(token) is None:
+                await self._delay(request)
                 raise HTTPException(401, "Log in first, or send a bearer token.", {"www-authenticate": "Bearer"})
         return endpoint(self.arms.known, self.arms.counters)(request)
 
@@ -145,16 +149,14 @@ class PanelServer:
             return JSONResponse({"accepted": False, "message": str(error)}, status_code=503)
 
     async def _enter(self, request: Request) -> Response:
-        """Sets a cookie in exchange for a token."""
+        """Begins a session in exchange for a token, and sets its cookie."""
         try:
             token = json.loads(await request.body())["token"]
         except (ValueError, KeyError, TypeError, RecursionError):
             raise HTTPException(400, 'An object with "token" is needed.') from None
-        try:
-            cookie = self._access.enter(token) if isinstance(token, str) else None
-        except TooManyWrong:
-            raise HTTPException(429, "Too many wrong tokens were sent: wait a minute.") from None
+        cookie = self._access.enter(token) if isinstance(token, str) else None
         if cookie is None:
+            await self._delay(request)
             raise HTTPException(403, "This token is nobody's.")
         person = self._access.person(cookie)
         response = JSONResponse({"name": person.name if person else "", "role": person.role if person else ""})
@@ -164,10 +166,15 @@ class PanelServer:
         return response
 
     async def _leave(self, request: Request) -> Response:
-        """Deletes the cookie."""
+        """Ends the session, and deletes its cookie."""
+        self._access.leave(request.cookies.get(self._cookie))
         response = Response(status_code=204)
         response.delete_cookie(self._cookie, httponly=True, samesite="strict", secure=self._secure)
         return response
+
+    async def _delay(self, request: Request) -> None:
+        """Delays the answer to a wrong token."""
+        await asyncio.sleep(self._wrong.delay(address_of(request)))
 
     # --- the WebSocket of a page
 
@@ -178,24 +185,32 @@ class PanelServer:
         if person is None:
             await socket.close(NO_LOGIN, "log in first")
             return
-        page = Page(person)
-        view = self.arms.open(page, name) if self._pages < MOST_PAGES and (name is None or valid(name)) else None
-        if self._pages >= MOST_PAGES or (name is not None and view is None):
-            await socket.close(TOO_MANY, "too many pages are open, or there is no such arm")
+        page, place = Page(person), Place(person, address_of(socket))
+        if (refusal := self._places.refusal(place)) is not None:
+            await socket.close(TOO_MANY, refusal)
             return
-        self._pages += 1
+        view = self.arms.open(page, name) if name is None or valid(name) else None
+        if name is not None and view is None:
+            await socket.close(TOO_MANY, "too many arms are known, or there is no such arm")
+            return
+        self._places.take_place(place)
         page.offer("you", encoded({"section": "you", "name": person.name, "role": person.role, "page": page.number}))
         sender = asyncio.create_task(page.send_updates(lambda data: socket.send_text(data.decode())))
         receiver = asyncio.create_task(self._receive(socket, view, page))
         try:
-            await asyncio.wait([sender, receiver], return_when=asyncio.FIRST_COMPLETED)
+            done = set[asyncio.Task[Any]]()
+            while not done and self._person(socket) is not None:
+                done, _ = await asyncio.wait(
+                    [sender, receiver], timeout=SESSION_EVERY, return_when=asyncio.FIRST_COMPLETED
+                )
         finally:
-            self._pages -= 1
+            self._places.free_place(place)
             self.arms.shut(page, view)
             for task in (sender, receiver):
                 task.cancel()  # has no effect on a task that has ended
-        ended = receiver.done() and not receiver.cancelled() and receiver.exception() is None
-        code = receiver.result() if ended else TOO_MANY
+        code = TOO_MANY if done else NO_LOGIN
+        if receiver in done and receiver.exception() is None:
+            code = receiver.result()
         with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # already closed
             await socket.close(code)
 
@@ -207,6 +222,8 @@ class PanelServer:
             if message["type"] == "websocket.disconnect":
                 return 1000
             text = message.get("text")
+            if self._person(socket) is None:
+                return NO_LOGIN
             if arm_page is None or text is None:
                 return BAD
             try:
@@ -215,6 +232,11 @@ class PanelServer:
                 arm_page.refuse(0, str(error))
             except Flood:
                 return TOO_MANY
+
+
+def address_of(connection: HTTPConnection) -> str:
+    """Returns the IP address of the other end of a connection; "" if it has none."""
+    return connection.client.host if connection.client else ""
 
 
 def inline_scripts() -> str:

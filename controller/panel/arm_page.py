@@ -16,6 +16,7 @@ from controller.panel.arm_view import ArmView
 from controller.panel.pages import Page, RateLimit
 from controller.panel.requests import (
     CancelRequest,
+    FaultRequest,
     FreeRequest,
     GoalFileRequest,
     GoalRequest,
@@ -141,6 +142,8 @@ class ArmPage:
                 return await self._command("degrade", {"actuator": actuator, "state": at})
             case ObstaclesRequest(regions=regions):
                 return await self._command("obstacles", {"regions": regions})
+            case FaultRequest(fault=fault):
+                return await self._command("fault", {"fault": fault})
             case GoalRequest(goal=goal):
                 named = {**goal, "id": f"{self._page.person.name}-{secrets.token_hex(3)}"}
                 answer = await self._command("goal", named)

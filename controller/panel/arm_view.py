@@ -19,9 +19,11 @@ log = logging.getLogger(__name__)
 Message = dict[str, Any]
 
 ASK_AGAIN = 2.0  # [s] after an arm did not answer
+SILENT = 5.0  # [s] without a state, after which an arm without liveliness token counts as gone
 SHOWN = (  # of the payload of `arm`
     *("name", "version", "dimension", "length", "base", "actuators", "states", "tolerance", "travel_time", "rest_time"),
     *("inrush", "method", "on_stop", "on_loss", "obstacles", "sent_obstacles", "body_radius", "limits", "daemon"),
+    *("simulated", "simulation"),
 )
 
 
@@ -50,7 +52,7 @@ class ArmView:
         self.background: tuple[str, bytes] | None = None
         self.state: Message | None = None
         self.diagnostics: Message | None = None
-        self._loop, self._heard = loop, -math.inf
+        self._loop, self._heard, self._liveliness = loop, -math.inf, time.monotonic()
         self._sections: dict[str, bytes] = {}
         self._arm: Message = {}
         self._positions: tuple[Any, ...] = ()
@@ -61,6 +63,15 @@ class ArmView:
     def actuators(self) -> list[str]:
         """Labels of the actuators; empty until the daemon has described the arm."""
         return list(self._arm.get("actuators") or ())
+
+    @property
+    def present(self) -> bool:
+        """Whether the arm is there, or a page shows it."""
+        return self.alive or bool(self.pages) or time.monotonic() - self._heard < SILENT
+
+    def silence(self, now: float) -> float:
+        """Returns the time since the last sign of the daemon [s]: a state, or a change of its liveliness."""
+        return now - max(self._heard, self._liveliness)
 
     def cancel_request(self) -> None:
         """Cancels the request under way."""
@@ -84,7 +95,7 @@ class ArmView:
 
     def publish(self, section: str, content: Message) -> None:
         """Sends a section to all pages, if its content has changed."""
-        data = msgspec.json.encode({"section": section, **content}, enc_hook=str)
+        data = msgspec.json.encode({**content, "section": section}, enc_hook=str)
         if self._sections.get(section) == data:
             return
         self._sections[section] = data
@@ -106,6 +117,7 @@ class ArmView:
             "age": self._age(now),
             "mode": state.get("mode"),
             "reason": state.get("reason"),
+            "simulated": state.get("simulated") is True,
         }
 
     def publish_presence(self, now: float) -> None:
@@ -125,7 +137,7 @@ class ArmView:
         if alive != self.alive:
             self.history.say("the daemon is there" if alive else "the daemon is gone", "note" if alive else "fault")
             self.publish_history()
-        self.alive, self.known = alive, True
+        self.alive, self.known, self._liveliness = alive, True, time.monotonic()
         if alive:  # this may be another daemon, with another arm's file
             self._ask("drawing", "density", "running")
         self.publish_presence(time.monotonic())
@@ -133,12 +145,14 @@ class ArmView:
     def hear_state(self, data: bytes, at: float) -> None:
         """Accepts a payload of `state` that arrived at time `at` [s]."""
         state: Message = msgspec.json.decode(data, type=dict[str, Any])
-        before, self.state, self._heard, self.known = self.state, state, at, True
-        if before is None or any(state.get(name) != before.get(name) for name in ("goal", "obstacles")):
-            self._ask("running", *(() if self.drawing else ("drawing", "density")))
-        if self.history.state(state):
-            self.publish_history()
         faults = [{**fault, "advice": advice(str(fault.get("code")))} for fault in state.get("faults", ())]
+        changed = self.history.state(state)
+        before, self.state, self._heard, self.known = self.state, state, at, True  # the state can be read
+        described = ("goal", "obstacles", "mode")  # on a change of these, the description has changed as well
+        if before is None or any(state.get(name) != before.get(name) for name in described):
+            self._ask("running", *(() if self.drawing else ("drawing", "density")))
+        if changed:
+            self.publish_history()
         shown = {name: value for name, value in state.items() if name != "stamp"}
         self.publish("state", {**shown, "faults": faults, "error": target_distance(state)})
         self._draw(state)
@@ -153,8 +167,8 @@ class ArmView:
             self.history.request(payload)
         elif key == "diagnostics":
             self.diagnostics = payload
-            self.history.diagnostics(payload)
             self.publish("diagnostics", payload)
+            self.history.diagnostics(payload)
         elif key == "timeline":
             self._heard = time.monotonic()  # a paused replay publishes no state
             self.publish("timeline", payload)

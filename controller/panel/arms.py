@@ -19,7 +19,9 @@ log = logging.getLogger(__name__)
 
 TICK = 0.05  # [s] between two updates from the received states
 PRESENCE_EVERY = 0.5  # [s] between two updates of presence, and of arms that no page shows
-MOST_ARMS = 256
+MOST_ARMS = 256  # further arms take the places of arms that are gone
+MOST_ALIVE = 10_000  # names of daemons that are there, of which some may have no place yet
+GONE_SHOWN = 600.0  # [s] for which an arm that is gone stays in the list
 MOST_PENDING = 1000  # messages that wait for the loop; further messages are dropped
 MOST_MESSAGE = 16_000_000  # bytes
 KEYS = ("feedback", "result", "diagnostics", "request", "timeline")
@@ -43,6 +45,7 @@ class Arms:
         self._session, self._prefix = session, prefix
         self._loop = asyncio.get_running_loop()
         self._pages: set[Page] = set()
+        self._alive = set[str]()  # names whose liveliness token exists
         self._latest: dict[str, tuple[bytes, float]] = {}  # unprocessed states with times of arrival [s]
         self._pending, self._lock = 0, threading.Lock()
         liveliness = session.liveliness()
@@ -82,7 +85,7 @@ class Arms:
         if view is not None:
             view.shut(page)
             if not view.known and not view.pages:
-                del self.views[view.name]  # no arm has this name
+                self._drop(view)  # no arm has this name
 
     # --- called by Zenoh's threads
 
@@ -126,10 +129,26 @@ class Arms:
     def _view(self, name: str) -> ArmView | None:
         """Returns the data of an arm, created if it is new; None if there are too many arms."""
         if name not in self.views:
-            if len(self.views) >= MOST_ARMS or not valid(name):
+            if not valid(name) or (len(self.views) >= MOST_ARMS and not self._drop_longest_gone()):
                 return None
-            self.views[name] = ArmView(name, Client(self._session, name, prefix=self._prefix), self._loop)
+            view = self.views[name] = ArmView(name, Client(self._session, name, prefix=self._prefix), self._loop)
+            if name in self._alive:
+                view.hear_alive(True)
         return self.views[name]
+
+    def _drop(self, view: ArmView) -> None:
+        """Drops the data of an arm."""
+        view.cancel_request()
+        self.counters.drop_arm(view.name)
+        del self.views[view.name]
+
+    def _drop_longest_gone(self) -> bool:
+        """Drops the arm that is gone for the longest time; returns whether there was one."""
+        now = time.monotonic()
+        gone = [view for view in self.views.values() if not view.present]
+        if gone:
+            self._drop(max(gone, key=lambda view: view.silence(now)))
+        return bool(gone)
 
     def _on_payload(self, name: str, key: str, data: bytes) -> None:
         if (view := self._view(name)) is None:
@@ -139,15 +158,29 @@ class Arms:
         except (msgspec.MsgspecError, RecursionError):
             log.warning("arm %s: a message on %s is not JSON", name, key)
             return
+        try:
+            self._accept(view, key, message)
+        except Exception:
+            log.exception("arm %s: a message on %s cannot be read", name, key)
+
+    def _accept(self, view: ArmView, key: str, message: dict[str, Any]) -> None:
+        """Accepts a decoded message of an arm."""
         if key == "result" and message.get("repeated") and view.history.has_result(message.get("id")):
             return
         if key == "result":
-            self.counters.result(name, message)
+            self.counters.result(view.name, message)
         view.hear(key, message)
 
     def _on_liveliness(self, name: str, alive: bool) -> None:
-        if (view := self._view(name)) is not None:
-            view.hear_alive(alive)
+        known = self.views.get(name)
+        if not alive:
+            self._alive.discard(name)
+        elif len(self._alive) < MOST_ALIVE:
+            self._alive.add(name)
+        if known is not None:
+            known.hear_alive(alive)
+        elif alive:
+            self._view(name)
 
     async def _run(self) -> None:
         presence = 0.0
@@ -165,7 +198,9 @@ class Arms:
                     except Exception:
                         log.exception("arm %s: a state cannot be read", name)
             if due:
-                for view in self.views.values():
+                for view in list(self.views.values()):
+                    if not view.present and view.silence(now) > GONE_SHOWN:
+                        self._drop(view)
                     view.publish_presence(now)
                 if self._pages:
                     listed = self._list()

@@ -65,6 +65,13 @@ class Counters:
             count(self.faults, arm, code)
         self._active[arm] = now
 
+    def drop_arm(self, arm: str) -> None:
+        """Drops the counts of an arm."""
+        self._active.pop(arm, None)
+        for counts in (self.goals, self.faults):
+            for key in [key for key in counts if key[0] == arm]:
+                del counts[key]
+
 
 def endpoint(arms: Callable[[], Iterable[Seen]], counters: Counters) -> Callable[[Request], Response]:
     """Returns the endpoint of GET /metrics.
@@ -108,6 +115,7 @@ def figures(arms: Iterable[Seen], counters: Counters) -> list[Metric]:
 def of_states(arms: Iterable[Seen]) -> list[Metric]:
     """Returns the metrics of `state` and liveliness."""
     alive = GaugeMetricFamily("hyperbit_alive", "Whether the arm's daemon is there.", labels=["arm"])
+    simulated = GaugeMetricFamily("hyperbit_simulated", "Whether the arm's boards are simulated.", labels=["arm"])
     mode = GaugeMetricFamily("hyperbit_mode", "1 for the mode that the arm is in.", labels=["arm", "mode"])
     active = GaugeMetricFamily("hyperbit_fault_active", "1 for each active fault.", labels=["arm", "code", "source"])
     locked = GaugeMetricFamily("hyperbit_actuators_locked", "Actuators that are locked.", labels=["arm"])
@@ -115,12 +123,13 @@ def of_states(arms: Iterable[Seen]) -> list[Metric]:
         alive.add_metric([arm.name], float(arm.alive))
         if (state := arm.state) is None:
             continue
+        simulated.add_metric([arm.name], float(state.get("simulated") is True))
         for name in MODES:
             mode.add_metric([arm.name, name], float(state.get("mode") == name))
         for labels in {(str(it.get("code")), str(it.get("source"))) for it in mappings(state.get("faults"))}:
             active.add_metric([arm.name, *labels], 1.0)
         locked.add_metric([arm.name], len(mappings(state.get("degraded"))))
-    return [alive, mode, active, locked]
+    return [alive, simulated, mode, active, locked]
 
 
 def of_diagnostics(arms: Iterable[Seen]) -> list[Metric]:

@@ -57,6 +57,12 @@ class ObstaclesRequest(NumberedRequest, tag="obstacles"):
     regions: Annotated[list[Any], Meta(max_length=1000)]
 
 
+class FaultRequest(NumberedRequest, tag="fault"):
+    """Play a fault in the boards of a simulated arm."""
+
+    fault: Annotated[str, Meta(min_length=1, max_length=200)]
+
+
 class PlanRequest(NumberedRequest, tag="plan"):
     """Plan a goal without running it."""
 
@@ -85,7 +91,9 @@ class SeekRequest(NumberedRequest, tag="seek"):
 
 UrgentRequest = StopRequest | CancelRequest
 FreeRequest = UrgentRequest | TakeControlRequest | ReleaseControlRequest | PlanRequest | GoalFileRequest | SeekRequest
-ControlRequest = ResetRequest | JogRequest | LockRequest | ObstaclesRequest | GoalRequest  # need control
+ControlRequest = (  # need control
+    ResetRequest | JogRequest | LockRequest | ObstaclesRequest | FaultRequest | GoalRequest
+)
 PageRequest = FreeRequest | ControlRequest
 
 _decoder = msgspec.json.Decoder(PageRequest)

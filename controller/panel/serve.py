@@ -1,9 +1,11 @@
 """The page's web server: address, TLS, people, and uvicorn."""
 
 import asyncio
+import errno
 import ipaddress
 import json
 import signal
+import socket
 import ssl
 import sys
 from collections.abc import Sequence
@@ -12,17 +14,20 @@ from typing import Any, NamedTuple
 
 import uvicorn
 import zenoh
-from uvicorn.protocols.http.h11_impl import H11Protocol
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from controller.armfile.strict import InputFaults
 from controller.host.notify import Notifier
 from controller.network import session
-from controller.panel.access import Access, PersonEntry, cookie_key, digest_of, new_token, read_people
+from controller.panel.access import Access
 from controller.panel.app import PanelServer
+from controller.panel.http import CertifiedWebSocket, GuardedHttp
+from controller.panel.people import PersonEntry, digest_of, new_token, read_people
 from controller.panel.requests import MOST_BYTES
+from controller.panel.sessions import sessions_file
+from controller.panel.shield import LOCAL
 
 MOST_CONNECTIONS = 500
+BACKLOG = 1024  # connections that wait to be accepted
 WATCHDOG_EVERY = 2.0  # [s]
 
 
@@ -42,10 +47,18 @@ class Address(NamedTuple):
         except ValueError:
             return False
 
+    @property
+    def hosts(self) -> tuple[str, ...] | None:
+        """Names that requests may have as their host; None: any. Foreign names may be resolved to this computer."""
+        return (*LOCAL, self._bracketed) if self.local else None
+
+    @property
+    def _bracketed(self) -> str:
+        return f"[{self.host}]" if ":" in self.host else self.host
+
     def written(self, port: int, *, secure: bool) -> str:
         """Returns the URL of the page."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"{'https' if secure else 'http'}://{host}:{port}/"
+        return f"{'https' if secure else 'http'}://{self._bracketed}:{port}/"
 
 
 class Tls(NamedTuple):
@@ -66,6 +79,27 @@ def parse_address(text: str) -> Address:
     if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:
         raise InputFaults(Path("--listen"), [f"{text!r}: HOST:PORT is needed, such as 127.0.0.1:7480"])
     return Address(host.strip("[]"), int(port))
+
+
+def listening(address: Address) -> list[socket.socket]:
+    """Returns sockets that listen at an address: one for each IP address of its host.
+
+    Raises:
+        OSError: the address is in use, or is none of this computer.
+    """
+    sockets, port = list[socket.socket](), address.port
+    failed: OSError | None = None
+    for family, _, _, _, target in socket.getaddrinfo(address.host, port, type=socket.SOCK_STREAM):
+        try:
+            sockets.append(socket.create_server((str(target[0]), port), family=family, backlog=BACKLOG))
+            port = sockets[0].getsockname()[1]  # one port for all, also if the system chooses it
+        except OSError as error:  # IPv6 may be switched off
+            failed = error if failed is None or error.errno == errno.EADDRINUSE else failed
+    if failed is not None and (not sockets or failed.errno == errno.EADDRINUSE):
+        for opened in sockets:
+            opened.close()
+        raise failed
+    return sockets
 
 
 def zenoh_configuration(endpoints: Sequence[str], file: Path | None) -> zenoh.Config:
@@ -106,12 +140,15 @@ def serve(address: Address, tls: Tls | None, people: Path | None, config: zenoh.
         needed = "other computers can connect, so TLS is needed: give --certificate and --key"
         raise InputFaults(Path("--listen"), [f"{address.host}: {needed}"])
     listed, tokens = read_or_make_people(people)
-    access = Access(listed, cookie_key())
-    panel = PanelServer(lambda: zenoh.open(config), access, prefix=prefix, secure=tls is not None, local=address.local)
-    asyncio.run(_serve(panel, address, tls, tokens))
+    sockets = listening(address)
+    access = Access(listed, sessions_file())
+    panel = PanelServer(lambda: zenoh.open(config), access, prefix=prefix, secure=tls is not None, hosts=address.hosts)
+    asyncio.run(_serve(panel, address, tls, tokens, sockets))
 
 
-async def _serve(panel: PanelServer, address: Address, tls: Tls | None, tokens: dict[str, str]) -> None:
+async def _serve(
+    panel: PanelServer, address: Address, tls: Tls | None, tokens: dict[str, str], sockets: list[socket.socket]
+) -> None:
     options: dict[str, Any] = {}
     if tls is not None:
         options = {"ssl_certfile": tls.certificate, "ssl_keyfile": tls.key}
@@ -120,10 +157,8 @@ async def _serve(panel: PanelServer, address: Address, tls: Tls | None, tokens: 
     server = uvicorn.Server(
         uvicorn.Config(
             panel.app,
-            host=address.host,
-            port=address.port,
             loop="asyncio",
-            http=CertifiedHttp,
+            http=GuardedHttp,
             ws=CertifiedWebSocket,
             ws_max_size=MOST_BYTES,
             ws_per_message_deflate=False,
@@ -141,7 +176,7 @@ async def _serve(panel: PanelServer, address: Address, tls: Tls | None, tokens: 
     announced = asyncio.create_task(_announce(server, address, tls is not None, tokens))
     for number in (signal.SIGTERM, signal.SIGINT):  # uvicorn raises the signal again after its end
         signal.signal(number, lambda *_: None)
-    await server.serve()
+    await server.serve(sockets)
     announced.cancel()
 
 
@@ -161,29 +196,3 @@ async def _announce(server: uvicorn.Server, address: Address, secure: bool, toke
     while True:
         notifier.notify("WATCHDOG=1")
         await asyncio.sleep(WATCHDOG_EVERY)
-
-
-def common_name(transport: Any) -> str | None:
-    """Returns the common name of a connection's client certificate; None if there is none."""
-    connection = transport.get_extra_info("ssl_object")
-    certificate = (connection.getpeercert() if connection is not None else None) or {}
-    names = [value for part in certificate.get("subject", ()) for key, value in part if key == "commonName"]
-    return str(names[0]) if len(names) == 1 else None
-
-
-class CertifiedHttp(H11Protocol):
-    """HTTP whose connections carry the common name of the client certificate."""
-
-    def connection_made(self, transport: Any) -> None:
-        """Stores the certificate's common name."""
-        super().connection_made(transport)
-        self.app_state = {**self.app_state, "certificate": common_name(transport)}
-
-
-class CertifiedWebSocket(WebSocketsSansIOProtocol):
-    """A WebSocket whose connections carry the common name of the client certificate."""
-
-    def connection_made(self, transport: Any) -> None:
-        """Stores the certificate's common name."""
-        super().connection_made(transport)
-        self.app_state = {**self.app_state, "certificate": common_name(transport)}

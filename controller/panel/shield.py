@@ -1,6 +1,7 @@
 """Refuses foreign hosts, foreign origins and large bodies, and sets security headers."""
 
 import asyncio
+from collections.abc import Sequence
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
@@ -27,12 +28,11 @@ class Shield:
         app: the application behind the shield.
         csp: content security policy.
         secure: whether the page is served over TLS.
-        local: whether the page is served on the loopback interface. Then only loopback names are accepted as host,
-            which prevents DNS rebinding.
+        hosts: names that are accepted as host, which prevents DNS rebinding; None: any.
     """
 
-    def __init__(self, app: ASGIApp, csp: str, *, secure: bool, local: bool) -> None:
-        self._app, self._secure, self._local = app, secure, local
+    def __init__(self, app: ASGIApp, csp: str, *, secure: bool, hosts: Sequence[str] | None) -> None:
+        self._app, self._secure, self._hosts = app, secure, hosts
         self._headers = {
             "content-security-policy": csp,
             "x-content-type-options": "nosniff",
@@ -71,8 +71,10 @@ class Shield:
         """Returns status and message of a refusal; None if the request is accepted."""
         headers = Headers(scope=scope)
         hosts = headers.getlist("host")
-        if len(hosts) != 1 or (self._local and hosts[0].rpartition(":")[0] not in LOCAL and hosts[0] not in LOCAL):
-            return 400, "This page has another address: use 127.0.0.1 or localhost."
+        if len(hosts) != 1:
+            return 400, "One header Host is needed."
+        if self._hosts is not None and not {hosts[0], hosts[0].rpartition(":")[0]} & set(self._hosts):
+            return 400, f"This page has another address: use {' or '.join(self._hosts)}."
         if len(scope["path"]) > MOST_PATH:
             return 414, "The path is too long."
         changes = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")

@@ -25,6 +25,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LIGHTEST, DARKEST = 0.88, 0.55
 # Densities within this factor of the greatest are all drawn in the darkest gray.
 SATURATED = 1000.0
+SLIMMEST = 0.4
 CROWDED = 60  # lines of one spatial arm, drawn thinner from there on
 
 
@@ -48,7 +49,7 @@ class Subplot:
 def save(
     path: Path,
     manipulator: Manipulator,
-    densities: Densities,
+    densities: Densities | None,
     subplots: Sequence[Subplot],
     unit: str = "m",
     obstacles: Obstacles = NONE,
@@ -58,7 +59,7 @@ def save(
     Args:
         path: file to write.
         manipulator: the arm.
-        densities: of its intermediate workspaces; ignored for a spatial arm.
+        densities: of its intermediate workspaces; None: not drawn; ignored for a spatial arm.
         subplots: from left to right.
         unit: of length, for the axes.
         obstacles: obstacles to draw.
@@ -72,12 +73,12 @@ def save(
 
 def figure(
     manipulator: Manipulator,
-    densities: Densities,
+    densities: Densities | None,
     subplots: Sequence[Subplot],
     unit: str = "m",
     obstacles: Obstacles = NONE,
 ) -> Figure:
-    """Returns the picture that `save` writes."""
+    """Returns the picture that `save` writes; without densities if they are None."""
     from matplotlib.figure import Figure
 
     result = Figure(figsize=(6.0 * len(subplots) + 0.6, 6.2), layout="constrained")
@@ -99,16 +100,18 @@ def figure(
 def draw(
     axes: Axes,
     manipulator: Manipulator,
-    densities: Densities,
+    densities: Densities | None,
     subplot: Subplot,
     unit: str = "m",
     obstacles: Obstacles = NONE,
 ) -> Any:
-    """Draws a planar arm in the world over the density of W_0; returns the density's image, for a colour bar."""
+    """Draws a planar arm in the world over the density of W_0; returns the image of the density, or None."""
     from matplotlib.collections import LineCollection
 
-    shades, reachable = draw_density(axes, manipulator, densities)
-    everything = [reachable]
+    shades, everything = None, [manipulator.base[None, :2, 3]]
+    if densities is not None:
+        shades, reachable = draw_density(axes, manipulator, densities)
+        everything.append(reachable)
     for name, configuration, colour, width in styled(subplot):
         body = manipulator.body(configuration)[:, :, :2]
         for line, shade, order in ((width + 1.6, "white", 2), (width, colour, 3)):  # the rims below all colours
@@ -118,6 +121,8 @@ def draw(
         everything.append(body.reshape(-1, 2))
     goals = draw_goals(axes, subplot, 2)
     low, high = bounds([*everything, *goals])
+    if densities is None:
+        low, high = widened(low, high)
     draw_obstacles(axes, obstacles, low, high)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", title=subplot.title)
     axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
@@ -222,3 +227,10 @@ def bounds(parts: list[NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArr
     low, high = everything.min(axis=0), everything.max(axis=0)
     margin = 0.04 * (high - low).max() or 1.0
     return low - margin, high + margin
+
+
+def widened(low: NDArray[np.float64], high: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Returns corners of a box that is nowhere slimmer than SLIMMEST times its longest side."""
+    middle, sides = (low + high) / 2, high - low
+    half = np.maximum(sides, SLIMMEST * sides.max()) / 2
+    return middle - half, middle + half

@@ -198,25 +198,31 @@ def draw_counts(
     bar.ax.yaxis.set_major_formatter(lambda power, _: f"$10^{{{power:g}}}$")
     if lost is not None and lost.any():
         axes.imshow(np.where(lost, 1.0, np.nan), cmap=ListedColormap([ORANGE]), vmin=0, vmax=1, **options)
-    if (counts > 0).any():
-        from scipy.ndimage import median_filter
-
-        smooth = median_filter(np.where(np.isfinite(counts), counts, limits[0] - 1), 5)  # without single pixels
-        x, y = (start + pixel * np.arange(size) for start, size in zip(reference, (columns, rows), strict=True))
-        axes.contour(x, y, smooth, levels=[0.0], colors=BLUE, linewidths=1.0, transform=transform)
+    draw_limit(axes, part, transform)
     return extent
+
+
+def draw_limit(axes: Any, part: Slice, transform: Any) -> None:
+    """Draws the line inside which most pixels have at least one configuration."""
+    from scipy.ndimage import uniform_filter
+
+    rows, columns = (2 + size for size in part.counts.shape)  # one empty pixel all round closes the line
+    width = min(max(rows, columns) // 40 | 1, 15)
+    inside = uniform_filter(np.pad(part.counts >= 0, 1).astype(float), max(width, 3), mode="constant")
+    if inside.max() <= 0.5:
+        return
+    x, y = (start + part.pixel * np.arange(-1, n - 1) for start, n in zip(part.reference, (columns, rows), strict=True))
+    axes.contour(x, y, inside, levels=[0.5], colors=BLUE, linewidths=1.0, transform=transform)
+    axes.plot([], [], color=BLUE, linewidth=1.0, label="one configuration")
 
 
 def add_key(figure: Any, every: list[Any], fields: list[Field]) -> None:
     """Adds the legend below the pictures."""
-    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     handles: dict[str, Any] = {}
     for axes in every:
         handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    if any((field.counts > 0).any() for field in fields):
-        handles["one configuration"] = Line2D([], [], color=BLUE, linewidth=1.0)
     if any(field.lost is not None and field.lost.any() for field in fields):
         handles["lost with some choice"] = Patch(color=ORANGE)
     if handles:

@@ -23,7 +23,7 @@ from typing import IO, Any, NamedTuple
 
 import msgspec
 
-from controller.planning.core.events import Ended, Identity, Record
+from controller.planning.core.events import Identity, Record, ResultEntry
 from controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed, plain
 from controller.program import Fault
 
@@ -221,9 +221,9 @@ class PublishedResults:
         self._torn = bool(content) and not content.endswith(b"\n")
         self._marks = {Identity(*mark[:2]): mark for mark in map(decoded, content.splitlines()) if mark is not None}
 
-    def known(self) -> dict[Identity, Ended]:
+    def known(self) -> dict[Identity, ResultEntry]:
         """Returns the marked results by program; their times are not known."""
-        return {identity: Ended(0.0, *mark[2:]) for identity, mark in self._marks.items()}
+        return {identity: ResultEntry(0.0, *mark[2:]) for identity, mark in self._marks.items()}
 
     def add(self, identity: Identity, payload: Mapping[str, Any]) -> None:
         """Marks a result, in about 10 us. If the file cannot be written, the mark is in memory only."""

@@ -9,6 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from controller.host.folders import state_folder
 from controller.planning.core.events import Identity, OpenGoal, Record
 
 log = logging.getLogger(__name__)
@@ -142,12 +143,9 @@ def damaged(error: Exception) -> bool:
     return isinstance(error, Damaged) or code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
-def default_path(arm: str) -> Path:
-    """Returns the path of an arm's ledger: in systemd's StateDirectory, otherwise in the user's state folder."""
-    if "STATE_DIRECTORY" in os.environ:
-        return Path(os.environ["STATE_DIRECTORY"]) / f"{arm}.sqlite"
-    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
-    return Path(base) / "hyperbit" / f"{arm}.sqlite"
+def default_path(arm: str, *, simulated: bool = False) -> Path:
+    """Returns the path of an arm's ledger, in `state_folder`."""
+    return state_folder(simulated=simulated) / f"{arm}.sqlite"
 
 
 def counted(path: Path) -> dict[str, int]:

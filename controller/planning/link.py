@@ -59,11 +59,22 @@ class ExecutorLink:
         arm: name of the arm.
         digest: SHA-256 of the arm's file, in hexadecimal.
         clock: of the loop [s].
+        simulated: whether the executor must simulate its boards; else it must not. The ledger counts switches of
+            either simulated or real boards.
     """
 
-    def __init__(self, path: Path, arm: str, digest: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        path: Path,
+        arm: str,
+        digest: str,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        simulated: bool = False,
+    ) -> None:
         self.retry_at = 0.0
         self._path, self._arm, self._digest, self._clock = path, arm, digest, clock
+        self._simulated = simulated
         self._connection: Connection | None = None
         self._welcomed: Connection | None = None  # the same, after its Welcome
         self._reason = "waiting for the executor"  # of the last LinkDown
@@ -148,6 +159,10 @@ class ExecutorLink:
                 return f"the executor drives the arm {message.arm!r}, not {self._arm!r}"
             case Welcome() if message.digest != self._digest:
                 return "the executor was started with another version of the arm's file: restart it"
+            case Welcome() if message.simulation is not None and not self._simulated:
+                return "the executor simulates its boards: start this daemon with --simulate, too"
+            case Welcome() if message.simulation is None and self._simulated:
+                return "the executor commands real boards: start this daemon without --simulate"
             case Welcome():
                 self._welcomed = self._connection
         if self._welcomed is not None:

@@ -12,7 +12,7 @@ from controller.arm.arm import Arm
 from controller.arm.description import density, description, drawing, file
 from controller.flight_recorder import FlightRecorder
 from controller.motion.decoding.goal import GoalMessage, Id, check_reach, parse
-from controller.motion.decoding.requests import decode_degrade, decode_jog, decode_obstacles
+from controller.motion.decoding.requests import decode_degrade, decode_fault, decode_jog, decode_obstacles
 from controller.motion.stages.pacing import pace_of
 from controller.obstacles.obstacles import NONE
 from controller.planning.core import events
@@ -53,15 +53,30 @@ class Planner:
 
 @contextlib.contextmanager
 def planning(
-    arm: Arm, densities: Densities, link: ExecutorLink, services: Services, recorder: FlightRecorder | None = None
+    arm: Arm,
+    densities: Densities,
+    link: ExecutorLink,
+    services: Services,
+    recorder: FlightRecorder | None = None,
+    *,
+    simulated: bool = False,
 ) -> Iterator[Planner]:
-    """A planner with its core and workers; at the end goals end, and all are closed. `recorder` takes each step."""
+    """A planner with its core and workers; at the end goals end, and all are closed.
+
+    Args:
+        arm: with wiring.
+        densities: of the arm reduced by locked actuators.
+        link: to the executor.
+        services: of the process.
+        recorder: takes each step.
+        simulated: whether the executor simulates the boards.
+    """
     known = services.ledger.known
     weights = arm.weights(dict(zip(arm.manipulator.actuators, known, strict=True)))
     tables = build_tables(arm, densities, weights, BuildTables(0, arm.locked.astype(np.uint8).tobytes()))
     built, published = build_scene(arm, BuildScene(0, NONE)), services.published.known()
     name, owed = uuid.uuid4().hex[:8], services.ledger.owed
-    beginning = Beginning(name, tables, built.scene, built.total, known, published, owed)
+    beginning = Beginning(name, tables, built.scene, built.total, known, published, owed, simulated)
     core = Core(arm, pace_of(arm.settings), beginning)
     if recorder is not None:
         recorder.begin(core, lambda count: True)
@@ -108,7 +123,9 @@ class RequestDecoder:
                 return events.LockMessage(lock.actuator, lock.state)
             case "obstacles":
                 obstacles = decode_obstacles(payload, self._dimension)
-                return events.ObstaclesMessage(obstacles, json.loads(payload)["regions"])
+                return events.SentObstacles(obstacles, json.loads(payload)["regions"])
+            case "fault":
+                return events.FaultToPlay(decode_fault(payload).fault)
             case "stop" | "reset" | "arm":
                 return None
 

@@ -144,6 +144,13 @@ class Lock(Message, frozen=True, tag="lock"):
     state: Annotated[int, Meta(ge=-1, le=1)]
 
 
+class PlayFault(Message, frozen=True, tag="play-fault"):
+    """Play a fault in simulated boards, such as "silence can0/5". Answered by `Answer`; refused if boards are real."""
+
+    request: Number
+    fault: Text
+
+
 class Acknowledge(Message, frozen=True, tag="acknowledge"):
     """The result of this number was published; the executor may delete it."""
 
@@ -157,5 +164,17 @@ class Counts(Message, frozen=True, tag="counts"):
 
 
 Down = (
-    Hello | Alive | Program | Replacement | Setpoint | Clearance | Cancel | Stop | Reset | Lock | Acknowledge | Counts
+    Hello
+    | Alive
+    | Program
+    | Replacement
+    | Setpoint
+    | Clearance
+    | Cancel
+    | Stop
+    | Reset
+    | Lock
+    | PlayFault
+    | Acknowledge
+    | Counts
 )

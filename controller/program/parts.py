@@ -5,12 +5,13 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-VERSION = 2
+VERSION = 3
 MOST_BYTES = 65_536  # of one message; larger ones are refused unread
 MOST_STAGES = 1_000  # of one message; longer programs are sent in parts
 MOST_PROGRAM_STAGES = 100_000
 MOST_ACTUATORS = 10_000
 MOST_TRAVELS = 100  # reported travels of one program
+TICK = 0.01  # [s] of the executor's loop
 ALIVE_EVERY = 0.2  # [s] between two messages of the planner
 
 States = Annotated[bytes, Meta(max_length=(MOST_ACTUATORS + 7) // 8)]

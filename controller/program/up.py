@@ -9,6 +9,30 @@ from controller.program.parts import MOST_TRAVELS, Index, Message, Mode, Number,
 from controller.refusals.refusal import Refused
 
 
+class FaultVerb(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A verb of `PlayFault`.
+
+    Attributes:
+        verb: the first word.
+        target: what the second word names.
+        argument: name of the third word; in brackets if it may be left out, "" if there is none.
+        text: what the verb does.
+    """
+
+    verb: Text
+    target: Literal["actuator", "board", "interlock"]
+    argument: Text
+    text: Text
+
+
+class PlayableFaults(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """Simulated boards: the faults that can be played in them, and the names that these faults need."""
+
+    faults: tuple[FaultVerb, ...]
+    boards: tuple[Text, ...]
+    interlocks: tuple[Text, ...]
+
+
 class Welcome(Message, frozen=True, tag="welcome"):
     """The answer to `Hello`.
 
@@ -17,6 +41,7 @@ class Welcome(Message, frozen=True, tag="welcome"):
         instance: random number of this executor process.
         counts: switches of each actuator so far.
         program: the greatest number of a program or stream so far; a planner continues from here.
+        simulation: the simulated boards of this process; None: the executor commands boards on CAN buses.
     """
 
     version: int
@@ -25,6 +50,7 @@ class Welcome(Message, frozen=True, tag="welcome"):
     instance: Number
     counts: tuple[Number, ...]
     program: Number
+    simulation: PlayableFaults | None = None
 
 
 class Goodbye(Message, frozen=True, tag="goodbye"):

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import msgspec
 import zenoh
 
+from controller.armfile.patience import patient_copy
 from controller.network import session
 from controller.network.client import Client, Unanswered
 from controller.planning.ledger import Ledger
@@ -192,7 +193,8 @@ def simulated(past: RecordingReader, file: Path | None) -> Iterator[SimulatedArm
     """
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hyperbit-")))
-        path = arm_file(past, folder) if file is None else file
+        (recorded := folder / "recorded").mkdir()
+        path = patient_copy(arm_file(past, recorded) if file is None else file, folder)
         endpoint, log = f"unixsock-stream/{folder / 'zenoh.sock'}", folder / "log"
         ledger = folder / "ledger.db"
         counted(past, ledger)

@@ -56,6 +56,7 @@ TOPICS: dict[str, Schema] = {
         stamp=NUMBER,
         mode=TEXT,
         reason=TEXT,
+        simulated=BOOLEAN,
         configuration=optional(TEXT),
         commanded=STATES,
         measured=STATES,
@@ -97,9 +98,10 @@ TOPICS: dict[str, Schema] = {
     "jog": fields(actuators=fields()),
     "degrade": fields(actuator=TEXT, state=optional(INTEGER)),
     "obstacles": fields(regions=array(fields())),
+    "fault": fields(fault=TEXT),
     "request": fields(stamp=NUMBER, key=TEXT, payload=optional(fields()), text=TEXT, answer=ANSWER),
     "alive": fields(alive=BOOLEAN),
-    "arm": fields(name=TEXT, version=TEXT, dimension=INTEGER, length=NUMBER, actuators=array(TEXT)),
+    "arm": fields(name=TEXT, version=TEXT, dimension=INTEGER, length=NUMBER, actuators=array(TEXT), simulated=BOOLEAN),
     "other": fields(key=TEXT, value=ANYTHING, text=TEXT),
 }
 

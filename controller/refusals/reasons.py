@@ -244,6 +244,12 @@ class Reason(enum.Enum):
         "the arm is {mode}, and may not move while locks change",
         "cancel, then try again: hyperbit cancel {arm}",
     )
+    NOT_SIMULATED = (
+        "not-simulated",
+        "the boards of this arm are real; faults are played in simulated boards only",
+        "start a simulated arm by: hyperbit run ARM.yaml --simulate",
+    )
+    NO_SUCH_FAULT = "no-such-fault", "{why}", "see all faults: hyperbit fault --help"
     INTERLOCK_OPEN = "interlock-open", "{interlock}", "close the interlock, then: hyperbit reset {arm}"
 
 

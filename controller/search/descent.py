@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
 from controller.obstacles.scene import Scene, for_scenes, module_collides, set_state
-from controller.workspace.reachability import LEVELS, POINT, TABLES, Levels, Tables, measure, seen_from
+from controller.workspace.reachability import LEVELS, POINT, TABLES, Levels, ReachTables, measure, seen_from
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -27,7 +27,7 @@ class DescentTables(NamedTuple):
         depth: number of modules to decide.
     """
 
-    arm: Tables
+    arm: ReachTables
     levels: Levels
     costs: Array
     depth: int

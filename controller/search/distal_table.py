@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from controller.manipulator.kernel_types import F1, F2, F3, I1, UNCOUNTED, named
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import SCENE, Scene, for_scenes, segment_collides, set_state
-from controller.workspace.reachability import POINT, TABLES, Tables, seen_from
+from controller.workspace.reachability import POINT, TABLES, ReachTables, seen_from
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -76,7 +76,7 @@ class DistalSearch(NamedTuple):
 
     table: DistalTable
     costs: Array
-    arm: Tables
+    arm: ReachTables
 
 
 DISTAL = named(DistalTable, int64, int64, F2, F3, float64, F1, I1, I1, I1)

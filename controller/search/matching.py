@@ -211,6 +211,9 @@ def keep(
     return True
 
 
+MATCH = for_scenes(lambda scene: types.void(SIDES, SPAN, QUERY, I1, scene, MATCHES))
+
+
 @cache
 def kernel(planar: bool, posed: bool) -> Callable[..., None]:
     """Returns the matching kernel for planar or spatial arms, positions or poses.
@@ -219,13 +222,7 @@ def kernel(planar: bool, posed: bool) -> Callable[..., None]:
     """
     size = (3 if planar else 6) if posed else (2 if planar else 3)
 
-    @njit(
-        for_scenes(lambda scene: types.void(SIDES, SPAN, QUERY, I1, scene, MATCHES)),
-        cache=True,
-        nogil=True,
-        error_model="numpy",
-        fastmath={"contract"},
-    )
+    @njit(MATCH, cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
     def match(
         sides: Sides, span: Span, query: SearchQuery, seed: Configuration, scene: Scene | None, matches: Matches
     ) -> None:

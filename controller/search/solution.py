@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from controller.manipulator.frames import Frame
+from controller.manipulator.frames import Array, Frame
 from controller.manipulator.manipulator import Configuration
 
 Certificate = Literal["optimal", "bound", "unreachable", "unknown"]
@@ -83,6 +83,7 @@ class Solution:
             infinite if there are none, 0 if nothing is proven.
         angle: angle between the orientations of tip and goal [rad]; 0 for a goal without orientation.
         clear: whether the arm collides with nothing. If not, the search has found no clear configuration.
+        dimension: 2 for a planar arm, 3 for a spatial arm.
     """
 
     configuration: Configuration
@@ -95,6 +96,12 @@ class Solution:
     bound: float = 0.0
     angle: float = 0.0
     clear: bool = True
+    dimension: int = 3
+
+    @property
+    def position(self) -> Array:
+        """Position of the tip in the world, shape (dimension,)."""
+        return self.tip[: self.dimension, 3]
 
     @property
     def certificate(self) -> Certificate:

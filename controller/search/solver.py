@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.clearance import Clearance
+from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.scene import scene_of
 from controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
 from controller.search.minimum_switch import MinimumSwitch, Problem
@@ -49,7 +49,7 @@ class Solver:
         manipulator: Manipulator,
         densities: Densities,
         weights: ArrayLike | None = None,
-        clearance: Clearance | None = None,
+        clearance: BodyClearance | None = None,
     ) -> None:
         """Builds the tables.
 
@@ -71,7 +71,7 @@ class Solver:
         self._to_base = inverse(manipulator.base)
         self._candidates: tuple[int, Candidates] | None = None
 
-    def avoiding(self, clearance: Clearance | None) -> "Solver":
+    def avoiding(self, clearance: BodyClearance | None) -> "Solver":
         """Returns a solver with other obstacles.
 
         It shares tables and memory with this solver, so only one of the two may search at a time.
@@ -193,6 +193,7 @@ class Solver:
             cost=float(cost_of_switches(differ, self.weights)),
             angle=target.angle(tip),
             clear=clear,
+            dimension=self.manipulator.dimension,
         )
 
     def feasible(self, target: SearchTarget, configuration: Configuration) -> bool:

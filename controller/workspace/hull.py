@@ -42,6 +42,11 @@ class Hull:
             self._supports = np.max(each, axis=0)
             self.boxes[i] = self._support(along) * np.tile((-1.0, 1.0), size)
 
+    @property
+    def reach(self) -> float:
+        """About the greatest distance of a tip from the base, by the sampled directions."""
+        return float((self._supports / np.linalg.norm(self._directions, axis=1)).max())
+
     def excludes(self, goal: Array, tolerance: float) -> bool:
         """Returns whether provably no tip is within the tolerance of a goal (3,) in frame F_0."""
         lengths = np.linalg.norm(self._directions, axis=1)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.locked import LockedStates, lock_actuators, none_locked
 from controller.manipulator.manipulator import Manipulator
+from controller.workspace.coverage import quantile
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import Level, below, coarsened, tip_level
 
@@ -27,17 +28,18 @@ class Reach(NamedTuple):
 
     Attributes:
         locked: state in which each actuator is locked, -1 if it is free, shape (A,).
-        reach: area or volume of the pixels that contain a tip.
-        covered: area or volume of the pixels in which a goal has at least one configuration within the tolerance, on
-            average.
-        redundancy: log10 of the number of configurations within the tolerance of a goal: the median over the pixels
-            that the free arm covers; minus infinity if more than half of these pixels are lost.
+        reach: area or volume of the pixels that contain a tip. It depends on the pixel, so compare it with the free
+            arm's only.
+        covered: expected area or volume of the positions with a configuration within the tolerance, if the tips in a
+            pixel are spread at random over it.
+        log10_redundancy: log10 of the expected number of configurations within the tolerance of a position: the median
+            over the area that the free arm covers; minus infinity if more than half of it is lost.
     """
 
     locked: LockedStates
     reach: float
     covered: float
-    redundancy: float
+    log10_redundancy: float
 
 
 class LockedReach(NamedTuple):
@@ -65,11 +67,11 @@ class LockedReach(NamedTuple):
     least_counts: Array
 
     def worst(self, figure: str) -> Reach:
-        """Returns the choice with the least `reach`, `covered` or `redundancy`."""
+        """Returns the choice with the least `reach`, `covered` or `log10_redundancy`."""
         return min(self.choices, key=lambda choice: float(getattr(choice, figure)))
 
     def mean(self, figure: str) -> float:
-        """Returns the mean of `reach`, `covered` or `redundancy` over all choices."""
+        """Returns the mean of `reach`, `covered` or `log10_redundancy` over all choices."""
         return float(np.mean([getattr(choice, figure) for choice in self.choices]))
 
 
@@ -106,10 +108,9 @@ class FreeArm(NamedTuple):
 
     def reach(self, locked: LockedStates, counts: Array) -> Reach:
         """Returns the reach of an arm from the ln of its numbers of configurations within the tolerance."""
-        covered = self.counts >= 0
-        redundancy = float(np.median(counts[covered])) / math.log(10) if covered.any() else -math.inf
-        reach, redundant = np.isfinite(counts).sum() * self.volume, (counts >= 0).sum() * self.volume
-        return Reach(locked, float(reach), float(redundant), redundancy)
+        redundancy = quantile(counts.ravel(), covered_share(self.counts).ravel(), 0.5) / math.log(10)
+        reach, covered = np.isfinite(counts).sum() * self.volume, covered_share(counts).sum() * self.volume
+        return Reach(locked, float(reach), float(covered), redundancy)
 
     def counts_of(self, reduced: Manipulator, last: int) -> Array:
         """Returns the counts of an arm whose last module with a locked actuator is `last`."""
@@ -117,6 +118,14 @@ class FreeArm(NamedTuple):
         for i in reversed(range(last + 1)):
             level = below(level, reduced, i, self.most)
         return log_counts(level, self.levels[0]) + self.ball
+
+
+def covered_share(counts: Array) -> Array:
+    """Returns the shares of pixels that are covered, from ln of the expected numbers of configurations.
+
+    The tips in a pixel are taken as a Poisson process: a position has none with probability exp(-expected).
+    """
+    return np.asarray(-np.expm1(-np.exp(np.minimum(counts, 9.0))))
 
 
 def free_arm(manipulator: Manipulator, densities: Densities, tolerance: float) -> FreeArm:

@@ -12,17 +12,20 @@ points. Samples resolve the tolerance of 0.002.
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import float64, int64, njit, void
+from numba import njit, void
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from controller.manipulator.frames import Frame, inverse
+from controller.manipulator.kernel_types import F1, F2, F3, named
 from controller.manipulator.manipulator import Manipulator
 from controller.workspace.densities import Densities
-from controller.workspace.reachability import LEVELS, TABLES, Levels, Tables, levels_of, measure, tables_of
+from controller.workspace.reachability import LEVELS, TABLES, Levels, ReachTables, levels_of, measure, tables_of
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 
@@ -63,6 +66,23 @@ class Orientations(NamedTuple):
         return float(np.sqrt((angles**2 * self.counts).sum() / self.total))
 
 
+class OrientationSamples(NamedTuple):
+    """Sampled configurations of the modules before the enumerated ones.
+
+    Attributes:
+        turns: rotations of frame F_depth in F_0, shape (n, 3, 3).
+        points: the goal in frame F_depth, shape (n, 3).
+        logs: ln of the inverse probability of each sample, shape (n,).
+    """
+
+    turns: Array
+    points: Array
+    logs: Array
+
+
+SAMPLES = named(OrientationSamples, F3, F2, F1)
+
+
 def orientations_at(
     manipulator: Manipulator,
     densities: Densities,
@@ -81,49 +101,58 @@ def orientations_at(
         most: greatest number of samples.
         seed: seed of the random numbers.
     """
+    from scipy.spatial import cKDTree  # takes as long to import as the rest of the library
+
     goal, to_base = np.zeros(3), inverse(manipulator.base)
     goal[: manipulator.dimension] = point
     goal = to_base[:3, :3] @ goal + to_base[:3, 3]
     depth, ends = last_modules(manipulator)
     tree, base = cKDTree(ends[:, :3, 3]), manipulator.base[:3, :3]
-    rotations, counts, sums = [np.empty((0, 3, 3))], [np.empty(0)], [np.empty(0)]
-
-    def compare(turns: Array, points: Array, weights: Array) -> None:
-        """Counts the ends (m, 4, 4) whose tip is near points (n, 3) in frames with rotations `turns` (n, 3, 3)."""
-        near = tree.query_ball_point(points, radius)
-        owners = np.repeat(np.arange(len(points)), [len(found) for found in near])
-        found = np.concatenate([np.asarray(own, dtype=np.int64) for own in near])
-        rotations.append(base @ turns[owners] @ ends[found, :3, :3])
-        counts.append(weights[owners])
-        sums.append(np.bincount(owners, weights[owners], len(points)).astype(float))
-
     if math.prod(manipulator.states[:depth].tolist()) <= ENUMERATED:
-        frames = np.eye(4)[None]
-        for module in manipulator.modules[:depth]:
-            frames = (frames[:, None] @ module.frames).reshape(-1, 4, 4)
-        turns = np.ascontiguousarray(frames[:, :3, :3])
-        compare(turns, np.einsum("nba,nb->na", turns, goal - frames[:, :3, 3]), np.ones(len(frames)))
-        every = np.concatenate(counts)
-        return Orientations(np.concatenate(rotations), every, float(every.sum()), 0.0, 0)
+        turns, counts, _ = match_ends(enumerate_frames(manipulator, depth, goal), ends, tree, radius)
+        return Orientations(base @ turns, counts, float(counts.sum()), 0.0, 0)
     randoms, draws, mean, error = np.random.default_rng(seed), 0, 0.0, math.inf
+    parts = [(np.empty((0, 3, 3)), np.empty(0), np.empty(0))]
     while draws < most and error > ACCURACY * mean:
         size = min(AT_ONCE, most - draws)
-        turns, points, weights = np.empty((size, 3, 3)), np.empty((size, 3)), np.empty(size)
-        draw(
-            goal,
-            tables_of(manipulator),
-            levels_of(densities),
-            depth,
-            randoms.random((size, depth)),
-            turns,
-            points,
-            weights,
-        )
-        compare(turns, points, weights)
+        samples = OrientationSamples(np.empty((size, 3, 3)), np.empty((size, 3)), np.empty(size))
+        draw(goal, tables_of(manipulator), levels_of(densities), randoms.random((size, depth)), samples)
+        parts.append(match_ends(samples, ends, tree, radius))
         draws += size
-        each = np.concatenate(sums)
+        each = np.concatenate([sums for _, _, sums in parts])
         mean, error = float(each.mean()), float(each.std() / math.sqrt(draws))
-    return Orientations(np.concatenate(rotations), np.concatenate(counts) / draws, mean, error, draws)
+    turns, counts = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    return Orientations(base @ turns, counts / draws, mean, error, draws)
+
+
+def match_ends(samples: OrientationSamples, ends: Frame, tree: "cKDTree", radius: float) -> tuple[Array, Array, Array]:
+    """Returns the pairs of samples and ends whose tip is within `radius` of the goal.
+
+    Args:
+        samples: of the modules before the ends, n of them.
+        ends: frames of the tip in the frames of the samples, shape (m, 4, 4).
+        tree: of the positions of `ends`.
+        radius: greatest distance of the tip from the goal.
+
+    Returns:
+        Rotation of the tip in frame F_0 and weight of each pair, shapes (p, 3, 3) and (p,), and sum of the weights of
+        each sample, shape (n,).
+    """
+    near = tree.query_ball_point(samples.points, radius)
+    owners = np.repeat(np.arange(len(near)), [len(found) for found in near])
+    found = np.concatenate([np.asarray(own, dtype=np.int64) for own in near])
+    weights = np.exp(samples.logs)[owners]
+    sums = np.bincount(owners, weights, len(near)).astype(float)
+    return samples.turns[owners] @ ends[found, :3, :3], weights, sums
+
+
+def enumerate_frames(manipulator: Manipulator, depth: int, goal: Array) -> OrientationSamples:
+    """Returns all configurations of modules 1 to `depth` as samples of probability 1; `goal` (3,) is in frame F_0."""
+    frames = np.eye(4)[None]
+    for module in manipulator.modules[:depth]:
+        frames = (frames[:, None] @ module.frames).reshape(-1, 4, 4)
+    turns = np.ascontiguousarray(frames[:, :3, :3])
+    return OrientationSamples(turns, np.einsum("nba,nb->na", turns, goal - frames[:, :3, 3]), np.zeros(len(frames)))
 
 
 def last_modules(manipulator: Manipulator) -> tuple[int, Frame]:
@@ -135,26 +164,16 @@ def last_modules(manipulator: Manipulator) -> tuple[int, Frame]:
     return depth, ends
 
 
-@njit(
-    void(float64[::1], TABLES, LEVELS, int64, float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
-def draw(
-    goal: Array, arm: Tables, levels: Levels, depth: int, randoms: Array, turns: Array, points: Array, weights: Array
-) -> None:
-    """Samples states of modules 1 to `depth`; writes the rotation of frame F_depth, the goal in it, and the weight.
+@njit(void(F1, TABLES, LEVELS, F2, SAMPLES), cache=True, nogil=True, error_model="numpy")
+def draw(goal: Array, arm: ReachTables, levels: Levels, randoms: Array, samples: OrientationSamples) -> None:
+    """Draws a state for each of the first modules; writes the samples.
 
     Args:
         goal: position in frame F_0, shape (3,).
         arm: configuration sets.
         levels: densities.
-        depth: number of modules to sample.
-        randoms: uniform random numbers from 0 to 1, shape (n, depth).
-        turns: written: rotations, shape (n, 3, 3).
-        points: written: goals, shape (n, 3).
-        weights: written: inverse probability of the sampled states, shape (n,).
+        randoms: uniform random numbers from 0 to 1, shape (n, depth), one for each module.
+        samples: written, n of them.
     """
     rotations, translations, states = arm
     most = states.max()
@@ -163,7 +182,7 @@ def draw(
     for n in range(len(randoms)):
         at, log_weight = goal.copy(), 0.0
         turn[:] = np.eye(3)
-        for i in range(depth):
+        for i in range(randoms.shape[1]):
             greatest, total, count = -np.inf, 0.0, states[i]
             for j in range(count):
                 r, b = rotations[i, j], translations[i, j]
@@ -191,4 +210,4 @@ def draw(
                     for c in range(3):
                         following[a, b] += turn[a, c] * rotations[i, chosen, c, b]
             turn[:] = following
-        turns[n], points[n], weights[n] = turn, at, np.exp(log_weight)
+        samples.turns[n], samples.points[n], samples.logs[n] = turn, at, log_weight

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-class Tables(NamedTuple):
+class ReachTables(NamedTuple):
     """Configuration sets of an arm.
 
     Attributes:
@@ -38,14 +38,14 @@ class Levels(NamedTuple):
     pixels: Array
 
 
-TABLES = named(Tables, F4, F3, I1)
+TABLES = named(ReachTables, F4, F3, I1)
 POINT: Any = types.UniTuple(float64, 3)  # type: ignore[no-untyped-call]
 LEVELS = named(Levels, float32[::1], I1, I2, F2, F1)
 
 
-def tables_of(manipulator: Manipulator) -> Tables:
+def tables_of(manipulator: Manipulator) -> ReachTables:
     """Returns the configuration sets of an arm."""
-    return Tables(manipulator.rotations, manipulator.translations, manipulator.states)
+    return ReachTables(manipulator.rotations, manipulator.translations, manipulator.states)
 
 
 def levels_of(densities: Densities) -> Levels:

@@ -25,8 +25,7 @@ class Actuator:
         label: label in the wiring.
         travel_time: time from end to end [s].
         contract_time: time from extended to contracted [s]; None: `travel_time`.
-        coils: 1 or 2.
-        least_pulse: shortest time for which one of two coils must be energised to switch the valve [s].
+        least_pulse: shortest time for which one of two coils must be energised to switch the valve [s]; None: one coil.
         rest: end to which the spring returns the actuator.
         inverted: whether the switches at the contracted and the extended end read 0 while closed.
 
@@ -46,8 +45,7 @@ class Actuator:
         travel_time: float,
         contract_time: float | None = None,
         *,
-        coils: int = 1,
-        least_pulse: float = 0.0,
+        least_pulse: float | None = None,
         rest: int = CONTRACTED,
         inverted: tuple[bool, bool] = (False, False),
     ) -> None:
@@ -60,8 +58,8 @@ class Actuator:
         self.longest_pulse = 0.0
         self.observers: list[Callable[[], None]] = []
         self._times = (travel_time if contract_time is None else contract_time, travel_time)
-        self._two_coils = coils == 2
-        self._least_pulse = least_pulse
+        self._two_coils = least_pulse is not None
+        self._least_pulse = least_pulse or 0.0
         self._rest = rest
         self._inverted = inverted
         self._closed = [rest == CONTRACTED, rest == EXTENDED]

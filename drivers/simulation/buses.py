@@ -118,6 +118,16 @@ class SimulatedBuses:
         """Labels of the actuators, shape (A,)."""
         return list(self._actuators)
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the boards, e.g. "can0/5"."""
+        return list(self._by_name)
+
+    @property
+    def interlocks(self) -> list[str]:
+        """Names of the interlocks."""
+        return list(self._interlocks)
+
     def board(self, name: str) -> SimulatedBoard:
         """Returns a board by its name, e.g. "can0/5".
 
@@ -171,8 +181,6 @@ class SimulatedBuses:
         self._set_interlock(interlock, 1)
 
     def _set_interlock(self, name: str, level: int) -> None:
-        if name not in self._interlocks:
-            raise KeyError(f"no interlock {name}, there are {', '.join(self._interlocks)}")
         lock = self._interlocks[name]
         board = self._boards[lock.bus][lock.node]
         board.contacts[lock.input] = level ^ lock.inverted
@@ -207,8 +215,7 @@ def build_actuator(channel: Channel, timing: Timing) -> Actuator:
         channel.actuator,
         _ORDINARY * to_extended,
         _ORDINARY * to_contracted,
-        coils=1 if single else 2,
-        least_pulse=0.0 if single else _LEAST_PULSE,
+        least_pulse=None if single else _LEAST_PULSE,
         rest=EXTENDED if single and "output" in channel.inverted else CONTRACTED,
         inverted=("input_contracted" in channel.inverted, "input" in channel.inverted),
     )

@@ -1,49 +1,150 @@
-"""Commands that cause faults of simulated boards, typed by a person or sent by a test."""
+"""Commands that cause faults of simulated boards, typed by a person, sent by a page, or by a test.
+
+A command is a verb, what it applies to, and for some verbs a number, such as "silence can0/5" or "stick 5.left 1".
+"""
 
 from __future__ import annotations
 
-from drivers.simulation.buses import SimulatedBuses
+import difflib
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
-HELP = """\
-Faults on demand, a line each: stick 5.left 1 | jam 5.left | jam 5.left 0.5 | release 5.left | slow 5.left 4 |
-lose_sensor 5.left | cut_wires 5.left | short_wires 5.left | restore_sensor 5.left | silence can0/5 | unsilence can0/5 |
-lose_tpdo can0/5 | power_cut can0/5 | power_on can0/5 | error can0/5 2320 | error_over can0/5 2320 |
-open door | close door"""
+if TYPE_CHECKING:
+    from drivers.simulation.buses import SimulatedBuses
 
-_ACTUATOR = ("jam", "release", "lose_sensor", "cut_wires", "short_wires", "restore_sensor")
-_OTHERS = ("silence", "unsilence", "lose_tpdo", "power_cut", "power_on")
+
+class Verb(NamedTuple):
+    """What a verb does.
+
+    Attributes:
+        target: what it applies to.
+        argument: name of its number; in brackets if the number may be left out, "" if there is none.
+        text: one line for people.
+    """
+
+    target: Literal["actuator", "board", "interlock"]
+    argument: str
+    text: str
+
+
+VERBS = {
+    "silence": Verb("board", "", "disconnect the board from its bus"),
+    "unsilence": Verb("board", "", "connect the board again"),
+    "power_cut": Verb("board", "", "cut the supply of the board; springs return its actuators"),
+    "power_on": Verb("board", "", "switch the supply on again"),
+    "lose_tpdo": Verb("board", "", "lose the next TPDO of the board"),
+    "error": Verb("board", "CODE", "the board reports an error by an emergency, such as 2320 (hexadecimal)"),
+    "error_over": Verb("board", "CODE", "the error is over"),
+    "stick": Verb("actuator", "STATE", "the actuator goes to an end, 0 or 1, and stays there"),
+    "jam": Verb("actuator", "[POSITION]", "block the actuator where it is, or at a position from 0 to 1"),
+    "release": Verb("actuator", "", "the actuator follows its valve again after stick or jam"),
+    "slow": Verb("actuator", "FACTOR", "multiply its travel times; 1 is normal"),
+    "lose_sensor": Verb("actuator", "", "freeze the readings of its end-stops"),
+    "cut_wires": Verb("actuator", "", "its end-stops read 0"),
+    "short_wires": Verb("actuator", "", "its end-stops read 1"),
+    "restore_sensor": Verb("actuator", "", "its end-stops read correctly again"),
+    "open": Verb("interlock", "", "open the interlock"),
+    "close": Verb("interlock", "", "close the interlock"),
+}
+MOST_NAMED = 24  # names in a message; of more, only the first and the last
+
+
+def usage(verb: str) -> str:
+    """Returns a verb with the names of its words, such as "stick ACTUATOR STATE"."""
+    target, argument, _ = VERBS[verb]
+    return " ".join(word for word in (verb, target.upper(), argument) if word)
+
+
+def described() -> str:
+    """Returns all verbs, a line each."""
+    return "\n".join(f"  {usage(verb):28} {VERBS[verb].text}" for verb in VERBS)
+
+
+def play(boards: SimulatedBuses, text: str) -> str:
+    """Causes or ends the fault of a command; returns the answer. "help" returns all verbs.
+
+    Raises:
+        ValueError: the text is no command; the message names the choices.
+    """
+    if text.split() == ["help"]:
+        return f"faults:\n{described()}"
+    perform(boards, *text.split())
+    return f"done: {' '.join(text.split())}"
 
 
 def perform(boards: SimulatedBuses, *words: str | float) -> None:
-    """Causes or ends a fault. The words are a verb, a name, and for some verbs a number; see `HELP`.
+    """Causes or ends a fault. The words are those of a command.
 
     Raises:
-        ValueError: the words are no fault command; the text says why.
-        KeyError: there is no board, actuator or interlock of this name.
+        ValueError: the words are no command; the message names the choices.
     """
-    match words:
-        case ["stick", str(label), ("0" | "1" | 0 | 1) as state]:
-            with boards.actuator(label) as it:
-                it.stick(int(state))
-        case ["jam", str(label), text]:
-            position = min(number(text), 1.0)
-            with boards.actuator(label) as it:
-                it.jam(position)
-        case ["slow", str(label), text]:
-            factor = positive(text)
-            with boards.actuator(label) as it:
-                it.slow(factor)
-        case [str(verb), str(label)] if verb in _ACTUATOR:
-            with boards.actuator(label) as it:
-                getattr(it, verb)()
-        case ["error" | "error_over" as verb, str(name), str(code)]:
-            getattr(boards, verb)(name, int(code, 16) & 0xFFFF)
-        case ["open" | "close" as verb, str(name)]:
+    verb, name, arguments = str(words[0]) if words else "", str(words[1]) if len(words) > 1 else "", words[2:]
+    if verb not in VERBS:
+        raise ValueError(f"{verb!r} is no fault{nearest(verb, VERBS)} Faults: {', '.join(VERBS)}")
+    target, wanted, _ = VERBS[verb]
+    if not name or len(arguments) > bool(wanted) or len(arguments) < (bool(wanted) and not wanted.startswith("[")):
+        raise ValueError(f"{' '.join(map(str, words))!r}: needed is {usage(verb)}: {VERBS[verb].text}")
+    known = names(boards, target)
+    if name not in known:
+        choices = f"{target.capitalize()}s: {named(known)}" if known else f"This arm has no {target}"
+        raise ValueError(f"{name!r} is no {target}{nearest(name, known)} {choices}")
+    match target:
+        case "board":
+            _of_board(boards, verb, name, *arguments)
+        case "interlock":
             getattr(boards, f"{verb}_interlock")(name)
-        case [str(verb), str(name)] if verb in _OTHERS:
-            getattr(boards, verb)(name)
-        case _:
-            raise ValueError(f"{' '.join(map(str, words))!r} is no fault. {HELP}")
+        case "actuator":
+            _of_actuator(boards, verb, name, *arguments)
+
+
+def names(boards: SimulatedBuses, target: str) -> list[str]:
+    """Returns the names of all boards, actuators or interlocks."""
+    return {"board": boards.names, "actuator": boards.labels, "interlock": boards.interlocks}[target]
+
+
+def _of_board(boards: SimulatedBuses, verb: str, name: str, *arguments: str | float) -> None:
+    if arguments:
+        getattr(boards, verb)(name, error_code(str(arguments[0])))
+    else:
+        getattr(boards, verb)(name)
+
+
+def _of_actuator(boards: SimulatedBuses, verb: str, label: str, *arguments: str | float) -> None:
+    numbers: list[float] = []
+    match verb, arguments:
+        case "stick", [state]:
+            if str(state) not in ("0", "1"):
+                raise ValueError(f"{state!r} is no state: 0 is contracted, 1 is extended")
+            numbers = [int(state)]
+        case "jam", [position]:
+            numbers = [min(number(position), 1.0)]
+        case "slow", [factor]:
+            numbers = [positive(factor)]
+    with boards.actuator(label) as it:
+        getattr(it, verb)(*numbers)
+
+
+def nearest(word: str, choices: Iterable[str]) -> str:
+    """Returns ": did you mean ...?" with the nearest choice; "." if none is near."""
+    found = difflib.get_close_matches(word, list(choices), 1)
+    return f": did you mean {found[0]}?" if found else "."
+
+
+def named(choices: list[str]) -> str:
+    """Returns all choices, or the first and the last of many."""
+    return ", ".join(choices) if len(choices) <= MOST_NAMED else f"{choices[0]} to {choices[-1]}"
+
+
+def error_code(text: str) -> int:
+    """Returns an error code of CiA 301 from its hexadecimal digits.
+
+    Raises:
+        ValueError: the text is no such number.
+    """
+    try:
+        return int(text, 16) & 0xFFFF
+    except ValueError:
+        raise ValueError(f"{text!r} is no error code: four hexadecimal digits are needed, such as 2320") from None
 
 
 def number(text: str | float) -> float:
@@ -52,7 +153,10 @@ def number(text: str | float) -> float:
     Raises:
         ValueError: the text is no such number.
     """
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
     if not 0.0 <= value < float("inf"):
         raise ValueError(f"{text} is not a positive number")
     return value

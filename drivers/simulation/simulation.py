@@ -125,6 +125,16 @@ class Simulation:
             self._boards.step(self._clock())
             fault_commands.perform(self._boards, *words)
 
+    def play_fault(self, text: str) -> str:
+        """Causes or ends a fault, such as "silence can0/5"; returns the answer.
+
+        Raises:
+            ValueError: the text is no fault; the message names the choices.
+        """
+        with self._lock:
+            self._boards.step(self._clock())
+            return fault_commands.play(self._boards, text)
+
     @contextlib.contextmanager
     def board(self, name: str) -> Iterator[SimulatedBoard]:
         """Yields a board, e.g. "can0/5", while no frame reaches any board."""

@@ -74,7 +74,7 @@ def test_faults_of_the_wiring_are_told_as_for_the_built_arm(where: str, value: A
 def test_a_table_that_cannot_be_read_is_told(table: str, tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("x,y,th\n0,0,0\n")
     path = written(tmp_path, {**document(), "modules": [{"type": "transforms", "table": table}]})
-    with pytest.raises(InputFaults, match=r"modules\[0\]\.table: "):
+    with pytest.raises(InputFaults, match=r"modules\[1\]\.table: "):
         read_wired(path)
 
 

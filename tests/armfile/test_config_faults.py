@@ -20,28 +20,28 @@ def faults(read, value) -> list[str]:
 
 # Field set, value given, the one fault it must bring, by its beginning.
 FAULTS = [
-    ("nam", "x", "nam: unknown field; known are actuators, base, boards"),
-    ("boards.hartbeat", 1, "boards.hartbeat: unknown field; known are boot_timeout, error_state, heartbeat"),
-    ("actuators.1.nod", 1, "actuators[1].nod: unknown field"),
+    ("nam", "x", "nam: unknown field; did you mean 'name'? Known are actuators, base, boards"),
+    ("boards.hartbeat", 1, "boards.hartbeat: unknown field; did you mean 'heartbeat'? Known are boot_timeout"),
+    ("actuators.1.nod", 1, "actuators[2].nod: unknown field"),
     ("name", 7, "name: Expected `str`, got `int` (given: 7)"),
     ("name", "a b", "name: Expected `str` matching regex"),
     ("name", "a\n", "name: Expected `str` matching regex"),
     ("name", "", "name: Expected `str` matching regex"),
     ("name", "a/b", "name: Expected `str` matching regex"),
     ("modules", [], "modules: Expected `array` of length >= 1 (given: [])"),
-    ("modules.0.type", "vgd", "modules[0].type: Invalid value 'vgd'"),
-    ("modules.0.count", 0, "modules[0].count: Expected `int` >= 1 (given: 0)"),
-    ("modules.0.count", 10_001, "modules[0].count: Expected `int` <= 10000 (given: 10001)"),
-    ("modules.0.count", 2.5, "modules[0].count: Expected `int`, got `float` (given: 2.5)"),
-    ("modules.0.width", -0.2, "modules[0].width: Expected `float` > 0.0 (given: -0.2)"),
-    ("modules.0.width", math.nan, "modules[0].width: nan is not a finite number"),
-    ("modules.0.width", 10**400, "modules[0].width: Number out of range (given: 1000"),
-    ("modules.0.lengths", [0.2], "modules[0].lengths: Expected `array` of length 2, got 1"),
-    ("modules.0.lengths", [0.2, math.inf], "modules[0].lengths[1]: Expected `float` <= 1000000.0"),
-    ("modules.0.lengths", [1e200, 1.1e200], "modules[0].lengths[0]: Expected `float` <= 1000000.0"),
-    ("modules.0.lengths", {"left": [1, 2], "right": [1, 2]}, "modules[0].lengths.diagonal: required, but missing"),
-    ("modules.0.first_diagonal", "CB", "modules[0].first_diagonal: Invalid enum value 'CB'"),
-    ("modules.0.width", 0.9, "modules[0].lengths: legs 0.2 and 0.2, diagonal 0.2, width 0.9: sides 0.2 and 0.2"),
+    ("modules.0.type", "vgd", "modules[1].type: 'vgd' is unknown; did you mean 'vgt'? It must be one of vgt, revolute"),
+    ("modules.0.count", 0, "modules[1].count: Expected `int` >= 1 (given: 0)"),
+    ("modules.0.count", 10_001, "modules[1].count: Expected `int` <= 10000 (given: 10001)"),
+    ("modules.0.count", 2.5, "modules[1].count: Expected `int`, got `float` (given: 2.5)"),
+    ("modules.0.width", -0.2, "modules[1].width: Expected `float` > 0.0 (given: -0.2)"),
+    ("modules.0.width", math.nan, "modules[1].width: nan is not a finite number"),
+    ("modules.0.width", 10**400, "modules[1].width: Number out of range (given: 1000"),
+    ("modules.0.lengths", [0.2], "modules[1].lengths: Expected `array` of length 2, got 1"),
+    ("modules.0.lengths", [0.2, math.inf], "modules[1].lengths[2]: Expected `float` <= 1000000.0"),
+    ("modules.0.lengths", [1e200, 1.1e200], "modules[1].lengths[1]: Expected `float` <= 1000000.0"),
+    ("modules.0.lengths", {"left": [1, 2], "right": [1, 2]}, "modules[1].lengths.diagonal: required, but missing"),
+    ("modules.0.first_diagonal", "CB", "modules[1].first_diagonal: 'CB' is unknown"),
+    ("modules.0.width", 0.9, "modules[1].lengths: legs 0.2 and 0.2, diagonal 0.2, width 0.9: sides 0.2 and 0.2"),
     ("tolerance", {}, "tolerance.position: required, but missing"),
     ("tolerance.position", 0, "tolerance.position: Expected `float` > 0.0 (given: 0)"),
     ("travel_time", 61, "travel_time: Expected `float` <= 60.0 (given: 61)"),
@@ -49,60 +49,64 @@ FAULTS = [
     ("inrush", 0, "inrush: Expected `int` >= 1 (given: 0)"),
     ("inrush", 2.5, "inrush: Expected `int"),
     ("base.position", [1], "base.position: Expected `array` of length >= 2 (given: [1])"),
-    ("base.position", [1, math.nan], "base.position[1]: nan is not a finite number"),
-    ("base.position", [1e300, 0], "base.position[0]: Expected `float` <= 1000000.0"),
+    ("base.position", [1, math.nan], "base.position[2]: nan is not a finite number"),
+    ("base.position", [1e300, 0], "base.position[1]: Expected `float` <= 1000000.0"),
     ("base.orientation", [0, 0, 1], "base.orientation: Expected `array` of length >= 4 (given: [0, 0, 1])"),
     ("base.orientation", [0, 0, 1, 1], "base.orientation: a quaternion x, y, z, w of length 1 is needed, got"),
     ("base.position", [0, 0, 1], "base.orientation: a spatial frame needs a quaternion x, y, z, w, got the angle 0.1"),
     ("workspace.pixel", 0, "workspace.pixel: Expected `float` > 0.0 (given: 0)"),
     ("workspace.memory", 70000, "workspace.memory: Expected `float` <= 65536.0 (given: 70000)"),
-    ("method", "ipop", "method: Invalid enum value 'ipop' (given: 'ipop')"),
+    ("method", "ipop", "method: 'ipop' is unknown"),
     ("boards.heartbeat", 0.001, "boards.heartbeat: Expected `float` >= 0.01 (given: 0.001)"),
     (
         "boards.heartbeat_timeout",
         0.15,
         "boards.heartbeat_timeout: 0.15 s is too short for heartbeats every 0.1 s; more",
     ),
-    ("boards.on_loss", "extend", "boards.on_loss: Invalid enum value 'extend'"),
-    ("buses.0.bitrate", 2_000_000, "buses[0].bitrate: Expected `int` <= 1000000 (given: 2000000)"),
-    ("buses.0.interface", "serial", "buses[0].interface: Invalid enum value 'serial'"),
-    ("buses.1.name", "can0", "buses[1].name: 'can0' is already taken"),
-    ("actuators.0.node", 127, "actuators[0].node: Expected `int` <= 126 (given: 127)"),
-    ("actuators.0.node", 0, "actuators[0].node: Expected `int` >= 1 (given: 0)"),
-    ("actuators.0.output", 2032, "actuators[0].output: Expected `int` <= 2031 (given: 2032)"),
-    ("actuators.0.input", -1, "actuators[0].input: Expected `int` >= 0 (given: -1)"),
-    ("actuators.0.bus", "can7", "actuators[0].bus: 'can7' is none of the buses can0, spare"),
-    ("actuators.1.output", 0, "actuators[1].output: output 0 of can0/1 is 1.left's already"),
-    ("actuators.1.input", 0, "actuators[1].input: input 0 of can0/1 is 1.left's already"),
-    ("actuators.0.stuck", "yes", "actuators[0].stuck: Invalid enum value 'yes'"),
-    ("on_stuck", "go", "on_stuck: Invalid enum value 'go'"),
-    ("actuators.0.module", 0, "actuators[0].module: Expected `int` >= 1 (given: 0)"),
+    ("boards.on_loss", "extend", "boards.on_loss: 'extend' is unknown"),
+    ("buses.0.bitrate", 2_000_000, "buses[1].bitrate: Expected `int` <= 1000000 (given: 2000000)"),
+    ("buses.0.interface", "serial", "buses[1].interface: 'serial' is unknown"),
+    ("buses.1.name", "can0", "buses[2].name: 'can0' is already taken"),
+    ("actuators.0.node", 127, "actuators[1].node: Expected `int` <= 126 (given: 127)"),
+    ("actuators.0.node", 0, "actuators[1].node: Expected `int` >= 1 (given: 0)"),
+    ("actuators.0.output", 2032, "actuators[1].output: Expected `int` <= 2031 (given: 2032)"),
+    ("actuators.0.input", -1, "actuators[1].input: Expected `int` >= 0 (given: -1)"),
+    ("actuators.0.bus", "can7", "actuators[1].bus: 'can7' is none of the buses can0, spare"),
+    ("actuators.1.output", 0, "actuators[2].output: output 0 of can0/1 is 1.left's already"),
+    ("actuators.1.input", 0, "actuators[2].input: input 0 of can0/1 is 1.left's already"),
+    ("actuators.0.stuck", "yes", "actuators[1].stuck: 'yes' is unknown"),
+    ("on_stuck", "go", "on_stuck: 'go' is unknown"),
+    ("actuators.0.module", 0, "actuators[1].module: Expected `int` >= 1 (given: 0)"),
     ("body_radius", -0.1, "body_radius: Expected `float` >= 0.0 (given: -0.1)"),
     ("self_collision", 1, "self_collision: Expected `bool`, got `int` (given: 1)"),
     ("obstacles", {}, "obstacles: Expected `array`, got `object`"),
-    ("obstacles.0.disk", 1, "obstacles[0].disk: unknown field; known are box, disc, half_plane, half_space, name"),
-    ("obstacles.0.disc.radius", -1, "obstacles[0].disc.radius: Expected `float` > 0.0 (given: -1)"),
-    ("obstacles.0.disc.radius", math.inf, "obstacles[0].disc.radius: inf is not a finite number"),
-    ("obstacles.0.disc.center", [0, 0], "obstacles[0].disc.center: unknown field; known are centre, radius"),
-    ("obstacles.0.disc.centre", [0, 0, 0], "obstacles[0].disc.centre: 3 coordinates, a planar arm's have 2"),
-    ("obstacles.0.disc.centre", [1e9, 0], "obstacles[0].disc.centre[0]: Expected `float` <= 1000000.0"),
-    ("obstacles.0.name", "a b", "obstacles[0].name: Expected `str` matching regex"),
-    ("obstacles.2.name", "pillar", "obstacles[2].name: 'pillar' is obstacles[0]'s already"),
-    ("obstacles.1.box.size", [0.4, 0], "obstacles[1].box.size[1]: Expected `float` > 0.0 (given: 0)"),
-    ("obstacles.1.box.size", [0.4, 1, 1], "obstacles[1].box.size: 3 coordinates, a planar arm's have 2"),
-    ("obstacles.1.box.angle", 90, "obstacles[1].box.angle: Expected `float` <= 6.2832 (given: 90)"),
-    ("obstacles.1.box.orientation", [0, 0, 0, 1], "obstacles[1].box.orientation: a box of the plane is turned by an"),
-    ("obstacles.2.half_plane.normal", [0, 0], "obstacles[2].half_plane.normal: a direction is needed, got [0"),
-    ("obstacles.1", {}, "obstacles[1]: one of disc, box, half_plane is needed for a planar arm, got none of them"),
+    ("obstacles.0.disk", 1, "obstacles[1].disk: unknown field; did you mean 'disc'? Known are box, disc, half_plane"),
+    ("obstacles.0.disc.radius", -1, "obstacles[1].disc.radius: Expected `float` > 0.0 (given: -1)"),
+    ("obstacles.0.disc.radius", math.inf, "obstacles[1].disc.radius: inf is not a finite number"),
+    (
+        "obstacles.0.disc.center",
+        [0, 0],
+        "obstacles[1].disc.center: unknown field; did you mean 'centre'?",
+    ),
+    ("obstacles.0.disc.centre", [0, 0, 0], "obstacles[1].disc.centre: 3 coordinates, a planar arm's have 2"),
+    ("obstacles.0.disc.centre", [1e9, 0], "obstacles[1].disc.centre[1]: Expected `float` <= 1000000.0"),
+    ("obstacles.0.name", "a b", "obstacles[1].name: Expected `str` matching regex"),
+    ("obstacles.2.name", "pillar", "obstacles[3].name: 'pillar' is the name of another obstacle already"),
+    ("obstacles.1.box.size", [0.4, 0], "obstacles[2].box.size[2]: Expected `float` > 0.0 (given: 0)"),
+    ("obstacles.1.box.size", [0.4, 1, 1], "obstacles[2].box.size: 3 coordinates, a planar arm's have 2"),
+    ("obstacles.1.box.angle", 90, "obstacles[2].box.angle: Expected `float` <= 6.2832 (given: 90)"),
+    ("obstacles.1.box.orientation", [0, 0, 0, 1], "obstacles[2].box.orientation: a box of the plane is turned by an"),
+    ("obstacles.2.half_plane.normal", [0, 0], "obstacles[3].half_plane.normal: a direction is needed, got [0"),
+    ("obstacles.1", {}, "obstacles[2]: one of disc, box, half_plane is needed for a planar arm, got none of them"),
     (
         "obstacles.1.disc",
         {"centre": [0, 0], "radius": 1},
-        "obstacles[1]: one of disc, box, half_plane is needed for a planar arm, got disc and box",
+        "obstacles[2]: one of disc, box, half_plane is needed for a planar arm, got disc and box",
     ),
     (
         "obstacles.1",
         {"sphere": {"centre": [0, 0], "radius": 1}},
-        "obstacles[1]: one of disc, box, half_plane is needed for a planar arm, got sphere",
+        "obstacles[2]: one of disc, box, half_plane is needed for a planar arm, got sphere",
     ),
     ("obstacles", [{"disc": {"centre": [5, 5], "radius": 1}}] * 257, "obstacles: Expected `array` of length <= 256"),
     (
@@ -130,16 +134,16 @@ def test_what_cannot_be_left_out(read, field):
 def test_contracted_is_shorter_than_extended(read, lengths):
     expected = f"is {lengths[0]:g} contracted, so not {lengths[1]:g} extended"
     assert faults(read, changed("modules.0.lengths", lengths)) == [
-        f"modules[0].lengths: {name} {expected}" for name in LABELS
+        f"modules[1].lengths: {name} {expected}" for name in LABELS
     ]
 
 
 @pytest.mark.parametrize(
     ("where", "value", "expected"),
     [
-        ("actuators.0.module", 3, "actuators[0].module: 3, but the arm has modules 1 to 2"),
-        ("actuators.0.actuator", "top", "actuators[0].actuator: 'top', but module 1 has left, diagonal, right"),
-        ("actuators.0.actuator", "right", "actuators[2]: actuator 1.right is mapped already"),
+        ("actuators.0.module", 3, "actuators[1].module: 3, but the arm has modules 1 to 2"),
+        ("actuators.0.actuator", "top", "actuators[1].actuator: 'top', but module 1 has left, diagonal, right"),
+        ("actuators.0.actuator", "right", "actuators[3]: actuator 1.right is mapped already"),
     ],
 )
 def test_an_actuator_mapped_wrongly_is_missing_where_it_belongs(read, where, value, expected):
@@ -159,7 +163,7 @@ def test_buses_without_actuators_leave_all_unmapped(read):
 
 
 def test_actuators_without_buses(read):
-    expected = [f"actuators[{k}].bus: 'can0' is none of the buses (none)" for k in range(6)]
+    expected = [f"actuators[{k + 1}].bus: 'can0' is none of the buses (none)" for k in range(6)]
     assert faults(read, changed("buses", [])) == expected
 
 
@@ -172,9 +176,9 @@ def test_faults_of_every_section_come_together(read):
     paths = [fault.split(":")[0] for fault in faults(read, value)]
     assert paths == [
         "boards.heartbeat_timeout",
-        "modules[1].lengths",
-        *["modules[2].lengths"] * 3,
-        "modules[3].states[1].orientation",
+        "modules[2].lengths",
+        *["modules[3].lengths"] * 3,
+        "modules[4].states[2].orientation",
         "base.orientation",
     ]
 
@@ -186,7 +190,7 @@ def test_faults_of_the_wiring_come_together(read):
     value["actuators"][2]["bus"] = "can7"
     value["actuators"][5]["actuator"] = "up"
     paths = [fault.split(":")[0] for fault in faults(read, value)]
-    assert paths == ["buses[1].name", "actuators[5].actuator", "actuators[2].bus", "actuators[1].output", "actuators"]
+    assert paths == ["buses[2].name", "actuators[6].actuator", "actuators[3].bus", "actuators[2].output", "actuators"]
 
 
 def test_a_file_that_is_missing_or_says_nothing(tmp_path):
@@ -301,7 +305,7 @@ def test_however_a_document_is_changed_it_loads_or_says_why_not(read, data, seed
 )
 def test_regions_of_a_spatial_arm_that_are_wrong(read, obstacle, expected):
     fault, *_ = faults(read, {**SPATIAL, "obstacles": [obstacle]})
-    assert fault.startswith(f"obstacles[0]{expected}")
+    assert fault.startswith(f"obstacles[1]{expected}")
 
 
 def test_stuck_actuators_that_leave_a_module_no_state_are_named(read):

@@ -74,7 +74,7 @@ def test_off_is_right_where_it_does_what_on_loss_asks(
     with pytest.raises(InputFaults) as caught:
         loaded(tmp_path, value)
     (fault,) = caught.value.faults
-    assert fault.startswith(f"boards.nodes[0].error_state: off, but actuator 1.left {wrong}")
+    assert fault.startswith(f"boards.nodes[1].error_state: off, but actuator 1.left {wrong}")
 
 
 def test_a_whole_arm_of_plain_outputs_may_be_on_boards_that_switch_off(tmp_path: Path) -> None:

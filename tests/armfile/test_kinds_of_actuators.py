@@ -49,92 +49,95 @@ def loaded(folder: Path, value: dict[str, Any]) -> ExecutedArm:
 
 # What is wrong with a file, and the beginning of the one fault that says so.
 FAULTS = [
-    (with_actuator(output_off=0), "actuators[0].output_off: output 0 of can0/1 is 1.left's already"),
-    (with_actuator(output_off={"bit": 1}), "actuators[1].output: output 1 of can0/1 is 1.left's already"),
-    (with_actuator(input_contracted=0), "actuators[0].input_contracted: input 0 of can0/1 is 1.left's already"),
-    (with_actuator(output={"bit": 0, "invert": True}), "actuators[0].output.invert: unknown field; known are bit, inv"),
-    (with_actuator(input={"inverted": True}), "actuators[0].input.bit: required, but missing"),
-    (with_actuator(input={"bit": 0, "inverted": 1}), "actuators[0].input.inverted: Expected `bool`, got `int`"),
+    (with_actuator(output_off=0), "actuators[1].output_off: output 0 of can0/1 is 1.left's already"),
+    (with_actuator(output_off={"bit": 1}), "actuators[2].output: output 1 of can0/1 is 1.left's already"),
+    (with_actuator(input_contracted=0), "actuators[1].input_contracted: input 0 of can0/1 is 1.left's already"),
+    (
+        with_actuator(output={"bit": 0, "invert": True}),
+        "actuators[1].output.invert: unknown field; did you mean 'inverted'?",
+    ),
+    (with_actuator(input={"inverted": True}), "actuators[1].input.bit: required, but missing"),
+    (with_actuator(input={"bit": 0, "inverted": 1}), "actuators[1].input.inverted: Expected `bool`, got `int`"),
     (
         with_actuator(input={"bit": 0, "board": "can0-9"}),
-        "actuators[0].input.board: 'can0-9', but a bus and a node id from 1 to 126 are needed, as can0/9",
+        "actuators[1].input.board: 'can0-9', but a bus and a node id from 1 to 126 are needed, as can0/9",
     ),
     (
         with_actuator(input_contracted={"bit": 0, "board": "can0/127"}),
-        "actuators[0].input_contracted.board: 'can0/127', but a bus and a node id from 1 to 126 are needed, as can0/9",
+        "actuators[1].input_contracted.board: 'can0/127', but a bus and a node id from 1 to 126 are needed, as can0/9",
     ),
     (
         with_actuator(input={"bit": 0, "board": "can7/9"}),
-        "actuators[0].input.board: 'can7/9', but 'can7' is none of the buses can0, spare",
+        "actuators[1].input.board: 'can7/9', but 'can7' is none of the buses can0, spare",
     ),
     (
         with_actuator(input={"bit": 1, "board": "can0/2"}),
-        "actuators[4].input: input 1 of can0/2 is 1.left's already",
+        "actuators[5].input: input 1 of can0/2 is 1.left's already",
     ),
     (
         with_actuator(input_contracted={"bit": 0, "board": "can0/1"}),
-        "actuators[0].input_contracted: input 0 of can0/1 is 1.left's already",
+        "actuators[1].input_contracted: input 0 of can0/1 is 1.left's already",
     ),
     (
         with_actuator(input={"bit": 2032, "board": "can0/9"}),
-        "actuators[0].input.bit: Expected `int` <= 2031 (given: 20",
+        "actuators[1].input.bit: Expected `int` <= 2031 (given: 20",
     ),
-    (with_actuator(input={"bit": 0, "board": 9}), "actuators[0].input.board: Expected `str | null`, got `int`"),
+    (with_actuator(input={"bit": 0, "board": 9}), "actuators[1].input.board: Expected `str | null`, got `int`"),
     (
         with_actuator(output={"bit": 0, "board": "can0/9"}),
-        "actuators[0].output.board: unknown field; known are bit, in",
+        "actuators[1].output.board: unknown field; known are bit, in",
     ),
-    (with_actuator(output="0"), "actuators[0].output: Expected `int | object`, got `str` (given: '0')"),
-    (with_actuator(pulse=0.05), "actuators[0].pulse: 0.05 s, but an actuator without `output_off` returns when its"),
-    (with_actuator(output_off=8, pulse=0), "actuators[0].pulse: Expected `float` >= 0.01 (given: 0)"),
-    (with_actuator(output_off=8, pulse=11), "actuators[0].pulse: Expected `float` <= 10.0 (given: 11)"),
+    (with_actuator(output="0"), "actuators[1].output: Expected `int | object`, got `str` (given: '0')"),
+    (with_actuator(pulse=0.05), "actuators[1].pulse: 0.05 s, but an actuator without `output_off` returns when its"),
+    (with_actuator(output_off=8, pulse=0), "actuators[1].pulse: Expected `float` >= 0.01 (given: 0)"),
+    (with_actuator(output_off=8, pulse=11), "actuators[1].pulse: Expected `float` <= 10.0 (given: 11)"),
     (
         with_actuator(**BISTABLE, on_loss="contract"),
-        "actuators[0].on_loss: contract, but the outputs of actuator 1.left are off between pulses, so it stays where",
+        "actuators[1].on_loss: contract, but the outputs of actuator 1.left are off between pulses, so it stays where",
     ),
     (
         with_boards(BISTABLE, on_loss="contract"),
         "boards.on_loss: contract, but the outputs of actuator 1.left are off between pulses, so it stays where it is;"
-        " actuators[0].on_loss: hold is needed",
+        " this actuator needs its own on_loss: hold",
     ),
-    (with_actuator(on_loss="extend"), "actuators[0].on_loss: Invalid enum value 'extend'"),
-    (with_actuator(travel_time=0), "actuators[0].travel_time: Expected `float` > 0.0 (given: 0)"),
-    (with_actuator(travel_time={"extend": 0.1}), "actuators[0].travel_time.contract: required, but missing"),
+    (with_actuator(on_loss="extend"), "actuators[1].on_loss: 'extend' is unknown"),
+    (with_actuator(travel_time=0), "actuators[1].travel_time: Expected `float` > 0.0 (given: 0)"),
+    (with_actuator(travel_time={"extend": 0.1}), "actuators[1].travel_time.contract: required, but missing"),
     (
         {**document(), "travel_time": {"extend": 1, "contract": 1, "retract": 1}},
-        "travel_time.retract: unknown field; known are con",
+        "travel_time.retract: unknown field; did you mean 'contract'? Known",
     ),
-    (with_actuator(settle_margin=-1), "actuators[0].settle_margin: Expected `float` >= 0.0 (given: -1)"),
-    ({**document(), "on_stop": "extend"}, "on_stop: Invalid enum value 'extend'"),
+    (with_actuator(settle_margin=-1), "actuators[1].settle_margin: Expected `float` >= 0.0 (given: -1)"),
+    ({**document(), "on_stop": "extend"}, "on_stop: 'extend' is unknown"),
     (with_interlock(bus="can7"), "interlocks.door.bus: 'can7' is none of the buses can0, spare"),
     (with_interlock(node=127), "interlocks.door.node: Expected `int` <= 126 (given: 127)"),
     (with_interlock(node=1, input=0), "interlocks.door.input: input 0 of can0/1 is 1.left's already"),
     (with_interlock(output=0), "interlocks.door.output: unknown field; known are bus, input, inverted, node"),
     ({**document(), "interlocks": {"the door": {"bus": "can0", "node": 9, "input": 3}}}, "interlocks.the door: Expect"),
     ({**document(), "interlocks": [1]}, "interlocks: Expected `object`, got `array` (given: [1])"),
-    (with_boards(error_state="drop"), "boards.error_state: Invalid enum value 'drop'"),
+    (with_boards(error_state="drop"), "boards.error_state: 'drop' is unknown"),
     (with_boards(error_state=True), "boards.error_state: true, but off, hold or device is needed"),
     (
         with_boards(nodes=[{"bus": "can0", "node": 1}, {"bus": "can0", "node": 1}]),
-        "boards.nodes[1]: board can0/1 is there already; one entry a board is needed",
+        "boards.nodes[2]: board can0/1 is there already; one entry a board is needed",
     ),
-    (with_boards(nodes=[{"bus": "can7", "node": 1}]), "boards.nodes[0].bus: 'can7' is none of the buses can0, spare"),
+    (with_boards(nodes=[{"bus": "can7", "node": 1}]), "boards.nodes[1].bus: 'can7' is none of the buses can0, spare"),
     (
         with_boards(nodes=[{"bus": "can0", "node": 7}]),
-        "boards.nodes[0].node: board can0/7 has no output, end-stop or interlock",
+        "boards.nodes[1].node: board can0/7 has no output, end-stop or interlock",
     ),
-    (with_node(object=0x6000), "boards.nodes[0].object: 0x6000, but 0x6200 or an object from 0x2000 to 0x5fff is need"),
-    (with_node(object=0x6300), "boards.nodes[0].object: Expected `int` <= 25088 (given: 25344)"),
-    (with_node(serial=-1), "boards.nodes[0].serial: Expected `int` >= 0 (given: -1)"),
-    (with_node(error_state=True), "boards.nodes[0].error_state: true, but off, hold or device is needed"),
+    (with_node(object=0x6000), "boards.nodes[1].object: 0x6000, but 0x6200 or an object from 0x2000 to 0x5fff is need"),
+    (with_node(object=0x6300), "boards.nodes[1].object: Expected `int` <= 25088 (given: 25344)"),
+    (with_node(serial=-1), "boards.nodes[1].serial: Expected `int` >= 0 (given: -1)"),
+    (with_node(error_state=True), "boards.nodes[1].error_state: true, but off, hold or device is needed"),
     (
         with_node({"on_loss": "contract"}, error_state="hold"),
-        "boards.nodes[0].error_state: hold, but actuator 1.left is to contract (on_loss), which `hold` does not ensure;"
+        "boards.nodes[1].error_state: hold, but actuator 1.left is to contract (on_loss), which `hold` does not ensure;"
         " off is needed, or a board with 6206h and 6207h, without error_state",
     ),
     (
         with_node(BISTABLE, error_state="device"),
-        "boards.nodes[0].error_state: device, but actuator 1.left has pulses: an output that is on then would stay on",
+        "boards.nodes[1].error_state: device, but actuator 1.left has pulses: an output that is on then would stay on",
     ),
 ]
 
@@ -185,7 +188,7 @@ def test_process_data_that_do_not_fit_on_a_board_are_refused_with_the_field(
     with pytest.raises(InputFaults) as caught:
         loaded(tmp_path, value)
     assert caught.value.faults == (
-        f"actuators[35].{field}: 300, but board can0/1: its {kind} are in 33 bytes; 32 fit in four PDOs",
+        f"actuators[36].{field}: 300, but board can0/1: its {kind} are in 33 bytes; 32 fit in four PDOs",
     )
 
 

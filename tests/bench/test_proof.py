@@ -11,9 +11,9 @@ from controller.arm.arm import Arm
 from controller.manipulator.frame_kernels import angle_between
 from controller.search.target import within
 from tests.arms import every_configuration
-from tests.benchmarks.acceptance import check_of, clear
-from tests.benchmarks.half_rows import NONE, halves, rows
-from tests.benchmarks.proof import prove
+from tests.benchmarks.proofs.acceptance import check_of, clear
+from tests.benchmarks.proofs.half_rows import NONE, halves, rows
+from tests.benchmarks.proofs.proof import prove
 
 TURNS = (0.0, math.pi / 2, math.pi, -math.pi / 2)
 

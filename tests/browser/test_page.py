@@ -155,6 +155,23 @@ def test_a_viewer_sees_all_and_moves_nothing(page: Page) -> None:
     shown.says("#mode", "ready")
 
 
+def test_a_simulated_arm_says_so_and_plays_faults(page: Page) -> None:
+    choose = """
+        const field = document.querySelector(`#play select[name=${arguments[0]}]`);
+        if (![...field.options].some((option) => option.value === arguments[1])) return false;
+        field.value = arguments[1];
+        field.dispatchEvent(new Event('change'));
+        return true;"""
+    shown = page()
+    eventually(lambda: shown.run("return document.querySelector('#simulated').checkVisibility()"))
+    for verb, mode in (("silence", "fault"), ("unsilence", "ready")):
+        eventually(lambda verb=verb: shown.run(choose, "verb", verb))
+        eventually(lambda: shown.run(choose, "target", "can0/5"))
+        shown.press_named("#play button", "Play")
+        shown.says(".notice", f"done: {verb} can0/5")
+        shown.says("#mode", mode)
+
+
 def test_control_is_shown_and_taken(page: Page) -> None:
     shown = page(token=OTHER)
     shown.press("#take")
@@ -220,7 +237,10 @@ def test_the_list_leads_to_each_arm(page: Page, driver: object, world: World) ->
     shown = Shown(driver, world.url)
     shown.visit("/", VIEWER)
     eventually(lambda: len(shown.all(".arms li:not(.old)")) == 2)
-    assert [entry.text.split()[0] for entry in shown.all(".arms li")] == ["flat", "mixed"]
+    assert [entry.text.split()[:2] for entry in shown.all(".arms li")] == [
+        ["flat", "simulated"],
+        ["mixed", "simulated"],
+    ]
     shown.press(".arms a")
     shown.says("#name", "flat")
 

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from controller.commands.operate import wear
-from controller.planning.core.events import Accepted, Ended, Identity, Record
+from controller.planning.core.events import AcceptanceEntry, Identity, Record, ResultEntry
 from controller.planning.ledger import Ledger
 from controller.planning.ledger_file import SCHEMA
 
@@ -63,7 +63,9 @@ def test_every_arm_is_checked_mapped_and_planned(hyperbit, name, tmp_path):
     arm["workspace"] = {"memory": 4}  # coarser and faster
     file = tmp_path / f"{name}.yaml"
     file.write_text(yaml.safe_dump(arm))
-    assert json.loads(hyperbit("check", str(file), "--json")[1]) == {"ok": True, "faults": [], "boards": []}
+    checked = json.loads(hyperbit("check", str(file), "--json")[1])
+    assert (checked["ok"], checked["faults"], checked["warnings"], checked["boards"]) == (True, [], [], [])
+    assert checked["arm"]["actuators"] == checked["arm"]["log2_configurations"]
     assert json.loads(hyperbit("map", str(file), "--json")[1])["megabytes"] <= 4.2
     joints = sum(group["count"] for group in arm["modules"])
     states = [{"revolute24": k % 2, "platform8": 9 * k, "motor12": k}[name] for k in range(joints)]
@@ -84,11 +86,13 @@ def test_check_names_every_fault_and_opens_nothing(hyperbit, tmp_path):
     file.write_text(yaml.safe_dump(arm))
     code, out, err = hyperbit("check", str(file))
     assert (code, out) == (2, "")
-    assert [line.split(": ")[1] for line in err.splitlines()] == ["speed", "actuators[3].node"]
+    assert [line.split(": ")[1] for line in err.splitlines()] == ["speed", "actuators[4].node"]
     code, out, _ = hyperbit("check", str(file), "--json")
     assert code == 2
     assert json.loads(out)["ok"] is False
-    assert len(json.loads(out)["faults"]) == 2
+    assert len(json.loads(out)["faults"]) == len(json.loads(out)["lines"]) == 2
+    lines = file.read_text().splitlines()
+    assert ["speed" in lines[n - 1] or "400" in lines[n - 1] for n in json.loads(out)["lines"]] == [True, True]
     for command in (
         ("run", str(file)),
         ("simulate", str(file)),
@@ -101,10 +105,54 @@ def test_check_names_every_fault_and_opens_nothing(hyperbit, tmp_path):
 
 
 def test_check_of_a_good_file(hyperbit):
-    assert hyperbit("check", ARM)[0] == 0
+    code, out, _ = hyperbit("check", ARM)
+    assert code == 0
+    lines = [line.split() for line in out.splitlines()[1:]]
+    assert [words[0] for words in lines[:5]] == ["modules", "actuators", "configurations", "boards", "length"]
+    assert [words[1] for words in lines[:5]] == ["16", "48", "2^48", "16", "4"]
     code, out, _ = hyperbit("check", ARM, "--json")
     assert code == 0
-    assert json.loads(out) == {"ok": True, "faults": [], "boards": []}
+    told = json.loads(out)
+    assert 2.5 < told["arm"].pop("reach") < told["arm"]["length"]
+    assert told == {
+        "ok": True,
+        "faults": [],
+        "warnings": [],
+        "boards": [],
+        "arm": {
+            "name": "planar16",
+            "dimension": 2,
+            "modules": {"vgt": 16},
+            "actuators": 48,
+            "log2_configurations": 48,
+            "boards": {"can0": 16},
+            "length": pytest.approx(4.0),
+            "travel_time": pytest.approx(0.05),
+        },
+    }
+
+
+def test_check_draws_the_arm(hyperbit, tmp_path, spatial):
+    for arm in (ARM, spatial):
+        picture = tmp_path / "arm.png"
+        assert hyperbit("check", arm, "--picture", str(picture))[0] == 0
+        assert picture.read_bytes().startswith(b"\x89PNG")
+        picture.unlink()
+    code, _, err = hyperbit("check", ARM, "--picture", str(tmp_path / "arm.xyz"))
+    assert (code, "arm.xyz: cannot be written: " in err) == (2, True)
+
+
+def test_check_warns_of_what_is_probably_a_mistake(hyperbit, tmp_path):
+    file = tmp_path / "arm.yaml"
+    file.write_text(Path(ARM).read_text().replace("bitrate: 1000000", "bitrate: 123456"))
+    code, out, _ = hyperbit("check", str(file))
+    line = (
+        file.read_text().splitlines().index("  - {name: can0, interface: socketcan, channel: can0, bitrate: 123456}")
+        + 1
+    )
+    assert (code, f"Warning: {file}, line {line}: buses[1].bitrate: 123456 bit/s is unusual" in out) == (0, True), out
+    told = json.loads(hyperbit("check", str(file), "--json")[1])
+    assert (told["ok"], len(told["warnings"])) == (True, 1)
 
 
 def test_an_arm_without_boards_is_not_run(hyperbit, spatial):
@@ -150,8 +198,8 @@ def test_wear_reads_the_ledger(hyperbit, tmp_path):
     assert hyperbit("wear", ARM, "--ledger", str(path))[0] == 1
     path.unlink()
     ledger = Ledger(path, ["1.left", "1.diagonal"])
-    result = Ended(1.9e9, "succeeded", 0, "reached", 5)
-    ledger.record(Record(1, Identity(1, 1), Accepted("a", 1.8e9, 2), result))
+    result = ResultEntry(1.9e9, "succeeded", 0, "reached", 5)
+    ledger.record(Record(1, Identity(1, 1), AcceptanceEntry("a", 1.8e9, 2), result))
     ledger.close()
     code, out, _ = hyperbit("wear", ARM, "--ledger", str(path), "--json")
     assert code == 0

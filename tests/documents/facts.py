@@ -17,6 +17,7 @@ from controller.motion.tracking import bias
 from controller.program.parts import Mode
 from controller.refusals import codes
 from controller.refusals.reasons import Reason
+from drivers.simulation.fault_commands import VERBS
 from drivers.simulation.variants import VARIANTS
 from tests.documents.page import ROOT
 from tests.documents.payloads import payloads
@@ -112,6 +113,7 @@ TABLES: dict[str, Callable[[], set[str]]] = {
     "methods": lambda: set(get_args(settings.Method)),
     "module types": lambda: {str(kind.__struct_config__.tag) for kind in get_args(settings.ModuleSettings)},
     "variants": lambda: set(VARIANTS),
+    "faults on demand": lambda: set(VERBS),
     "rooms": rooms,
     "make targets": targets,
     "units": units,

@@ -40,7 +40,7 @@ class FakeMaster:
         self.releasing = False
         self.stuck = self.partly = 0  # masks of stuck actuators, and of lines that a SYNC does not switch
         self.halfway = 0  # mask of actuators that stop halfway
-        self.halt: ArmFault | None = None
+        self.pause: ArmFault | None = None
         self.broken: set[str] = set()
         self.ticks: list[float] = []
         self.left: list[tuple[float, int]] = []  # when which lines were switched
@@ -106,9 +106,9 @@ class FakeMaster:
             line = self._size + self._wiring.ended.index(k)
         self.inputs = self.inputs & ~(1 << line) | level << line
 
-    def halted(self, now: float) -> ArmFault | None:
-        halt, self.halt = self.halt, None
-        return halt
+    def find_pause(self, now: float) -> ArmFault | None:
+        pause, self.pause = self.pause, None
+        return pause
 
     def boot(self, now: float) -> None:
         self._break("boot")

@@ -11,10 +11,11 @@ from typing import Any, Literal, TypeVar
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import Executor
-from controller.executor.core.events import TICK, ClientGone, ClientId, ExecutorTick, FromClient, ToClient
+from controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.host.process import Log, Notify
 from controller.program import (
+    TICK,
     VERSION,
     Alive,
     Diagnostics,

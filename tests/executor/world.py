@@ -7,8 +7,8 @@ from random import Random
 from typing import Any
 
 from controller.executor.core.core import Executor
-from controller.executor.core.events import TICK, ClientGone, ClientId, Event, FromClient
-from controller.program import VERSION, Alive, Hello, Program, Snapshot, Stage, Up, pack
+from controller.executor.core.events import ClientGone, ClientId, Event, FromClient
+from controller.program import TICK, VERSION, Alive, Hello, Program, Snapshot, Stage, Up, pack
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.simulation.variants import Variant

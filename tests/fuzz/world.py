@@ -12,8 +12,23 @@ from typing import Literal
 import can
 
 from controller.executor.core.core import Executor
-from controller.executor.core.events import TICK, ClientGone, ClientId, Event, FromClient
-from controller.program import VERSION, Alive, Cancel, Down, Goodbye, Hello, Lock, Program, Reset, Stage, Stop, Up, pack
+from controller.executor.core.events import ClientGone, ClientId, Event, FromClient
+from controller.program import (
+    TICK,
+    VERSION,
+    Alive,
+    Cancel,
+    Down,
+    Goodbye,
+    Hello,
+    Lock,
+    Program,
+    Reset,
+    Stage,
+    Stop,
+    Up,
+    pack,
+)
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame

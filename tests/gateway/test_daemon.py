@@ -173,7 +173,7 @@ def test_an_executor_that_runs_already_survives_the_planner(arm_file: Path, endp
     command = [sys.executable, "-c", f"import sys; sys.argv[1:] = {words!r}; {EXECUTOR}"]
     executor = subprocess.Popen(command, stdin=subprocess.PIPE)
     try:
-        process = Process(arm_file, endpoint, folder, folder / "ledger.sqlite", "--socket", str(folder))
+        process = Process(arm_file, endpoint, folder, folder / "ledger.sqlite", "--socket", str(folder), "--simulate")
         try:
             with connected(process) as (client, _, _):
                 assert process.executors == []

@@ -16,9 +16,9 @@ from tests.waiting import PATIENCE, eventually
 HERE = f"another daemon drives the arm 'a': process {os.getpid()} on "
 
 
-def confirmed(claim: Claim, patience: float = PATIENCE) -> bool:
+def confirmed(claim: Claim, timeout: float = PATIENCE) -> bool:
     try:
-        claim.confirm(patience)
+        claim.confirm(timeout)
     except AlreadyRunning:
         return False
     return True
@@ -89,8 +89,8 @@ def test_through_a_router_the_token_of_a_killed_daemon_is_waited_for(endpoint: s
         eventually(lambda: any(reply.ok for reply in second.liveliness().get(key, timeout=1.0)))
         claim = Claim(second, ARM)
         with pytest.raises(AlreadyRunning, match="does not say where"):
-            claim.confirm(patience=0.5)
+            claim.confirm(timeout=0.5)
         timer = threading.Timer(0.3, token.undeclare)
         timer.start()
-        claim.confirm(patience=PATIENCE)
+        claim.confirm(timeout=PATIENCE)
         timer.join()

@@ -25,7 +25,9 @@ class Bench:
 
     def send(self, payload: bytes = GOAL, number: bytes = b"") -> None:
         identified = payload if json.loads(payload).get("id") else None
-        self.goals.submit(identified, number, self.answers.append, lambda reply: self.planned.append((payload, reply)))
+        self.goals.receive_goal(
+            identified, number, self.answers.append, lambda reply: self.planned.append((payload, reply))
+        )
 
     def accept(self) -> None:
         payload, reply = self.planned[-1]
@@ -110,7 +112,7 @@ def test_memory_is_bounded(bench: Bench) -> None:
 
 def test_a_goal_that_could_not_be_requested_may_be_sent_again(bench: Bench) -> None:
     with pytest.raises(ZeroDivisionError):
-        bench.goals.submit(GOAL, b"7", bench.answers.append, lambda reply: 1 / 0)
+        bench.goals.receive_goal(GOAL, b"7", bench.answers.append, lambda reply: 1 / 0)
     bench.send(GOAL, b"7")
     assert len(bench.planned) == 1
 

@@ -15,7 +15,7 @@ from tests.waiting import PATIENCE, eventually
 
 BLOCK = zenoh.CongestionControl.BLOCK
 PREFIX = f"hyperbit/{ARM}"
-NAMED_ONLY = ("goal", "jog", "reset", "degrade", "obstacles")
+NAMED_ONLY = ("goal", "jog", "reset", "degrade", "obstacles", "fault")
 EVERYWHERE = ("stop", "cancel")
 GOAL = b'{"id": "x", "waypoints": []}'
 

@@ -30,6 +30,14 @@ def test_modules_with_kernels_come_with_those_they_depend_on():
         assert others <= found.keys()
 
 
+def test_kernels_of_the_library_are_compiled_beforehand():
+    code = "import sys, hyperbit; print(*(name for name in sys.modules if name.startswith('controller.')))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    files = {name: kernels.path(name) for name in done.stdout.split()}
+    needed = {name for name, file in files.items() if file.is_file() and "@njit(" in file.read_text(encoding="utf-8")}
+    assert needed <= kernels.kernels().keys()
+
+
 def test_a_module_is_imported_after_those_it_depends_on(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "hyperbit_first.py").write_text(f"open({str(tmp_path / 'mark')!r}, 'w').close()")

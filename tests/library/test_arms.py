@@ -102,6 +102,15 @@ def test_density_of_a_spatial_arm() -> None:
     assert (density.at(arm.frames(arm.sample(50))[:, :3, 3]) > 0).mean() > 0.8
 
 
+def test_coverage_respects_locked_actuators(arm: hb.Arm) -> None:
+    free, locked = arm.coverage(), arm.lock({"1.left": "extended"}).coverage()
+    assert free.log10_configurations == pytest.approx(4 * np.log10(8))
+    assert locked.area.upper < free.area.lower
+    assert arm.coverage(0.02).area.lower > free.area.upper
+    with pytest.raises(hb.GoalError):
+        arm.coverage(0.0)
+
+
 def test_orientations_and_locked_reach(arm: hb.Arm) -> None:
     point = arm.position(arm.sample(1, seed=3)[0])
     found = arm.orientations(point, 0.01)

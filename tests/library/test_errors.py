@@ -72,3 +72,4 @@ def test_a_wrong_file_names_each_fault(tmp_path: Path) -> None:
     with pytest.raises(hb.ArmError) as caught:
         hb.load(file)
     assert len(caught.value.faults) == 2
+    assert len(caught.value.lines) == 2

@@ -10,7 +10,7 @@ from controller.manipulator import frames
 from controller.manipulator.locked import lock_actuators
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import transforms
-from controller.obstacles.clearance import Clearance
+from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.collision import lines_distance
 from controller.obstacles.distance import first_obstacle, segment_distance
 from controller.obstacles.obstacles import NONE, box, half_space, sphere, together
@@ -80,7 +80,7 @@ def test_line_segments_that_leave_their_nearest_points_open(first, second, apart
 def test_bodies_in_regions_are_found_and_others_are_not(case, radius, data):
     arm, parts = case
     configuration = np.array([data.draw(st.integers(0, k - 1)) for k in arm.states])
-    clearance = Clearance(arm, obstacles_of(parts), radius)
+    clearance = BodyClearance(arm, obstacles_of(parts), radius)
     lines, blocked = arm.body(configuration), bool(clearance.blocked([configuration])[0])
     dense = nearest(lines, parts)
     if dense < radius - EPSILON:
@@ -108,7 +108,7 @@ def test_modules_that_touch_are_found_but_for_neighbours(arm, radius, data):
     trees = [cKDTree(along(body)) for body in bodies]
     pairs = [(i, j) for i in range(len(bodies)) for j in range(i + 2, len(bodies))]
     apart = {(i, j): trees[i].query(trees[j].data)[0].min() for i, j in pairs}
-    clearance = Clearance(arm, NONE, radius, self_collision=True)
+    clearance = BodyClearance(arm, NONE, radius, self_collision=True)
     where, blocked = clearance.where(configuration), bool(clearance.blocked([configuration])[0])
     assert blocked == (where is not None)
     if min(apart.values(), default=np.inf) < 2 * radius - EPSILON:
@@ -116,13 +116,13 @@ def test_modules_that_touch_are_found_but_for_neighbours(arm, radius, data):
     if where is not None:
         i, j = (int(word) - 1 for word in where.split() if word.isdigit())
         assert apart[i, j] <= 2 * radius + 1e-7 * arm.length + step(bodies[i]) + step(bodies[j]) + EPSILON
-    assert not Clearance(arm, NONE, radius).blocked([configuration])[0]
+    assert not BodyClearance(arm, NONE, radius).blocked([configuration])[0]
 
 
 def test_a_truss_that_lies_on_itself_is_found_though_its_bodies_are_thin():
     square = transforms([frames.planar(0, 1, np.pi / 2 + 0.1), frames.planar(0, 1)], planar=True)
     arm = Manipulator([square] * 5)
-    clearance = Clearance(arm, NONE, self_collision=True)
+    clearance = BodyClearance(arm, NONE, self_collision=True)
     assert clearance.where(np.zeros(5, dtype=np.int64)) == "modules 1 and 4 touch"
     assert clearance.where(np.ones(5, dtype=np.int64)) is None
 
@@ -130,7 +130,7 @@ def test_a_truss_that_lies_on_itself_is_found_though_its_bodies_are_thin():
 def test_what_is_in_the_way_is_named_from_the_base():
     arm = paper_arm(4)
     walls = together([sphere("disc 'pillar'", [0, 0.9], 0.05), half_space("half-plane 'floor'", [0, -0.1], [0, 1])])
-    clearance = Clearance(arm, walls, 0.01)
+    clearance = BodyClearance(arm, walls, 0.01)
     straight = np.full(4, 7)
     assert clearance.where(straight) == "module 4 is in disc 'pillar'"
     assert clearance.blocked([straight, np.zeros(4, dtype=int)]).tolist() == [True, False]
@@ -140,21 +140,21 @@ def test_what_is_in_the_way_is_named_from_the_base():
 def test_inside_of_a_half_space_is_where_its_normal_points_away_from():
     arm = spatial_arm(3)
     upright = np.full(3, 4)
-    assert Clearance(arm, half_space("ceiling", [0, 0, 0.7], [0, 0, -1])).blocked([upright])[0]
-    assert not Clearance(arm, half_space("floor", [0, 0, -0.1], [0, 0, 1])).blocked([upright])[0]
+    assert BodyClearance(arm, half_space("ceiling", [0, 0, 0.7], [0, 0, -1])).blocked([upright])[0]
+    assert not BodyClearance(arm, half_space("floor", [0, 0, -0.1], [0, 0, 1])).blocked([upright])[0]
 
 
 def test_a_box_is_turned_with_its_frame():
     arm = Manipulator([transforms([frames.planar(0, 1), frames.planar(1, 0)], planar=True)])
     long = box("box", [0.5, 0.5], [2, 0.02], frames.planar(0, 0, np.pi / 4)[:3, :3])
     across = box("box", [0.5, 0.5], [0.9, 0.02], frames.planar(0, 0, -np.pi / 4)[:3, :3])
-    assert Clearance(arm, long).blocked([[0], [1]]).tolist() == [True, True]
-    assert Clearance(arm, across).blocked([[0], [1]]).tolist() == [False, False]
+    assert BodyClearance(arm, long).blocked([[0], [1]]).tolist() == [True, True]
+    assert BodyClearance(arm, across).blocked([[0], [1]]).tolist() == [False, False]
 
 
 def test_without_regions_there_is_nothing_to_avoid():
     arm = paper_arm(2)
-    clearance = Clearance(arm, NONE, 10.0)
+    clearance = BodyClearance(arm, NONE, 10.0)
     assert clearance.free
     assert not clearance.blocked(every_configuration(arm)).any()
     assert clearance.where(np.zeros(2, dtype=np.int64)) is None
@@ -167,7 +167,7 @@ def test_an_arm_with_held_actuators_is_blocked_where_the_whole_arm_is():
     left = lock_actuators(arm, held)
     asked = every_configuration(left)
     whole = np.array([arm.configuration(left.actuator_states(c)) for c in asked])
-    found = Clearance(left, wall).blocked(asked)
+    found = BodyClearance(left, wall).blocked(asked)
     assert found.any()
     assert not found.all()
-    assert np.array_equal(found, Clearance(arm, wall).blocked(whole))
+    assert np.array_equal(found, BodyClearance(arm, wall).blocked(whole))

@@ -10,7 +10,7 @@ from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import Module, transforms
 from controller.manipulator.vgt import vgt
-from controller.obstacles.clearance import Clearance
+from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.displacements import Displacements
 from controller.obstacles.obstacles import NONE, box, half_space, sphere
 from controller.obstacles.sweep import Sweep
@@ -37,7 +37,7 @@ among = st.tuples(
 def test_what_is_told_clear_touches_nothing_on_any_way(given_arm, radius, pairs, seed):
     parts, base, around = given_arm
     rng, manipulator = np.random.default_rng(seed), arm(parts, base)
-    clearance = Clearance(manipulator, obstacles_of(around), radius, self_collision=pairs)
+    clearance = BodyClearance(manipulator, obstacles_of(around), radius, self_collision=pairs)
     before = rng.integers(0, 2, len(manipulator.actuators), dtype=np.uint8)
     stage = rng.permutation(len(before))[: rng.integers(1, 5)]
     touch = Sweep(clearance).first_collision(before, stage)
@@ -127,26 +127,26 @@ def test_rates_of_a_truss_are_not_much_too_great():
 def test_platforms_are_sampled_and_said_to_be():
     assert not STEWART.module.proven
     walls = half_space("wall", (0, 0, -9), (0, 0, 1))
-    assert not Sweep(Clearance(arm([STEWART]), walls)).proven
-    assert Sweep(Clearance(paper_arm(3), half_space("wall", (0, -9), (0, 1)))).proven
+    assert not Sweep(BodyClearance(arm([STEWART]), walls)).proven
+    assert Sweep(BodyClearance(paper_arm(3), half_space("wall", (0, -9), (0, 1)))).proven
 
 
 def test_a_disc_that_only_the_way_meets_is_seen():
     swing = hinge(-0.5, 0.5, 1.0)
     manipulator = arm([swing])
-    between = Clearance(manipulator, sphere("disc 'pillar'", (1.0, 0.0), 0.05))
+    between = BodyClearance(manipulator, sphere("disc 'pillar'", (1.0, 0.0), 0.05))
     assert not between.blocked([[0], [1]]).any()
     sweep = Sweep(between)
     touch = sweep.first_collision(np.array([0], dtype=np.uint8), np.array([0]))
     assert touch is not None
     assert sweep.describe(touch) == "module 1 is in disc 'pillar'"
-    beyond = Sweep(Clearance(manipulator, sphere("disc", (1.07, 0.0), 0.05)))
+    beyond = Sweep(BodyClearance(manipulator, sphere("disc", (1.07, 0.0), 0.05)))
     assert beyond.first_collision(np.array([0], dtype=np.uint8), np.array([0])) is None
 
 
 def test_subsets_that_touch_are_seen_whatever_their_ends_do():
     manipulator = arm([hinge(0.0, np.pi / 2, 1.0), hinge(0.0, -np.pi / 2, 1.0)])
-    sweep = Sweep(Clearance(manipulator, box("box", (0.0, 2.0), (0.4, 0.4))))
+    sweep = Sweep(BodyClearance(manipulator, box("box", (0.0, 2.0), (0.4, 0.4))))
     start = np.zeros(2, dtype=np.uint8)
     assert sweep.first_collision(start, np.array([0, 1])) is not None  # the first alone brings the tip there
     assert sweep.first_collision(start, np.array([1])) is None
@@ -156,7 +156,7 @@ def test_subsets_that_touch_are_seen_whatever_their_ends_do():
 def test_modules_that_pass_through_each_other_are_seen():
     folding = [hinge(0.0, 2.6, 1.0) for _ in range(3)]
     manipulator = arm(folding)
-    sweep = Sweep(Clearance(manipulator, NONE, 0.01, self_collision=True))
+    sweep = Sweep(BodyClearance(manipulator, NONE, 0.01, self_collision=True))
     touch = sweep.first_collision(np.array([0, 1, 0], dtype=np.uint8), np.array([2]))
     assert touch is not None
     assert sweep.describe(touch) == "modules 1 and 3 touch"
@@ -166,7 +166,7 @@ def test_modules_that_pass_through_each_other_are_seen():
 def test_where_nobody_knows_the_module_is_not_clear():
     three = transforms([frames.planar(0.1 * k, 0.2) for k in range(3)], planar=True)  # 11 has no state
     manipulator = Manipulator([three])
-    sweep = Sweep(Clearance(manipulator, half_space("wall", (0, -1), (0, 1))))
+    sweep = Sweep(BodyClearance(manipulator, half_space("wall", (0, -1), (0, 1))))
     touch = sweep.first_collision(np.array([0, 0], dtype=np.uint8), np.array([0, 1]))
     assert touch is not None
     assert sweep.describe(touch) == "the position of module 1 in mid-travel is unknown"
@@ -176,7 +176,7 @@ def test_where_nobody_knows_the_module_is_not_clear():
 def test_most_stages_among_few_regions_are_shown_to_be_clear():
     """The bounds must also be tight enough to be useful."""
     manipulator, rng = paper_arm(16), np.random.default_rng(0)
-    clearance = Clearance(manipulator, sphere("disc", (1.5, 2.0), 0.3), 0.02)
+    clearance = BodyClearance(manipulator, sphere("disc", (1.5, 2.0), 0.3), 0.02)
     sweep, shown, fine = Sweep(clearance), 0, 0
     while fine < 60:
         before = rng.integers(0, 2, 48, dtype=np.uint8)

@@ -16,8 +16,9 @@ from controller.arm.arm import load
 from controller.arm.description import description, drawing
 from controller.manipulator.notation import format_configuration, pose
 from controller.network import session
-from controller.panel.access import Access, PersonEntry, digest_of
+from controller.panel.access import Access
 from controller.panel.app import PanelServer
+from controller.panel.people import PersonEntry, digest_of
 from controller.panel.serve import zenoh_configuration
 from tests.keys import DEPLOY
 from tests.waiting import eventually
@@ -55,7 +56,7 @@ class PlayedDaemon:
         self._session = zenoh.open(session.configuration("peer", listen=endpoint))
         self._keys: list[Any] = [
             self._session.declare_queryable(f"hyperbit/{ARM}/{key}", self._answer)
-            for key in ("arm", "plan", "goal", "jog", "stop", "cancel", "reset", "degrade", "obstacles")
+            for key in ("arm", "plan", "goal", "jog", "stop", "cancel", "reset", "degrade", "obstacles", "fault")
         ]
         self._token: Any = self._session.liveliness().declare_token(f"hyperbit/{ARM}/alive")
 
@@ -160,7 +161,7 @@ class Site:
         self.daemon = PlayedDaemon(endpoint)
         closing.callback(self.daemon.close)
         config = zenoh_configuration([endpoint], None)
-        self.panel = PanelServer(lambda: zenoh.open(config), Access(PEOPLE, b"k" * 32))
+        self.panel = PanelServer(lambda: zenoh.open(config), Access(PEOPLE))
         self.browser = closing.enter_context(TestClient(self.panel.app, base_url=ORIGIN))
         self._closing = closing
         eventually(lambda: ARM in self.panel.arms.views and self.panel.arms.views[ARM].drawing)
@@ -177,7 +178,11 @@ class Site:
     def open(self, token: str = OPERATOR, path: str = f"/arms/{ARM}/live") -> Opened:
         """Opens a page."""
         socket = self.browser.websocket_connect(SOCKETS + path, headers=self.cookie(token))
-        return Opened(self._closing.enter_context(socket))
+        return Opened(self.enter(socket))
+
+    def enter(self, socket: WebSocketTestSession) -> WebSocketTestSession:
+        """Opens a WebSocket until the site ends."""
+        return self._closing.enter_context(socket)
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from starlette.testclient import WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
 from controller.panel.app import STATIC
-from tests.panel.conftest import ARM, OPERATOR, ORIGIN, SOCKETS, VIEWER, Site
+from tests.panel.conftest import ARM, OPERATOR, ORIGIN, SOCKETS, VIEWER, Opened, Site
 
 FOREIGN = [
     "http://evil.example",
@@ -85,14 +85,42 @@ def test_cookies_are_for_this_page_alone(site: Site) -> None:
     assert 'hyperbit=""' in gone.headers["set-cookie"]
 
 
-def test_wrong_tokens_are_slowed_down(site: Site) -> None:
-    codes = [
-        site.browser.post("/session", json={"token": f"guess {k}"}, headers={"origin": ORIGIN}).status_code
-        for k in range(12)
-    ]
-    assert codes == [403] * 10 + [429] * 2
-    answer = site.browser.post("/session", json={"token": OPERATOR}, headers={"origin": ORIGIN})
-    assert answer.status_code == 429
+def test_wrong_tokens_lock_nobody_out(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    delays, wrong = list[float](), site.panel._wrong
+    delay = wrong.delay
+
+    def noted(address: str) -> float:
+        delays.append(delay(address))
+        return 0.0
+
+    monkeypatch.setattr(wrong, "delay", noted)
+    for k in range(12):
+        answer = site.browser.post("/session", json={"token": f"guess {k}"}, headers={"origin": ORIGIN})
+        assert (answer.status_code, answer.text) == (403, "This token is nobody's.\n")
+    assert max(delays) > 1.0
+    monkeypatch.undo()
+    assert site.browser.post("/session", json={"token": OPERATOR}, headers={"origin": ORIGIN}).status_code == 200
+
+
+def test_a_session_ends_at_log_out(site: Site) -> None:
+    headers, other = site.cookie(OPERATOR), site.cookie(OPERATOR)
+    page = Opened(site.enter(site.browser.websocket_connect(f"{SOCKETS}/arms/{ARM}/live", headers=headers)))
+    page.until("you")
+    assert site.browser.delete("/session", headers=headers).status_code == 204
+    page.send("reset")
+    assert page.closed() == 4401
+    assert site.daemon.asked == []
+    assert site.browser.get("/metrics", headers=headers).status_code == 401
+    assert site.browser.get("/metrics", headers=other).status_code == 200, "another session of the same person"
+    again = Opened(site.enter(site.browser.websocket_connect(f"{SOCKETS}/live", headers=headers)))
+    assert again.closed() == 4401
+
+
+def test_a_silent_page_closes_at_log_out(site: Site) -> None:
+    headers = site.cookie(VIEWER)
+    page = Opened(site.enter(site.browser.websocket_connect(f"{SOCKETS}/live", headers=headers)))
+    site.browser.delete("/session", headers=headers)
+    assert page.closed() == 4401
 
 
 @pytest.mark.parametrize("body", [b"", b"{", b"[]", b'"token"', b'{"token": 5}', b'{"token": "\xff"}', b"[" * 4000])

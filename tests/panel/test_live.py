@@ -65,7 +65,22 @@ def test_the_list_shows_all_arms(site: Site) -> None:
     page = site.open(VIEWER, "/live")
     site.daemon.state()
     (arm,) = page.until("arms", lambda told: told["arms"] and told["arms"][0]["mode"])["arms"]
-    assert (arm["name"], arm["alive"], arm["mode"]) == (ARM, True, "ready")
+    assert (arm["name"], arm["alive"], arm["mode"], arm["simulated"]) == (ARM, True, "ready", False)
+    site.daemon.state(simulated=True)
+    page.until("arms", lambda told: told["arms"][0]["simulated"])
+
+
+def test_faults_of_a_simulated_arm_are_offered_and_played(site: Site) -> None:
+    page = site.open()
+    simulation = {"faults": [], "boards": ["can0/1"], "interlocks": []}
+    site.daemon.told |= {"simulated": True, "simulation": simulation}  # the daemon has met its executor
+    site.daemon.state(mode="starting", simulated=True)
+    site.daemon.state(simulated=True)
+    assert page.until("state", lambda told: told["simulated"])
+    assert page.until("arm", lambda told: told["simulation"])["simulation"] == simulation
+    assert page.ask("fault", fault="silence can0/1")["accepted"]
+    assert site.daemon.asked == [("fault", {"fault": "silence can0/1"})]
+    page.until("log", lambda told: any("anna asked for fault" in line["text"] for line in told["lines"]))
 
 
 def test_a_dead_daemon_and_the_age_of_the_last_state_are_shown(site: Site) -> None:
@@ -201,7 +216,8 @@ def test_malformed_messages_are_refused_with_a_sentence(site: Site, text: str) -
     assert site.daemon.commands() == ["stop"]
 
 
-def test_a_flood_is_refused_then_closed_and_no_other_page_notices(site: Site) -> None:
+def test_a_flood_is_refused_then_closed_and_no_other_page_notices(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("controller.panel.arm_page.RATE", 0.0)  # however long this machine takes
     page, other = site.open(), site.open(OTHER)
     for _ in range(400):
         page.send("reset")
@@ -233,6 +249,6 @@ def test_pages_that_close_in_the_middle_leave_nothing(site: Site) -> None:
         page.send("plan", goal=GOAL)
         page.socket.close()
     view = site.panel.arms.views[ARM]
-    eventually(lambda: not view.pages and site.panel._pages == 0)
+    eventually(lambda: not view.pages and site.panel._places.taken == 0)
     site.daemon.gate.set()
     assert site.open().ask("stop")["accepted"]

@@ -14,10 +14,13 @@ from controller.arm.arm import load
 from controller.arm.description import density, description, drawing
 from controller.armfile.strict import InputFaults
 from controller.commands.operate.run import reachable, run
-from controller.panel.access import Access, Person, PersonEntry, TooManyWrong, digest_of, read_people
+from controller.panel.access import Access
 from controller.panel.drawing import Drawing, cloud, picture
 from controller.panel.pages import Page, RateLimit
+from controller.panel.people import Person, PersonEntry, digest_of, read_people
 from controller.panel.serve import parse_address, serve, zenoh_configuration
+from controller.panel.sessions import MOST_OF_PERSON
+from controller.panel.wrong_tokens import FIRST_DELAY, FREE, LONGEST_DELAY, WrongTokens
 from controller.workspace.mapping import map_densities
 from tests.keys import DEPLOY
 
@@ -32,34 +35,53 @@ class Clock:
         return self.now
 
 
-def test_old_and_changed_cookies_are_invalid() -> None:
-    clock = Clock()
-    access = Access([ANNA], b"key", clock)
-    cookie = access.enter("a")
-    assert cookie is not None
-    assert access.person(cookie) == Person("anna", "operator")
-    name, until, signature = cookie.split(".")
-    for forged in (f"bert.{until}.{signature}", f"{name}.{int(until) + 1}.{signature}", f"{name}.{until}.{'0' * 64}"):
+def test_sessions_end(tmp_path: Path) -> None:
+    clock, file = Clock(), tmp_path / "sessions.json"
+    access = Access([ANNA], file, clock)
+    first, second = access.enter("a"), access.enter("a")
+    assert first is not None
+    assert first != second
+    assert access.person(first) == access.person(second) == Person("anna", "operator")
+    for forged in (None, "", "anna", first + "x", first[:-1], "\ud800"):
         assert access.person(forged) is None
-    assert Access([PersonEntry("anna", "viewer", ANNA.token)], b"key", clock).person(cookie) is None, "another role"
-    other_token = PersonEntry("anna", "operator", digest_of("b"))
-    assert Access([other_token], b"key", clock).person(cookie) is None, "another token"
-    assert Access([ANNA], b"another", clock).person(cookie) is None
+    assert first not in file.read_text()
+    access.leave(first)
+    restarted = Access([ANNA], file, clock)
+    assert restarted.person(first) is None, "logged out, also after a restart"
+    assert restarted.person(second) is not None
+    assert Access([PersonEntry("anna", "viewer", ANNA.token)], file, clock).person(second) is None, "another role"
+    assert Access([PersonEntry("anna", "operator", digest_of("b"))], file, clock).person(second) is None
+    assert Access([PersonEntry("bert", "operator", ANNA.token)], file, clock).person(second) is None
     clock.now += 13 * 3600
-    assert access.person(cookie) is None
+    assert restarted.person(second) is None
+    file.write_text("{")
+    assert Access([ANNA], file, clock).person(second) is None
+
+
+def test_a_person_has_few_sessions() -> None:
+    access = Access([ANNA, PersonEntry("bert", "viewer", digest_of("b"))])
+    other, cookies = access.enter("b"), [access.enter("a") for _ in range(MOST_OF_PERSON + 1)]
+    assert [access.person(cookie) is None for cookie in cookies] == [True] + [False] * MOST_OF_PERSON
+    assert access.person(other) is not None
 
 
 def test_tokens_are_not_guessed() -> None:
-    clock = Clock()
-    access = Access([ANNA, PersonEntry("carl", "operator")], b"key", clock)
-    for guess in range(10):
-        assert access.enter(str(guess)) is None
-    with pytest.raises(TooManyWrong):
-        access.enter("a")
-    clock.now += 61
-    assert access.enter("a") is not None
+    access = Access([ANNA, PersonEntry("carl", "operator")])
+    assert [access.enter(token) for token in ("", "b", "aa", "None")] == [None] * 4
+    assert access.bearer("a") == Person("anna", "operator")
     assert access.certified("carl") == Person("carl", "operator")
     assert access.certified(None) is None
+
+
+def test_wrong_tokens_delay_the_answers_to_their_address() -> None:
+    clock = Clock()
+    wrong = WrongTokens(clock)
+    delays = [wrong.delay("a") for _ in range(1000)]
+    assert delays[:6] == [0.0] * FREE + [FIRST_DELAY, 2 * FIRST_DELAY, 4 * FIRST_DELAY]
+    assert delays[-1] == LONGEST_DELAY
+    assert wrong.delay("b") == 0.0
+    clock.now += 61
+    assert wrong.delay("a") == 0.0
 
 
 def test_the_file_of_people_is_read_strictly(tmp_path: Path) -> None:
@@ -185,4 +207,4 @@ def test_run_gives_the_page_its_endpoint(tmp_path: Path) -> None:
     assert reachable("tcp/0.0.0.0:7447") == reachable("tcp/[::]:7447") == "tcp/127.0.0.1:7447"
     assert reachable("tcp/192.168.1.2:7448") == "tcp/192.168.1.2:7448"
     with pytest.raises(InputFaults, match="start the page separately"):
-        run(tmp_path / "arm.yaml", zenoh_file=tmp_path / "zenoh.json5", panel=True)
+        run(tmp_path / "arm.yaml", zenoh_file=tmp_path / "zenoh.json5", panel=7480)

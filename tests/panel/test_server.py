@@ -15,7 +15,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from controller.panel.access import digest_of
+from controller.panel.people import digest_of
 from tests.keys import certificates, made
 from tests.waiting import PATIENCE, eventually
 
@@ -85,6 +85,69 @@ def test_client_certificates_take_the_place_of_tokens(tmp_path: Path) -> None:
         assert "max-age" in answer.headers["strict-transport-security"]
         with pytest.raises(httpx2.RemoteProtocolError):
             httpx2.get(f"http://localhost:{port}/")
+
+
+def test_slow_requests_are_closed_and_pages_stay_open(tmp_path: Path) -> None:
+    host = b"Host: 127.0.0.1\r\n"
+    begins = [
+        b"",
+        b"GET / HTTP/1.1\r\nHost: 127",
+        b"POST /session HTTP/1.1\r\nContent-Length: 100\r\nOrigin: http://127.0.0.1\r\n" + host + b"\r\n{",
+        b"GET /favicon.ico HTTP/1.1\r\n" + host + b"\r\nGET / HTTP/1.1\r\nHost: 127",
+    ]
+    with running(tmp_path, "--listen", "127.0.0.1:0") as (_, (operator, _viewer)), contextlib.ExitStack() as closing:
+        url, token = operator.rstrip("/").split("/#")
+        answer = httpx2.post(f"{url}/session", json={"token": token}, headers={"origin": url})
+        cookie = {"cookie": answer.headers["set-cookie"].partition(";")[0]}
+        origin, live_url = url, url.replace("http", "ws") + "/live"
+        live = closing.enter_context(connect(live_url, origin=origin, additional_headers=cookie))  # type: ignore[arg-type]
+        port = int(url.rpartition(":")[2])
+        slow = [closing.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in begins]
+        for connection, begin in zip(slow, begins, strict=True):
+            connection.sendall(begin)
+            connection.settimeout(0.1)
+
+        def closed(connection: socket.socket) -> bool:
+            """Sends one more byte; returns whether the server has closed the connection."""
+            try:
+                connection.sendall(b"x")
+                while connection.recv(4096):
+                    pass
+            except TimeoutError:
+                return False
+            except OSError:
+                pass
+            return True
+
+        def all_closed() -> bool:
+            """Reads the page's next message; returns whether all slow connections are closed."""
+            assert live.recv(PATIENCE)
+            slow[:] = [connection for connection in slow if not closed(connection)]
+            return not slow
+
+        eventually(all_closed)
+        for _ in range(3):
+            assert live.recv(PATIENCE)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.2", "localhost", "127.0.0.1"])
+def test_the_printed_address_answers(tmp_path: Path, host: str) -> None:
+    with running(tmp_path, "--listen", f"{host}:0") as (_, addresses):
+        url = addresses[0].partition("#")[0]
+        assert url.startswith(f"http://{host}:")
+        assert httpx2.get(url).status_code == 200
+        assert httpx2.get(url, headers={"host": "evil.example"}).status_code == 400
+
+
+def test_a_port_in_use_is_told_with_the_way_out(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        command = [sys.executable, "-m", "controller.cli", "panel", "--listen", address]
+        ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+    assert ended.returncode == 1
+    assert f"the page cannot be served at {address}: Address already in use" in ended.stderr
+    assert "--panel 7481" in ended.stderr
+    assert "Errno" not in ended.stderr
 
 
 def test_bad_options_are_named(tmp_path: Path) -> None:

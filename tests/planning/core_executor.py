@@ -9,9 +9,9 @@ from pathlib import Path
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import Executor
-from controller.executor.core.events import TICK, ClientGone, ClientId, ExecutorTick, FromClient, ToClient
+from controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
-from controller.program import decode_down, encode
+from controller.program import TICK, decode_down, encode
 from tests.executor.rig import SIZE, FakeMaster, small_arm
 from tests.planning.executor import DIGEST
 

@@ -48,7 +48,7 @@ from controller.planning.core.tasks import (
     Task,
 )
 from controller.planning.planner import RequestDecoder
-from controller.program import VERSION, Alive, Cancel, Counts, Down, Stop, Up, Welcome, pack, unpack
+from controller.program import VERSION, Alive, Cancel, Counts, Down, PlayableFaults, Stop, Up, Welcome, pack, unpack
 from controller.refusals.refusal import Refusal
 from controller.workspace.densities import Densities
 from tests.planning.played_executor import PlayedExecutor
@@ -70,7 +70,9 @@ class DeskExecutor(PlayedExecutor):
 
     def greet(self, greatest: int = 0) -> None:
         """Accepts the planner, and shows the arm."""
-        self.send(Welcome(VERSION, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest))
+        self.send(
+            Welcome(VERSION, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest, self._desk.simulation)
+        )
         self.show()
 
     def now(self) -> float:
@@ -128,9 +130,17 @@ class Desk:
         densities: of it.
         published: results that were published before, by program.
         owed: goals that earlier planner processes accepted.
+        simulation: simulated boards of the executor.
     """
 
-    def __init__(self, arm: Arm, densities: Densities, published: Any = MappingProxyType({}), owed: Any = ()) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        densities: Densities,
+        published: Any = MappingProxyType({}),
+        owed: Any = (),
+        simulation: PlayableFaults | None = None,
+    ) -> None:
         self.arm, self.now, self.wall = arm, FAR, 2 * FAR
         self.inbox, self.published, self.entries = Inbox(), dict[str, Any](), list[tuple[Any, ...]]()
         self.logs, self.failures, self.counts = list[str](), list[str](), (0,) * len(arm.manipulator.actuators)
@@ -141,8 +151,11 @@ class Desk:
         self.workers = PromptWorkers(arm, densities)
         [tables] = self.workers.perform(BuildTables(0, arm.locked.astype(np.uint8).tobytes()))
         [built] = self.workers.perform(BuildScene(0, NONE))
-        self.beginning = Beginning("t", tables, built.scene, built.total, self.counts, published, owed)
+        self.beginning = Beginning(
+            "t", tables, built.scene, built.total, self.counts, published, owed, simulation is not None
+        )
         self.core = Core(arm, pace_of(arm.settings), self.beginning)
+        self.simulation = simulation
         self.executor = DeskExecutor(self, len(arm.manipulator.actuators))
         self._waiting = list[Action]()  # publications and records that are held back
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from controller.program import VERSION, Alive, Counts, Down, Hello, Up, Welcome, decode_down, encode
+from controller.program import VERSION, Alive, Counts, Down, Hello, PlayableFaults, Up, Welcome, decode_down, encode
 from tests.planning.played_executor import PlayedExecutor
 from tests.waiting import PATIENCE
 
@@ -24,11 +24,13 @@ class ScriptedExecutor(PlayedExecutor):
     Attributes:
         state: the latest snapshot; `show` changes and sends it.
         greets: whether a planner's Hello is answered by Welcome.
+        simulation: the simulated boards of the next Welcome; None: real boards.
     """
 
     def __init__(self, path: Path, actuators: int, name: str = "small") -> None:
         super().__init__(actuators)
         self.name, self.greets, self.greatest = name, True, 0
+        self.simulation: PlayableFaults | None = None
         self._messages: queue.Queue[Down] = queue.Queue()
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._server.bind(str(path))
@@ -92,7 +94,10 @@ class ScriptedExecutor(PlayedExecutor):
                 case Hello():
                     if self.greets:
                         size = (0,) * self.actuators
-                        self.send(Welcome(VERSION, self.name, DIGEST, self.instance, size, self.greatest))
+                        welcome = Welcome(
+                            VERSION, self.name, DIGEST, self.instance, size, self.greatest, self.simulation
+                        )
+                        self.send(welcome)
                         self.send(self.state)
                         self._greeted = True
                     self._messages.put(message)

@@ -15,7 +15,7 @@ from controller.motion.stages.pacing import pace_of
 from controller.planning.core.arm import ExecutorView, packed
 from controller.planning.core.events import Action, Start
 from controller.planning.core.parts import Parts
-from controller.planning.core.tasks import Answer, Scene, Tables
+from controller.planning.core.tasks import Answer, Tables, VersionedScene
 from controller.program import Fault, Mode, Snapshot
 
 T = TypeVar("T")
@@ -39,7 +39,7 @@ class PlayedLocks:
 
 @dataclass
 class PlayedObstacles:
-    scene: Scene | None = field(default_factory=lambda: Scene(1, free=True))
+    scene: VersionedScene | None = field(default_factory=lambda: VersionedScene(1, free=True))
     generation: int = 1
     standing: str | None = None
 
@@ -89,7 +89,7 @@ class PlayedCore:
         if "outputs" in changes:
             changes.setdefault("measured", changes["outputs"])
         self.snapshot = msgspec.structs.replace(self.snapshot, at=self.now, **changes)
-        self.view.take(self.snapshot)
+        self.view.receive_snapshot(self.snapshot)
         self.admission.snapshot(self.snapshot.epoch)
 
     @property

@@ -11,7 +11,19 @@ import pytest
 
 from controller.planning.core.events import FromExecutor, LinkDown
 from controller.planning.link import MOST_BEHIND, MOST_QUEUED, RETRY, UNREAD, ExecutorLink
-from controller.program import VERSION, Alive, Answer, Goodbye, Hello, Program, Snapshot, Stop, Welcome, encode
+from controller.program import (
+    VERSION,
+    Alive,
+    Answer,
+    Goodbye,
+    Hello,
+    PlayableFaults,
+    Program,
+    Snapshot,
+    Stop,
+    Welcome,
+    encode,
+)
 from tests.planning.executor import DIGEST, ScriptedExecutor
 from tests.waiting import eventually
 
@@ -21,9 +33,9 @@ PROGRAM = Program(1, 1, b"", 0.0, (), True, False, "x", os.urandom(8_000))
 class Line:
     """A link, its clock, and its events but snapshots."""
 
-    def __init__(self, path: Path, digest: str = DIGEST) -> None:
+    def __init__(self, path: Path, digest: str = DIGEST, *, simulated: bool = False) -> None:
         self.path, self.now = path, 0.0
-        self.link = ExecutorLink(path, "small", digest, lambda: self.now)
+        self.link = ExecutorLink(path, "small", digest, lambda: self.now, simulated=simulated)
         self.events: list[FromExecutor | LinkDown] = []
 
     def poll(self) -> None:
@@ -101,6 +113,23 @@ def deaf(line: Line) -> Iterator[Deaf]:
     deaf = Deaf(line)
     yield deaf
     deaf.close()
+
+
+def test_a_daemon_of_a_real_arm_drives_no_simulated_boards_and_the_reverse(tmp_path: Path) -> None:
+    line, executor = Line(tmp_path / "small.sock"), ScriptedExecutor(tmp_path / "small.sock", 12)
+    executor.simulation = PlayableFaults((), (), ())
+    line.until(lambda: line.reasons)
+    assert line.reasons == ["the executor simulates its boards: start this daemon with --simulate, too"]
+    assert line.messages == []
+    line.link.close()
+    line = Line(tmp_path / "small.sock", simulated=True)
+    line.welcome()
+    executor.simulation = None
+    line.link.drop("again")
+    line.until(lambda: len(line.reasons) == 2)
+    assert line.reasons[1] == "the executor commands real boards: start this daemon without --simulate"
+    line.link.close()
+    executor.close()
 
 
 def test_it_waits_for_an_executor_and_tells_the_reason_once(line: Line) -> None:

@@ -11,9 +11,9 @@ import pytest
 
 from controller.host.process import Log, Notify, Quit
 from controller.planning.core.events import (
-    CLOSING,
+    SHUTTING_DOWN,
     Abandon,
-    Accepted,
+    AcceptanceEntry,
     Answered,
     Disconnect,
     Event,
@@ -186,7 +186,7 @@ def test_changed_warnings_are_told(bench: Bench) -> None:
 def test_actions_are_carried_out_in_order(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     result = PublishResult(1, Identity(1, 1), False, {"id": "a"})
-    record = Record(1, Identity(1, 1), Accepted("a", 0.0, 1), None)
+    record = Record(1, Identity(1, 1), AcceptanceEntry("a", 0.0, 1), None)
     bench.core.script[Request] = [
         Start(1, TASK), Reply(1, {"accepted": True}), Publish("state", {"mode": "ready"}), result, record,
         RecordCounts((1, 2)), ToExecutor(Stop(1)), Abandon(1), Notify("WATCHDOG=1"),
@@ -301,7 +301,7 @@ def test_closing_refuses_what_was_not_answered(bench: Bench) -> None:
     bench.loop.request("reset", None, answered.append)
     bench.loop.close()
     bench.loop.close()
-    assert [payload["message"] for payload in answered] == [CLOSING]
+    assert [payload["message"] for payload in answered] == [SHUTTING_DOWN]
 
 
 # --- threads

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from controller.planning import ledger as published
-from controller.planning.core.events import Ended, Identity
+from controller.planning.core.events import Identity, ResultEntry
 from controller.planning.ledger import PublishedResults, published_path
 
 PAYLOAD = {"id": "a", "status": "aborted", "code": -4, "message": "of \udc80\nlines", "switches": 3, "where": [1.0]}
@@ -28,7 +28,7 @@ def test_the_next_process_knows_what_was_published(path: Path) -> None:
     add(results, one, two)
     assert set(results.known()) == {one, two}
     again = PublishedResults(path)
-    assert again.known() == dict.fromkeys([one, two], Ended(0.0, "aborted", -4, "of \\udc80\nlines", 3))
+    assert again.known() == dict.fromkeys([one, two], ResultEntry(0.0, "aborted", -4, "of \\udc80\nlines", 3))
     assert len(path.read_bytes().splitlines()) == 2
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from controller.arm.arm import Arm
 from controller.motion.decoding.goal import GoalMessage
-from controller.planning.core.events import CancelMessage, Key, LockMessage, ObstaclesMessage
+from controller.planning.core.events import CancelMessage, FaultToPlay, Key, LockMessage, SentObstacles
 from controller.planning.planner import RequestDecoder
 from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
 from controller.refusals.refusal import Refusal
@@ -56,8 +56,9 @@ def test_a_position_of_another_dimension_is_left_to_the_schedule(decoder: Reques
 def test_other_contents(decoder: RequestDecoder) -> None:
     assert decoder.decode("jog", payload({"actuators": {"1.right": "extended"}})) == {2: 1}
     assert decoder.decode("degrade", payload({"actuator": "1.left", "state": None})) == LockMessage("1.left", None)
+    assert decoder.decode("fault", payload({"fault": "silence can0/5"})) == FaultToPlay("silence can0/5")
     sent = decoder.decode("obstacles", payload(OBSTACLES))
-    assert isinstance(sent, ObstaclesMessage)
+    assert isinstance(sent, SentObstacles)
     assert sent.regions == OBSTACLES["regions"]
     assert decoder.decode("obstacles", payload({"regions": []})).obstacles != sent.obstacles  # type: ignore[union-attr]
 

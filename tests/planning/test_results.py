@@ -5,14 +5,14 @@ from typing import Any
 
 import pytest
 
-from controller.planning.core.events import Ended, Identity, OpenGoal
+from controller.planning.core.events import Identity, OpenGoal, ResultEntry
 from controller.program import Acknowledge, Cancel, Program, Replacement
 from controller.workspace.densities import Densities
 from tests.planning.desk import Desk
 from tests.planning.test_goals import A, B, C, taken
 
 Make = Callable[..., Desk]
-REACHED = Ended(0.0, "succeeded", 0, "reached", 4)
+REACHED = ResultEntry(0.0, "succeeded", 0, "reached", 4)
 
 
 @pytest.fixture
@@ -125,7 +125,7 @@ def test_what_the_same_executor_owes_is_waited_for(desk: Desk, make: Make) -> No
 def test_what_an_earlier_process_may_have_published_in_vain_is_repeated_with_the_same_outcome(
     desk: Desk, make: Make
 ) -> None:
-    program, own = taken(desk, A), Ended(0.0, "aborted", -4, "the planned motion would collide", 3)
+    program, own = taken(desk, A), ResultEntry(0.0, "aborted", -4, "the planned motion would collide", 3)
     identity = Identity(1, program.program)
     later = make(owed=[OpenGoal(identity, "a", 12.0, 1)], published={identity: own})
     ended = later.executor.end(program, "canceled", "canceled", switches=3)

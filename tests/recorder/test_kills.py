@@ -23,7 +23,7 @@ from controller.recorder.recording import FLUSH_EVERY
 from tests.recorder.samples import planar, read, read_by_another, read_unfinished, recovered_by_another, state, told
 from tests.waiting import eventually
 
-ROUNDS, TOGETHER = 4, 5  # 20 kills
+ROUNDS, TOGETHER = 2, 5  # 10 kills
 LATEST = 2.5  # [s] after the first message, that a kill comes
 
 # `hyperbit record` which notes the log time of each message that it takes, before it writes the message.

@@ -12,7 +12,7 @@ from controller.manipulator.joints import prismatic, revolute
 from controller.manipulator.locked import lock_actuators
 from controller.manipulator.manipulator import Manipulator
 from controller.manipulator.module import Module, transforms
-from controller.obstacles.clearance import Clearance
+from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.obstacles import NONE, Obstacles, box, sphere
 from controller.search import four_list, minimum_switch
 from controller.search.solution import Solution
@@ -24,7 +24,7 @@ QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 X, Y, Z = np.eye(3)
 
 
-def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: Clearance | None = None) -> Solver:
+def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: BodyClearance | None = None) -> Solver:
     return Solver(arm, map_densities(arm, arm.length / 20 + 1e-6, 2000), weights, clearance)
 
 
@@ -173,7 +173,7 @@ def test_what_short_lists_leave_out_is_streamed_or_not_claimed(seed):
     rng = np.random.default_rng(seed)
     arm = (lattice_arm, any_arm)[seed % 2](rng)
     weights = rng.choice((1.0, 1.5, 0.1, 0.3), len(arm.actuators)) if seed % 3 else None
-    clearance = Clearance(arm, obstacle(arm, rng), 0.01) if seed % 5 == 0 else None
+    clearance = BodyClearance(arm, obstacle(arm, rng), 0.01) if seed % 5 == 0 else None
     solver = solver_of(arm, weights, clearance)
     for turn in (np.inf, np.inf, np.pi / 2, 1e-9):
         goal, tolerance = on_the_shell(arm, rng, 0.25)
@@ -197,7 +197,7 @@ def test_obstacles_touched_exactly(seed):
     crossing = bool(rng.random() < 0.3)
     obstacles = NONE if crossing else obstacle(arm, rng)
     solver = solver_of(
-        arm, clearance=Clearance(arm, obstacles, float(rng.choice((0.0, 0.25))), self_collision=crossing)
+        arm, clearance=BodyClearance(arm, obstacles, float(rng.choice((0.0, 0.25))), self_collision=crossing)
     )
     for _ in range(3):
         goal, tolerance = on_the_shell(arm, rng, 0.25)

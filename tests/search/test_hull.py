@@ -17,6 +17,7 @@ def test_no_tip_is_excluded(arm, seed):
     hull = Hull(arm)
     for configuration in np.random.default_rng(seed).integers(0, arm.states, (30, len(arm.states))):
         assert not hull.excludes(arm.tip(configuration)[:3, 3], 0.0)
+        assert np.linalg.norm((arm.tip(configuration) - arm.base)[:3, 3]) <= 1.01 * hull.reach
 
 
 @pytest.mark.parametrize(("arm", "axis"), [(paper_arm(16), 1), (spatial_arm(16), 2)], ids=["planar", "spatial"])

@@ -69,7 +69,7 @@ def all_tips(arm: Manipulator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("weighted", [False, True])
-def test_brute_force_agrees_on_200_goals_of_20_actuators(weighted):
+def test_brute_force_agrees_on_100_goals_of_20_actuators(weighted):
     bend = [planar(x, 0.2, -3 * x) for x in (-0.1, -0.03, 0.04, 0.1)]
     arm = Manipulator([*paper_arm(6).modules, transforms(bend, planar=True)])
     assert len(arm.actuators) == 20
@@ -78,14 +78,14 @@ def test_brute_force_agrees_on_200_goals_of_20_actuators(weighted):
     solver = solver_of(arm, weights)
     tips = all_tips(arm)
     previous = np.zeros(7, dtype=np.int64)
-    for goal in tips[rng.integers(0, len(tips), 200), :2]:
+    for goal in tips[rng.integers(0, len(tips), 100), :2]:
         x, y, _ = np.abs(tips - (*goal, 0.0)).T
         near = np.flatnonzero((x <= 0.005) & (y <= 0.005))
         near = near[np.linalg.norm(tips[near, :2] - goal, axis=1) <= 0.005]
         within = np.column_stack(np.unravel_index(near, tuple(arm.states)))
         states = np.concatenate([arm.bits[i, within[:, i], : len(m.actuators)] for i, m in enumerate(arm.modules)], 1)
         least = ((states != arm.actuator_states(previous)) @ weights).min()
-        found = solver.solve(solver.target(goal, 0.005), previous, timeout=10.0)
+        found = solver.solve(solver.target(goal, 0.005), previous, timeout=60.0)
         assert found.cost == pytest.approx(least)
         assert found.optimal
         previous = found.configuration
@@ -211,7 +211,7 @@ def test_the_beam_saves_a_long_arm_most_of_ipops_switches():
     rng = np.random.default_rng(9)
     previous = rng.integers(0, arm.states)
     saved = []
-    for _ in range(5):
+    for _ in range(3):  # each takes up to 5 s
         goal = arm.tip(rng.integers(0, arm.states))[:2, 3]
         ipop = solver.solve(solver.target(goal, 0.005), previous, "ipop-fewest-switches")
         found = solver.solve(solver.target(goal, 0.005), previous, timeout=10.0)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from controller.manipulator.frame_kernels import angle_between
 from controller.manipulator.frames import turned
 from controller.manipulator.manipulator import Manipulator
-from controller.obstacles.clearance import Clearance
+from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.obstacles import NONE
 from controller.search.method import METHODS
 from controller.search.solver import Solver
@@ -22,7 +22,7 @@ SURE = 1e-7  # what is nearer to a tolerance or an obstacle than this may count 
 bases = planar_frames | st.just(np.eye(4))
 
 
-def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: Clearance | None = None) -> Solver:
+def solver_of(arm: Manipulator, weights: np.ndarray | None = None, clearance: BodyClearance | None = None) -> Solver:
     return Solver(arm, map_densities(arm, arm.length / 40 + 1e-6, 4000), weights, clearance)
 
 
@@ -31,7 +31,7 @@ def scene(arm: Manipulator, rng: np.random.Generator) -> list[Shape]:
     some = rng.integers(0, arm.states, (100, len(arm.states)))
     for _ in range(20):
         parts = any_scene(arm, rng)
-        if 0.2 < Clearance(arm, obstacles_of(parts)).blocked(some).mean() < 0.8:
+        if 0.2 < BodyClearance(arm, obstacles_of(parts)).blocked(some).mean() < 0.8:
             break
     return parts
 
@@ -54,9 +54,11 @@ def any_scene(arm: Manipulator, rng: np.random.Generator) -> list[Shape]:
     return found
 
 
-def clearances(arm: Manipulator, parts: list[Shape], radius: float, touch: bool) -> list[Clearance]:
+def clearances(arm: Manipulator, parts: list[Shape], radius: float, touch: bool) -> list[BodyClearance]:
     """The clearance as given, slightly smaller, and slightly larger."""
-    return [Clearance(arm, obstacles_of(parts), max(radius + s, 0), self_collision=touch) for s in (0.0, -SURE, SURE)]
+    return [
+        BodyClearance(arm, obstacles_of(parts), max(radius + s, 0), self_collision=touch) for s in (0.0, -SURE, SURE)
+    ]
 
 
 def check_clear(arm: Manipulator, configuration: np.ndarray, parts: list[Shape], radius: float) -> None:
@@ -163,13 +165,13 @@ def test_what_was_noted_of_other_regions_is_forgotten():
     plain, goal = solver_of(arm), arm.tip([0, 3, 0, 5, 0, 0])[:2, 3]
     there = plain.solve(plain.target(goal, 0.01), previous)
     middle = arm.body(there.configuration)[:, :, :2].reshape(-1, 2)[12]
-    among = plain.avoiding(Clearance(arm, obstacles_of([Disc(tuple(middle), 0.02)])))
+    among = plain.avoiding(BodyClearance(arm, obstacles_of([Disc(tuple(middle), 0.02)])))
     around = among.solve(among.target(goal, 0.01), previous)
     assert around.optimal
     assert around.switches > there.switches
     assert np.array_equal(plain.solve(plain.target(goal, 0.01), previous).configuration, there.configuration)
     assert np.array_equal(among.solve(among.target(goal, 0.01), previous).configuration, around.configuration)
-    elsewhere = plain.avoiding(Clearance(arm, obstacles_of([Disc((2.0, 0.0), 0.02)])))
+    elsewhere = plain.avoiding(BodyClearance(arm, obstacles_of([Disc((2.0, 0.0), 0.02)])))
     assert np.array_equal(elsewhere.solve(elsewhere.target(goal, 0.01), previous).configuration, there.configuration)
 
 
@@ -178,7 +180,7 @@ def test_a_goal_in_a_region_is_told_to_be_out_of_reach_and_not_approached_throug
     arm, previous = paper_arm(6), np.zeros(6, dtype=np.int64)
     tip = arm.tip(previous)[:2, 3]
     parts: list[Shape] = [Disc(tuple(tip), 0.1)]  # around where the arm stands
-    solver = solver_of(arm, None, Clearance(arm, obstacles_of(parts), 0.01))
+    solver = solver_of(arm, None, BodyClearance(arm, obstacles_of(parts), 0.01))
     found = solver.solve(solver.target(tip, 0.01), previous, method)
     assert not found.within_tolerance
     assert not found.optimal
@@ -190,4 +192,4 @@ def test_a_goal_in_a_region_is_told_to_be_out_of_reach_and_not_approached_throug
 
 def test_nothing_to_avoid_is_as_no_clearance_at_all():
     arm = paper_arm(4)
-    assert solver_of(arm, None, Clearance(arm, NONE))._scene is None
+    assert solver_of(arm, None, BodyClearance(arm, NONE))._scene is None

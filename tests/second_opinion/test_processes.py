@@ -18,7 +18,7 @@ import yaml
 from controller.program import Ended, Program, Snapshot, Stage, pack
 from tests import vcan
 from tests.emulated import Interface
-from tests.executor.test_process import SIZE, Planner
+from tests.executor.process.test_process import SIZE, Planner
 from tests.second_opinion.board import MODULE, PLAIN, Board, Change, Kind
 from tests.system import arms
 from tests.waiting import eventually

@@ -11,10 +11,10 @@ import can
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import Executor
-from controller.executor.core.events import TICK, ClientId, ExecutorTick, FromClient, SendFrame, ToClient
+from controller.executor.core.events import ClientId, ExecutorTick, FromClient, SendFrame, ToClient
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.host.process import Log
-from controller.program import VERSION, Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
+from controller.program import TICK, VERSION, Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.second_opinion.board import MODULE, Board, Change, Kind

@@ -53,7 +53,7 @@ class Graph(NamedTuple):
     stages: Costs
 
     def spread(self, costs: Costs) -> Costs:
-        """Returns the least cost of each configuration, given the cost to be in some of them before, shape (N,)."""
+        """Returns the least cost (N,) to reach each configuration, from the costs (N,) to begin in it."""
         while True:
             better = np.minimum(costs, (costs[:, None] + self.stages).min(axis=0))
             if (better == costs).all():

@@ -33,10 +33,10 @@ from controller.planning.core.tasks import (
     ImprovePlan,
     PlanGoal,
     Planned,
-    Scene,
     SceneBuilt,
     Tables,
     Task,
+    VersionedScene,
 )
 from controller.program import pack, unpack
 from controller.refusals.reasons import Reason
@@ -93,7 +93,7 @@ class ExactSearch:
                     yield Checked(first_touched(scene.keep_out, unpack(states), [unpack(states)]))
                 case BuildScene(generation, obstacles):
                     cubes = cubes_of(obstacles)
-                    yield SceneBuilt(Scene(generation, not cubes, cubes), len(cubes), len(cubes))
+                    yield SceneBuilt(VersionedScene(generation, not cubes, cubes), len(cubes), len(cubes))
                 case BuildTables(generation, locked):
                     yield Tables(generation, locked)
                 case _:
@@ -127,7 +127,7 @@ class ExactSearch:
             sets.append(fits)
         return sets
 
-    def _graph(self, tables: Tables, scene: Scene) -> Graph:
+    def _graph(self, tables: Tables, scene: VersionedScene) -> Graph:
         cubes = () if scene.free else scene.keep_out
         return self._space.graph(locked_mask(tables), locked_states(tables), cubes)
 
@@ -213,7 +213,7 @@ class ExactSearch:
         locked = unpack(start.locked)
         return pack(stage & ~locked | unpack(start.outputs) & locked, self._size)
 
-    def _from_commanded(self, start: ArmStart, point: PlannedPoint, scene: Scene) -> PlannedPoint | None:
+    def _from_commanded(self, start: ArmStart, point: PlannedPoint, scene: VersionedScene) -> PlannedPoint | None:
         """Returns the first point with stages that begin in the commanded states; None if they touch an obstacle."""
         cubes, commanded, locked = scene.keep_out or (), unpack(start.commanded), unpack(start.locked)
         stages = [stage & ~locked | commanded & locked for stage in map(unpack, point.stages)]

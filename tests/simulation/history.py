@@ -18,12 +18,12 @@ from controller.planning.core.events import (
     Identity,
     Key,
     LinkDown,
-    ObstaclesMessage,
     Payload,
     Publish,
     PublishResult,
     Record,
     Reply,
+    SentObstacles,
     Start,
     ToExecutor,
 )
@@ -171,7 +171,7 @@ class History:
             self.barred_at = self._agenda.now
         if asked.key == "reset":
             self.reset_at = self._agenda.now
-        if isinstance(asked.message, ObstaclesMessage):
+        if isinstance(asked.message, SentObstacles):
             self.pending_cubes.append((asked, cubes_of(asked.message.obstacles)))
 
     def named(self, asked: Asked, name: str) -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from controller.executor.core.bits import indices
-from controller.executor.core.events import TICK
 from controller.executor.motion.program_execution import FED_WITHIN, STARVED
-from controller.program import Begun
+from controller.program import TICK, Begun
 from drivers.canopen.wire import cia301
 from tests.simulation.board_side import FOREIGN_START
 from tests.simulation.bus_model import RPDOS

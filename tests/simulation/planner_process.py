@@ -13,7 +13,7 @@ from controller.motion.stages.pacing import pace_of
 from controller.planning import loop as loop_module
 from controller.planning.core.core import Beginning, Core
 from controller.planning.core.events import Action, Event, Key, Message, SetpointArrived, TipArrived
-from controller.planning.core.tasks import Scene, Tables
+from controller.planning.core.tasks import Tables, VersionedScene
 from controller.planning.link import ExecutorLink
 from controller.planning.loop import Loop, OnReply, PlannerFailed, Services
 from tests.simulation.invariants import require
@@ -112,7 +112,9 @@ class PlannerProcess:
             for k in range(len(daemon.executed.actuators))
         )
         published, owed = dict(storage.published), storage.owed()
-        beginning = Beginning(f"p{number}-", Tables(0, locked), Scene(0, True, ()), 0, storage.counts, published, owed)
+        beginning = Beginning(
+            f"p{number}-", Tables(0, locked), VersionedScene(0, True, ()), 0, storage.counts, published, owed
+        )
         self.core = Core(arm, pace_of(arm.settings), beginning)
         clocks = self._now, daemon.wall
         self.loop = KillableLoop(self.core, self.link, self.searcher, services, daemon.history, clocks)  # type: ignore[arg-type]

@@ -8,8 +8,7 @@ from random import Random
 
 from controller.gateway.outbox import SENT_WITHIN
 from controller.planning.core.events import (
-    Accepted,
-    Ended,
+    AcceptanceEntry,
     Event,
     Identity,
     OpenGoal,
@@ -18,6 +17,7 @@ from controller.planning.core.events import (
     PublishResult,
     Record,
     Recorded,
+    ResultEntry,
 )
 from tests.simulation.agenda import Agenda
 
@@ -28,8 +28,8 @@ TRANSMITTED = 0.02  # [s] in which a put leaves the process
 class Row:
     """A goal in the ledger."""
 
-    accepted: Accepted | None = None
-    ended: Ended | None = None
+    accepted: AcceptanceEntry | None = None
+    ended: ResultEntry | None = None
 
 
 class Storage:
@@ -45,7 +45,7 @@ class Storage:
     def __init__(self, actuators: int) -> None:
         self.rows: dict[Identity, Row] = {}
         self.counts = (0,) * actuators
-        self.published: dict[Identity, Ended] = {}
+        self.published: dict[Identity, ResultEntry] = {}
         self.full = False
 
     def write(self, record: Record) -> None:
@@ -152,7 +152,7 @@ class SimulatedOut:
             if self._alive():
                 payload = result.payload
                 fields = payload["status"], payload["code"], payload["message"], payload["switches"]
-                self._storage.published[result.identity] = Ended(0.0, *fields)
+                self._storage.published[result.identity] = ResultEntry(0.0, *fields)
                 self._agenda.after(self._random.uniform(0.0, TRANSMITTED), transmit)
                 self._agenda.after(SENT_WITHIN, post)
 

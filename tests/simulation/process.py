@@ -9,7 +9,6 @@ from random import Random
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import Executor
 from controller.executor.core.events import (
-    TICK,
     Action,
     ClientGone,
     ClientId,
@@ -22,7 +21,7 @@ from controller.executor.core.events import (
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.flight_recorder import FlightRecorder
 from controller.host.process import Log
-from controller.program import Up
+from controller.program import TICK, Up
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import BusChanged, SendFailed
 from tests.simulation.agenda import Agenda

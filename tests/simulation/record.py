@@ -8,10 +8,11 @@ from collections.abc import Callable
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.core import LONGEST_TICK, Executor
-from controller.executor.core.events import TICK, ClientGone, Event, ExecutorTick, FromClient
+from controller.executor.core.events import ClientGone, Event, ExecutorTick, FromClient
 from controller.executor.motion.program_execution import STARVED
 from controller.planning.core.goals import MOVED
 from controller.program import (
+    TICK,
     Accepted,
     Acknowledge,
     Answer,

@@ -58,7 +58,7 @@ _init_results = Results.__init__
 _ended = Results.ended
 _tell = Results._tell
 _goal_program = offers.goal_program
-_take = ExecutorRequests.take
+_receive_request = ExecutorRequests.receive_request
 _in_flight = offers._in_flight
 _refuse = Goals._refuse
 
@@ -98,7 +98,7 @@ def _claim_optimum(parts: Any, motion: Any, planned: Any, *now: Any) -> Any:
 
 
 def _reset_after_stop(self: ExecutorRequests, request: Request) -> None:
-    _take(self, request)
+    _receive_request(self, request)
     if request.key == "stop":
         self._act(ToExecutor(Reset(10**6)))
 
@@ -133,9 +133,9 @@ DEFECTS: dict[str, list[Patch]] = {
         (Admission, "barred", lambda self, ticket: False),
         (offers, "_in_flight", _take_present_epoch),
     ],
-    "the planner resets a stopped arm": [(ExecutorRequests, "take", _reset_after_stop)],
+    "the planner resets a stopped arm": [(ExecutorRequests, "receive_request", _reset_after_stop)],
     "goals are refused for no reason": [(goals, "MOST_WAITING", 1)],  # type: ignore[list-item]
-    "the executor's answers are not awaited": [(goals, "PATIENCE", 0.0005)],  # type: ignore[list-item]
+    "the executor's answers are not awaited": [(goals, "EXECUTOR_TIMEOUT", 0.0005)],  # type: ignore[list-item]
     "lost connections are not noticed": [(ExecutorView, "lost", lambda self, reason: None)],
 }
 

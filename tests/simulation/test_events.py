@@ -24,7 +24,7 @@ from controller.host.process import Log
 from controller.obstacles.obstacles import sphere
 from controller.planning.core.core import OPAQUE
 from controller.planning.core.events import Answered, Start
-from controller.planning.core.tasks import BuildScene, Scene, SceneBuilt, Tables
+from controller.planning.core.tasks import BuildScene, SceneBuilt, Tables, VersionedScene
 from tests.keys import DEPLOY
 from tests.simulation.events import arm_objects, main, replay, same
 from tests.simulation.world import World
@@ -122,7 +122,7 @@ def test_opaque_values_are_left_out_and_constant_ones_are_made_from_the_arms_fil
     tables = Tables(3, b"abc", solvers=lambda: None)
     with FlightRecorder(label, None, OPAQUE, {"manipulator": arm.manipulator}) as recorder:
         recorder.begin([arm.manipulator, tables], lambda count: True)
-        scene = SceneBuilt(Scene(4, False, keep_out=object()), 1, 1)
+        scene = SceneBuilt(VersionedScene(4, False, keep_out=object()), 1, 1)
         recorder(Answered(7, scene, True), 1.0, 2.0, (Start(8, BuildScene(5, pillar)),))
         (generation,) = load(save(recorder.paths, tmp_path, "request"), arm_objects)
         recorder.begin([other.manipulator], lambda count: True)
@@ -131,7 +131,7 @@ def test_opaque_values_are_left_out_and_constant_ones_are_made_from_the_arms_fil
     assert (type(manipulator), len(manipulator.actuators)) == (type(arm.manipulator), 48)
     assert found == Tables(3, b"abc", LEFT_OUT)
     (entry,) = generation.entries
-    assert entry[:3] == (Answered(7, SceneBuilt(Scene(4, False, LEFT_OUT), 1, 1), True), 1.0, 2.0)
+    assert entry[:3] == (Answered(7, SceneBuilt(VersionedScene(4, False, LEFT_OUT), 1, 1), True), 1.0, 2.0)
     assert same(entry.actions, [Start(8, BuildScene(5, pillar))])
     with pytest.raises(RefusedFile, match="needs 'manipulator'"):
         load(tmp_path / next(path.name for path in tmp_path.iterdir() if path.name.endswith("request")))

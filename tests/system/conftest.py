@@ -12,14 +12,16 @@ import pytest
 from controller.arm.arm import Arm
 from drivers.simulation.simulation import Simulation
 from tests import vcan
+from tests.conftest import buses_of
 from tests.emulated import Interface
 from tests.system import arms, patience  # noqa: F401
+from tests.system.lives import Lives
 from tests.system.motions import Motions
 from tests.system.observer import Observer
 from tests.system.processes import Nursery
 from tests.system.system import System, settled
 
-KINDS = ("emulated", "socketcan")  # of buses
+KINDS = {"virtual": "emulated", "socketcan": "socketcan"}  # of buses, by the words of --bus
 FAILED = pytest.StashKey[bool]()
 
 
@@ -28,17 +30,22 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "fresh: the test starts the parts of its arm itself, and may leave disorder")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if Path(__file__).parent in item.path.parents and not item.get_closest_marker("timeout"):
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    only = config.getoption("bus")
+    own = [item for item in items if Path(__file__).parent in item.path.parents]
+    for item in own:
+        if not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(600))
+    if elsewhere := [item for item in own if only not in (None, *buses_of(item))]:
+        items[:] = [item for item in items if item not in elsewhere]
+        config.hook.pytest_deselected(items=elsewhere)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Runs a test on each kind of bus."""
+    """Runs a test on each kind of bus, or on those that its mark names."""
     if "kind" in metafunc.fixturenames:
-        only = {"virtual": "emulated"}.get(metafunc.config.getoption("bus"), metafunc.config.getoption("bus"))
-        kinds = [kind for kind in KINDS if only in (None, kind)]
+        only = metafunc.config.getoption("bus")
+        kinds = [KINDS[bus] for bus in buses_of(metafunc.definition) if only in (None, bus)]
         metafunc.parametrize("kind", kinds, indirect=True, scope="session")
 
 
@@ -197,3 +204,11 @@ def client(system: System, motions: Motions, request: pytest.FixtureRequest) -> 
         yield client
         if not request.node.stash.get(FAILED, False):
             motions.check(client, system.boards)
+
+
+@pytest.fixture
+def lives(system: System, stack: ExitStack) -> Lives:
+    """Planner and executor in processes of their own, ready."""
+    lives = Lives(system, stack)
+    lives.ready()
+    return lives

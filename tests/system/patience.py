@@ -3,5 +3,5 @@
 from controller.planning.core import goals, requests
 from tests.waiting import SLOWNESS
 
-goals.PATIENCE *= SLOWNESS
-requests.PATIENCE *= SLOWNESS
+goals.EXECUTOR_TIMEOUT *= SLOWNESS
+requests.EXECUTOR_TIMEOUT *= SLOWNESS

@@ -32,6 +32,7 @@ from tests.system.system import System
 from tests.waiting import PATIENCE, eventually
 
 pytestmark = [
+    pytest.mark.buses("virtual"),
     pytest.mark.skipif(not made(), reason="openssl is missing"),
     pytest.mark.arm(name="planar16", tracker={"noise": 1e-4, "clamp": 0.01}),
 ]

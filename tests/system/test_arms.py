@@ -10,7 +10,7 @@ from tests.system.motions import Motions
 from tests.system.observer import Observer
 from tests.waiting import eventually
 
-pytestmark = pytest.mark.arm("mixed")
+pytestmark = [pytest.mark.arm("mixed"), pytest.mark.buses("virtual")]
 
 UNUSED = {"1.1": "extended", "1.2": "extended", "1.3": "extended"}  # the eighth code of a motor of five positions
 

@@ -20,13 +20,15 @@ from tests.system.processes import ROOT
 from tests.system.system import free_port
 from tests.waiting import PATIENCE, eventually
 
+pytestmark = pytest.mark.buses("virtual")  # the boards are in the executor
+
 RUN = "import sys, typer; from controller.commands.operate.run import run; typer.run(run)"
 NAME = "demonstrated"
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    arms.write(tmp_path, "planar", NAME, {"channel": "can0"}, {"boards": arms.QUICK})
+    arms.write(tmp_path, "planar", NAME, {"channel": "can0", "bitrate": 123_456}, {"boards": arms.QUICK})
     return tmp_path
 
 
@@ -87,12 +89,16 @@ def test_a_signal_ends_both_processes_in_order(
     os.killpg(process.pid, number)  # as a terminal does at Ctrl-C
     assert process.wait(PATIENCE) == 0
     assert "ERROR" not in (log := (folder / "log").read_text()), log
+    assert log.count("buses[1].bitrate: 123456 bit/s is unusual") == 1, log
     assert not [fault for state in client.heard["state"] for fault in state["faults"]]
     result = client.result("b")
     assert (result["status"], result["message"]) == ("aborted", "the daemon is shutting down; the arm holds")
-    switches, goals = read(folder / f"{NAME}.sqlite")
+    switches, goals = read(folder / "simulated" / f"{NAME}.sqlite")
     assert [(goal["id"], goal["status"]) for goal in goals] == [("b", "aborted"), ("a", "succeeded")]
     assert sum(switches.values()) == client.result("a")["switches"]
+    assert (folder / "simulated" / f"{NAME}.switches").exists()
+    real = [folder / f"{NAME}{suffix}" for suffix in (".sqlite", ".switches")]
+    assert not any(path.exists() for path in real), "simulation counts nothing as real"
     eventually(lambda: not os.path.exists(f"/proc/{executor}"))
 
 
@@ -128,5 +134,24 @@ def test_faults_of_simulated_boards_are_made_by_lines_on_the_standard_input(
     assert "can0/5" in client.wait_for("fault")["reason"]
     say("no such fault")
     say("unsilence can0/5")
+    client.reset()  # needed if reads without an answer were the fault, before the heartbeat was overdue
+    client.move(MIDDLE)
+
+
+def test_a_fault_is_played_by_the_command_and_recovered_from(
+    process: subprocess.Popen[bytes], client: Observer, folder: Path
+) -> None:
+    def fault(*words: str) -> tuple[int, str]:
+        command = [sys.executable, "-m", "controller.cli", "fault", NAME, *words, "--connect", endpoint(folder)]
+        run = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+        return run.returncode, (run.stdout + run.stderr).replace("\n", " ")
+
+    assert client.heard["state"][-1]["simulated"] is True
+    assert fault("silence", "can0/5") == (0, "done: silence can0/5 ")
+    state = client.wait_for("fault")
+    assert [(it["code"], it["source"]) for it in state["faults"]] == [("board-lost", "can0/5")]
+    code, said = fault("unsilense", "can0/5")
+    assert (code, "did you mean unsilence?" in said, "hyperbit fault --help" in said) == (1, True, True), said
+    assert fault("unsilence", "can0/5") == (0, "done: unsilence can0/5 ")
     client.wait_now("ready")
     client.move(MIDDLE)

@@ -15,6 +15,8 @@ from tests.system.places import MIDDLE, RIGHT
 from tests.system.system import System
 from tests.waiting import PATIENCE
 
+pytestmark = pytest.mark.buses("virtual")
+
 EACH = 150
 RIGHT_ONES: dict[str, list[Any]] = {
     "goal": [requests.LINE, requests.CONFIGURATIONS],

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
+import pytest
 import zenoh
 
 from controller.arm.arm import Arm
@@ -19,6 +20,8 @@ from tests.system.observer import Observer
 from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT, tip
 from tests.system.system import System
 from tests.waiting import PATIENCE, eventually
+
+pytestmark = pytest.mark.buses("virtual")
 
 BAD = {
     "no JSON": (b"{", Reason.NOT_JSON, "not JSON"),

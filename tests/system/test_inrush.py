@@ -71,6 +71,7 @@ def test_stages_are_published_as_they_are_on_the_bus(client: Observer, motions: 
     assert all(it["excursion"] is None or it["excursion"] >= 0 for it in feedback)
 
 
+@pytest.mark.buses("virtual")
 def test_a_goal_too_fast_for_the_bound_is_refused_naming_the_pair(client: Observer) -> None:
     client.move(LEFT)
     answer = client.goal(MIDDLE, RIGHT, times=[0.0, 0.07], id="a")
@@ -79,6 +80,7 @@ def test_a_goal_too_fast_for_the_bound_is_refused_naming_the_pair(client: Observ
     assert "switches, at most 2 at once, need" in answer["message"]
 
 
+@pytest.mark.buses("virtual")
 def test_the_bound_is_described(client: Observer) -> None:
     described = client.ask("arm")
     assert (described["inrush"], described["rest_time"]) == (INRUSH, 0.0)

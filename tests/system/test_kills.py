@@ -15,7 +15,7 @@ from tests.system.kills.moments import MOMENTS, PROCESSES
 from tests.system.processes import Nursery
 from tests.system.system import System
 
-pytestmark = pytest.mark.fresh
+pytestmark = [pytest.mark.fresh, pytest.mark.buses("virtual")]
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from tests.waiting import eventually
 
 NEAR = (0.3, 2.8)
 
-pytestmark = pytest.mark.arm(on_stuck="continue", boards=QUICK)
+pytestmark = [pytest.mark.arm(on_stuck="continue", boards=QUICK), pytest.mark.buses("virtual")]
 
 
 def locked(client: Observer, actuators: list[Any]) -> Message:

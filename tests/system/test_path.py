@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from controller.arm.arm import Arm
 from controller.refusals import codes
@@ -11,6 +12,8 @@ from tests.system.motions import Motions
 from tests.system.observer import Observer
 from tests.system.places import LEFT, MIDDLE, tip
 from tests.waiting import SLOWNESS
+
+pytestmark = pytest.mark.buses("virtual")
 
 PATH = 0.03
 CORNER = (0.55, 2.8)

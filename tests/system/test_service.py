@@ -26,6 +26,8 @@ from tests.system.processes import ROOT
 from tests.system.system import System
 from tests.waiting import PATIENCE, SLOWNESS, eventually
 
+pytestmark = pytest.mark.buses("virtual")
+
 
 def test_the_arm_is_described(client: Observer, arm: Arm, system: System) -> None:
     described = client.ask("arm")
@@ -44,6 +46,7 @@ def test_the_arm_is_described(client: Observer, arm: Arm, system: System) -> Non
     }  # fmt: skip
 
 
+@pytest.mark.buses("virtual", "socketcan")
 def test_diagnostics_tell_of_loop_bus_boards_and_queues(client: Observer, arm: Arm) -> None:
     client.move(MIDDLE)
     it = client.diagnosed()

@@ -169,7 +169,7 @@ def test_a_new_goal_ends_a_stream_that_goes_on_and_cancel_ends_the_goal(
     def cancel(attempt: int) -> None:
         goal = f"a{attempt}"
         assert client.goal(MIDDLE, LEFT, times=[0, HOUR], id=goal)["accepted"]
-        eventually(lambda: client.feedback(goal))
+        eventually(lambda: client.feedback(goal) or client.results(goal))  # the rest of the stream may replace the goal
         assert "canceled" in client.ask("cancel")["message"]
         assert client.result(goal)["status"] == "canceled"
         motions.clear()

@@ -21,6 +21,8 @@ from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.system.system import System
 from tests.waiting import SLOWNESS, eventually
 
+pytestmark = pytest.mark.buses("virtual")
+
 
 def written(ledger: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
     """The content of the ledger, which may not exist yet."""

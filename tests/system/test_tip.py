@@ -16,7 +16,7 @@ from tests.waiting import eventually
 
 BIAS = np.array([0.012, -0.009])
 
-pytestmark = pytest.mark.arm(tracker={"noise": 1e-4, "clamp": 0.03})
+pytestmark = [pytest.mark.arm(tracker={"noise": 1e-4, "clamp": 0.03}), pytest.mark.buses("virtual")]
 
 
 @pytest.fixture

@@ -2,8 +2,8 @@
 
 python -m tests.uml.boot [arguments of pytest]
 
-Without paths of tests among the arguments, the whole of `tests/system` runs. Each machine has one processor,
-and runs one test at a time. The machines share the files of tests.
+Without paths of tests among the arguments, `tests/system` runs, but for tests that are marked for other buses. Each
+machine has one processor, and runs one test at a time. The machines share the files of tests.
 """
 
 import os

@@ -26,7 +26,7 @@ def test_one_lock_tries_every_actuator_in_both_states(arm):
     assert len(found.choices) + found.impossible == 2 * len(arm.actuators)
     assert all((one.locked >= 0).sum() == 1 for one in found.choices)
     assert all(one.reach <= 1.05 * found.free.reach for one in found.choices)
-    for figure in ("reach", "covered", "redundancy"):
+    for figure in ("reach", "covered", "log10_redundancy"):
         values = [getattr(one, figure) for one in found.choices]
         assert getattr(found.worst(figure), figure) == min(values)
         assert found.mean(figure) == pytest.approx(np.mean(values))

@@ -11,6 +11,7 @@ import typer
 import yaml
 
 from controller.arm.arm import load
+from controller.armfile.places import counted
 from controller.armfile.strict import InputFaults, read_yaml
 from controller.commands.common import ArmFile, AsJson, CommandFailed, console, errors, print_json, results_table
 
@@ -134,7 +135,7 @@ def show(found: Calibration) -> None:
     for change in found.changes:
         before, after = (change.before, change.after)
         table.add_row(
-            change.parameter.path,
+            counted(change.parameter.path),
             written(before),
             written(after),
             f"{change.deviation:.2g}",

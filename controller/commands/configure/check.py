@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from controller.armfile.strict import InputFaults
-from controller.armfile.terminals import actuator_terminals
+from controller.armfile.terminals import named_boards
 from controller.commands import common
 from controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
 
@@ -36,9 +36,12 @@ def check(
     ] = None,
     node: Annotated[str | None, typer.Option(help="Only board that the EDS describes, such as can0/5.")] = None,
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw the arm: PNG, PDF or SVG, by the suffix.", show_default=False)
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check an arm's file and name each fault by its field; --bus also reads the boards.
+    """Check an arm's file, name each fault by its line, and sum the arm up; --bus also reads the boards.
 
     Example: hyperbit check my-arm.yaml --eds 750-337.eds --node can0/5
     """
@@ -46,13 +49,17 @@ def check(
         raise InputFaults(Path("check"), ["--node needs --eds FILE"])
 
     arm = checked_arm(file, as_json)
+    fields, warnings = summarize_file(arm)
+    if picture is not None:
+        draw(arm, picture)
     boards = compare(arm, eds, node) if eds is not None else []
     boards += ask_boards(arm, socket) if bus else []
     missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
     if as_json:
-        print_json({"ok": not missing, "faults": missing, "boards": boards})
+        print_json({"ok": not missing, "faults": missing, "warnings": warnings, "boards": boards, "arm": fields})
     else:
-        print_boards(file, arm, boards)
+        print_arm(file, arm, fields, warnings)
+        print_boards(boards)
     if missing and as_json:
         raise typer.Exit(1)
     if missing:
@@ -75,19 +82,55 @@ def checked_arm(file: Path, as_json: bool) -> Arm:
             read_arm(file)  # refuses process data that do not fit on the boards
     except InputFaults as error:
         if as_json:
-            print_json({"ok": False, "faults": list(error.faults)})
+            print_json({"ok": False, "faults": list(error.faults), "lines": list(error.lines)})
             raise typer.Exit(2) from None
         raise
     return arm
 
 
-def print_boards(file: Path, arm: Arm, boards: list[dict[str, Any]]) -> None:
-    """Prints the size of a correct arm, and the answer of each board."""
-    count = len({terminal.board for entry in arm.wiring for terminal in actuator_terminals(entry)})
+def summarize_file(arm: Arm) -> tuple[dict[str, Any], list[str]]:
+    """Returns the summary of an arm, and the warnings about its file."""
+    from controller.arm.summary import summarize
+    from controller.arm.warnings import file_warnings
+
+    return summarize(arm), file_warnings(arm)
+
+
+def draw(arm: Arm, picture: Path) -> None:
+    """Draws an arm twice: with each module in its first state, and in its last.
+
+    Raises:
+        InputFaults: the picture cannot be written.
+    """
+    from controller.pictures import plots
+
+    drawn = {
+        "first state of each module": arm.manipulator.states * 0,
+        "last state of each module": arm.manipulator.states - 1,
+    }
+    try:
+        subplot = plots.Subplot(arm.settings.name, drawn)
+        plots.save(picture, arm.manipulator, None, [subplot], unit="arm's unit", obstacles=arm.obstacles)
+    except (OSError, ValueError) as error:
+        raise InputFaults(picture, [f"cannot be written: {error}"]) from None
+
+
+def print_arm(file: Path, arm: Arm, fields: dict[str, Any], warnings: list[str]) -> None:
+    """Prints the size of a correct arm, the warnings about its file, and its summary."""
+    from controller.arm.summary import summary_lines
+
     common.console.print(
         f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
-        f" {len(arm.manipulator.actuators)} actuators on {count} boards: no fault"
+        f" {len(arm.manipulator.actuators)} actuators on {len(named_boards(arm.settings))} boards: no fault"
     )
+    for warning in warnings:
+        common.console.print(f"Warning: {warning}", style="yellow", markup=False)
+    for name, value in summary_lines(fields):
+        common.console.print(f"  {name:<15} {value}", markup=False)
+
+
+def print_boards(boards: list[dict[str, Any]]) -> None:
+    """Prints the answer of each board."""
     for board in boards:
         common.console.print(f"  {board['board']}: {board['answer']}", style=None if board["ok"] else "red")
 

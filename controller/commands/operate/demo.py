@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
-import yaml
 from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from controller.arm.arm import Arm
+from controller.armfile.patience import patient_copy
 from controller.commands.common import CommandFailed, console, densities_of, errors, load_wired, shipped
 from controller.commands.connection import connected
 from controller.manipulator.manipulator import Configuration, Manipulator
@@ -41,7 +41,7 @@ MANY = 100.0  # configurations expected within the tolerance of each point of th
 MOST = 100.0  # log counts are clipped here, so that exp does not overflow
 DRAWN = 1000  # configurations drawn to find targets
 STEP = 0.1  # [s] between waypoints; 1.5 travel times for each stage, if that is longer
-SILENCE_TIMEOUT = 10.0  # [s] of silence until boards or executor count as lost: a busy computer stands still at times
+LAST_STATE_TIMEOUT = 10.0  # [s] for the state message after a result
 DAEMON_TIMEOUT = 180.0  # [s] until the daemon is ready, or has ended; its first start compiles the kernels
 
 
@@ -110,7 +110,7 @@ class Watched(list[list[int]]):
 
     def find(self, states: list[int]) -> int:
         """Waits until the last entry equals `states`, and returns its index; messages come 20 times a second."""
-        until = time.monotonic() + SILENCE_TIMEOUT
+        until = time.monotonic() + LAST_STATE_TIMEOUT
         while self[-1:] != [states] and time.monotonic() < until:
             time.sleep(0.02)
         return len(self) - 1
@@ -182,19 +182,6 @@ def stages(arm: Arm) -> int:
     return 1 if arm.settings.inrush is None else math.ceil(len(arm.manipulator.actuators) / 3 / arm.settings.inrush)
 
 
-def patient(file: Path, folder: Path) -> Path:
-    """Writes a copy of an arm's file with long time-outs between boards, executor and planner; returns its path."""
-    document = yaml.safe_load(file.read_text())
-    document["boards"] = {**document.get("boards", {}), "heartbeat_timeout": SILENCE_TIMEOUT}
-    document["planner_timeout"] = SILENCE_TIMEOUT
-    for module in document["modules"]:
-        if "table" in module:
-            module["table"] = str(file.resolve().parent / module["table"])
-    copy = folder / file.name
-    copy.write_text(yaml.safe_dump(document))
-    return copy
-
-
 @contextlib.contextmanager
 def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     """Runs a daemon with simulated boards and long time-outs; yields its process and its Zenoh endpoint.
@@ -206,12 +193,12 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
     """
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    file = patient(file, folder)
+    file = patient_copy(file, folder)
     command = [sys.executable, "-m", "controller.cli", "run", str(file), "--simulate", "--listen", endpoint]
     with (folder / "log").open("w+") as log:
         command += ["--ledger", str(folder / "ledger.sqlite")]
         environment = {**os.environ, "RUNTIME_DIRECTORY": str(folder)}
-        daemon = subprocess.Popen(command, stderr=log, stdout=log, env=environment)
+        daemon = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=log, stdout=log, env=environment)
         try:
             until = time.monotonic() + DAEMON_TIMEOUT
             while not listening(endpoint):

@@ -1,23 +1,31 @@
 """Child processes of `hyperbit run`, above all the executor, for use without a service manager."""
 
+import contextlib
 import ctypes
+import errno
 import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import IO
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
+INPUT = 0  # file descriptor of the standard input
+FOREGROUND_POLL = 0.5  # [s] between two attempts to read a terminal in the background
 END_TIMEOUT = 5.0  # [s] for the executor to end by itself
 
 
 class ExecutorProcess:
     """Runs `hyperbit execute` and ends it with this process.
 
-    The kernel sends the child SIGTERM if this process is killed. The child has a session of its own. Ctrl-C therefore
-    reaches only this process, which ends goals first. The child has this process's standard input: with `simulate` it
-    reads commands for faults from there.
+    The kernel sends the child SIGTERM if this process is killed. The child has a process group of its own. Ctrl-C
+    therefore reaches only this process, which ends goals first. With `simulate` this process passes the lines of its
+    standard input on to the child, which reads commands for faults from them. A terminal is not passed on to another
+    process group.
 
     Args:
         file: of the arm.
@@ -33,7 +41,11 @@ class ExecutorProcess:
         command = [sys.executable, "-m", "controller.cli", "execute", str(file), "--socket", str(path)]
         command += ["--journal", str(journal)] if journal else []
         command += [f"--board={word}" for word in board]
-        self._process = start_child(command + ["--simulate"] * simulate)
+        self._process = start_child(
+            command + ["--simulate"] * simulate, stdin=subprocess.PIPE if simulate else subprocess.DEVNULL
+        )
+        if self._process.stdin is not None:
+            threading.Thread(target=pass_lines, args=(self._process.stdin,), name="lines", daemon=True).start()
 
     @property
     def pid(self) -> int:
@@ -49,7 +61,25 @@ class ExecutorProcess:
         end_child(self._process, timeout)
 
 
-def start_child(command: Sequence[str]) -> subprocess.Popen[bytes]:
+def pass_lines(to: IO[bytes]) -> None:
+    """Copies the standard input until its end; also after this process comes to the foreground of its terminal."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTIN})  # a read in the background fails, and stops no process
+    with contextlib.suppress(OSError), to:
+        while True:
+            try:
+                data = os.read(INPUT, 4096)
+            except OSError as error:
+                if error.errno != errno.EIO or not os.isatty(INPUT):
+                    return
+                time.sleep(FOREGROUND_POLL)
+                continue
+            if not data:
+                return
+            to.write(data)
+            to.flush()
+
+
+def start_child(command: Sequence[str], stdin: int | None = None) -> subprocess.Popen[bytes]:
     """Starts a program in a process group of its own; the kernel ends it with this process.
 
     In a session of its own Linux 6.18 would not schedule it for seconds on a busy machine.
@@ -61,7 +91,7 @@ def start_child(command: Sequence[str]) -> subprocess.Popen[bytes]:
         if os.getppid() != parent:  # the parent was killed meanwhile
             os._exit(1)
 
-    return subprocess.Popen(command, preexec_fn=die_with_parent, process_group=0, env=environment())
+    return subprocess.Popen(command, preexec_fn=die_with_parent, process_group=0, stdin=stdin, env=environment())
 
 
 def end_child(process: subprocess.Popen[bytes], timeout: float = END_TIMEOUT) -> None:

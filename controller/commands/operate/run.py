@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import hashlib
+import os
 import signal
 import sys
 import threading
@@ -18,8 +19,15 @@ from controller.armfile.strict import InputFaults
 from controller.commands.common import ENDPOINT, ArmFile, CommandFailed, ZenohFile, densities_of, load_wired
 
 SOCKET = "Socket of a running executor, or its folder. Default: this command starts an executor."
+SIMULATE = (
+    "Use simulated boards, inside the executor. Faults can be typed, or played by `fault`; `fault --help` names them."
+    " With --socket: the executor there simulates its boards."
+)
+TYPED = "the boards are simulated: type a fault, such as silence can0/5; help names all"
+INPUT = 0  # file descriptor of the standard input
 KIND = "Kind of the simulated boards; see `simulate --help`."
 LEDGER = "File of the ledger, which counts goals and switches; the switch journal is written beside it."
+PANEL = "Also serve the operator's web page at this port of 127.0.0.1, by default 7480, and print its address."
 POLL = 0.2  # [s] between two checks that executor and planner still run
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
 M_MMAP_THRESHOLD = -3  # of glibc's malloc.h
@@ -28,22 +36,24 @@ LARGE = 1 << 17  # [bytes]
 
 def run(
     file: ArmFile,
-    simulate: Annotated[bool, typer.Option("--simulate", help="Use simulated boards, inside the executor.")] = False,
+    simulate: Annotated[bool, typer.Option("--simulate", help=SIMULATE)] = False,
     board: Annotated[list[str], typer.Option(metavar="[BOARD=]KIND", help=KIND, show_default=False)] = [],  # noqa: B006  # typer needs a list
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     listen: Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")] = ENDPOINT,
     zenoh_file: ZenohFile = None,
     ledger: Annotated[Path | None, typer.Option(help=LEDGER)] = None,
     panel: Annotated[
-        bool, typer.Option("--panel", help="Also serve the operator's web page, and print its address.")
-    ] = False,
+        int | None, typer.Option(metavar="[PORT]", min=0, max=65535, help=PANEL, show_default=False)
+    ] = None,
 ) -> None:
     """Run the daemon until SIGTERM: it takes goals over Zenoh and moves the arm by an executor."""
-    check_options(board, socket, zenoh_file, simulate=simulate, panel=panel)
+    check_options(board, socket, zenoh_file, simulate=simulate, panel=panel is not None)
     prepare_process()
     boards = board if simulate else None
-    with started_executor(file, socket, ledger, boards) as executor, started_page(listen if panel else None):
-        serve(file, executor, listen, zenoh_file, ledger)
+    if simulate and socket is None and os.isatty(INPUT):
+        typer.echo(TYPED)
+    with started_executor(file, socket, ledger, boards) as executor, started_page(listen, panel):
+        serve(file, executor, listen, zenoh_file, ledger, simulated=simulate)
 
 
 class RunningExecutor(NamedTuple):
@@ -66,8 +76,8 @@ def check_options(
     Raises:
         InputFaults: an option needs or excludes another.
     """
-    if simulate and socket is not None:
-        raise InputFaults(Path("run"), ["give --simulate to the executor at --socket, not to this command"])
+    if board and socket is not None:
+        raise InputFaults(Path("run"), ["give --board to the executor at --socket, not to this command"])
     if board and not simulate:
         raise InputFaults(Path("run"), ["--board is for simulated boards: give --simulate as well"])
     if panel and zenoh_file is not None:
@@ -117,14 +127,20 @@ def started_executor(
 
 
 @contextlib.contextmanager
-def started_page(listen: str | None) -> Iterator[None]:
-    """Serves the operator's page for a daemon that listens at a Zenoh endpoint; None: there is no page."""
+def started_page(listen: str, port: int | None) -> Iterator[None]:
+    """Serves the operator's page for a daemon that listens at a Zenoh endpoint.
+
+    Args:
+        listen: Zenoh endpoint.
+        port: of the page; None: there is no page.
+    """
     from controller.commands.operate.executor_process import end_child, start_child
 
-    if listen is None:
+    if port is None:
         yield
         return
-    page = start_child([sys.executable, "-m", "controller.cli", "panel", "--connect", reachable(listen)])
+    words = ["panel", "--connect", reachable(listen), "--listen", f"127.0.0.1:{port}"]
+    page = start_child([sys.executable, "-m", "controller.cli", *words])
     try:
         yield
     finally:
@@ -134,8 +150,8 @@ def started_page(listen: str | None) -> Iterator[None]:
 def return_large_blocks() -> None:
     """Has the C library return each large block of memory to the system when it is freed.
 
-    glibc does so at first, but once it has freed a block of some size it keeps all smaller ones, up to 32 MiB: plans of
-    whole trajectories left 30 MiB in the daemon. Other C libraries are left as they are.
+    By default glibc keeps all blocks smaller than the largest one freed so far, up to 32 MiB: plans of whole
+    trajectories left 30 MiB in the daemon. Other C libraries are not changed.
     """
     if mallopt := getattr(ctypes.CDLL(None), "mallopt", None):
         mallopt(M_MMAP_THRESHOLD, LARGE)
@@ -148,7 +164,15 @@ def reachable(listen: str) -> str:
     return listen
 
 
-def serve(file: Path, executor: RunningExecutor, listen: str, zenoh_file: Path | None, ledger: Path | None) -> None:
+def serve(
+    file: Path,
+    executor: RunningExecutor,
+    listen: str,
+    zenoh_file: Path | None,
+    ledger: Path | None,
+    *,
+    simulated: bool,
+) -> None:
     """Serves an arm until a signal arrives, or until the executor that this command started ends.
 
     Args:
@@ -157,6 +181,7 @@ def serve(file: Path, executor: RunningExecutor, listen: str, zenoh_file: Path |
         listen: Zenoh endpoint.
         zenoh_file: Zenoh configuration, instead of the endpoint.
         ledger: path of the ledger; None: the default path.
+        simulated: whether the executor simulates the boards.
 
     Raises:
         CommandFailed: executor or planner ended, there is no Zenoh session, or another daemon serves the arm.
@@ -177,11 +202,11 @@ def serve(file: Path, executor: RunningExecutor, listen: str, zenoh_file: Path |
         raise InputFaults(Path("--zenoh"), [str(error)]) from None
     densities = densities_of(arm)
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
-    book, ending = ledger or default_path(arm.settings.name), threading.Event()
+    book, ending = ledger or default_path(arm.settings.name, simulated=simulated), threading.Event()
     try:
         for number in SIGNALS:  # before the first goal, so that an early signal ends goals in order
             signal.signal(number, lambda *_: ending.set())
-        with running(arm, densities, config, book, executor.path, digest) as daemon:
+        with running(arm, densities, config, book, executor.path, digest, simulated=simulated) as daemon:
             while not ending.wait(POLL):
                 if daemon.failure is not None:
                     raise CommandFailed(f"{daemon.failure}: the log has details")

@@ -48,7 +48,7 @@ def simulate(
     simulation.start()
     try:
         names = ", ".join(f"{bus.name} ({bus.interface} {bus.channel})" for bus in arm.wiring.buses)
-        console.print(f"simulating the boards of {arm.name} on {names}\n{fault_commands.HELP}")
+        console.print(f"simulating the boards of {arm.name} on {names}\nfaults to type:\n{fault_commands.described()}")
         threading.Thread(target=obey, args=(simulation,), daemon=True).start()
         ending.wait()
     finally:
@@ -64,7 +64,7 @@ def obey(simulation: "Simulation") -> None:
     """Injects the faults that lines on standard input name."""
     for line in sys.stdin:
         try:
-            simulation.fault(*line.split())
-            console.print(f"done: {line.strip()}")
-        except (KeyError, ValueError) as error:
-            errors.print(f"not done: {error}")
+            if line.strip():
+                console.print(simulation.play_fault(line), markup=False)
+        except ValueError as error:
+            errors.print(f"not done: {error}", markup=False)

@@ -20,17 +20,20 @@ INSTANCES = Path("/var/lib/hyperbit-arms")  # of the services by instance
 def wear(
     file: ArmFile,
     ledger: Annotated[Path | None, typer.Option(help="Ledger to read. Default: the daemon's.")] = None,
+    simulated: Annotated[bool, typer.Option("--simulated", help="Read the ledger of the simulated arm.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Print how often each actuator has switched, and how goals ended."""
     name, actuators = name_and_labels(file)
-    path = ledger or ledger_of(name)
+    if simulated and ledger is not None:
+        raise InputFaults(Path("wear"), ["give either --ledger or --simulated"])
+    path = ledger or ledger_of(name, simulated=simulated)
     switches, goals = read_ledger(path)
     counts = {label: switches.get(label, 0) for label in actuators}
     if as_json:
-        print_json({"ledger": str(path), "switches": counts, "goals": goals})
+        print_json({"ledger": str(path), "simulated": simulated, "switches": counts, "goals": goals})
         return
-    common.console.print(f"ledger {path}", markup=False)
+    common.console.print(f"ledger {path}{' of simulated boards' if simulated else ''}", markup=False)
     print_counts(counts)
     ended = [str(goal["status"] or "unfinished") for goal in goals]
     common.console.print(
@@ -54,12 +57,15 @@ def name_and_labels(file: Path) -> tuple[str, tuple[str, ...]]:
     return settings.name, actuators
 
 
-def ledger_of(name: str) -> Path:
+def ledger_of(name: str, *, simulated: bool = False) -> Path:
     """Returns the path of an arm's ledger: of those of services and of this user the one that was written last."""
+    from controller.host.folders import SIMULATED
     from controller.planning.ledger_file import default_path
 
     services = [*SERVICE_FOLDERS, *(instance / "planner" for instance in INSTANCES.glob("*"))]
-    return last_written([default_path(name), *(folder / f"{name}.sqlite" for folder in services)])
+    folders = [folder / SIMULATED if simulated else folder for folder in services]
+    own = default_path(name, simulated=simulated)
+    return last_written([own, *(folder / f"{name}.sqlite" for folder in folders)])
 
 
 def read_ledger(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
@@ -75,7 +81,7 @@ def read_ledger(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
     try:
         return read(path)
     except sqlite3.Error as error:
-        step = "name it by --ledger, or run the daemon first"
+        step = "name it by --ledger, run the daemon first, or read that of simulated boards by --simulated"
         raise CommandFailed(f"{path}: no ledger there: {error}", step) from None
 
 

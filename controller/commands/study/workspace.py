@@ -42,6 +42,7 @@ def workspace(
     as_json: AsJson = False,
 ) -> None:
     """Draw and report where an arm can reach: positions, orientations at a point, reach with locked actuators."""
+    from controller.workspace.coverage import coverage_of
     from controller.workspace.locked_reach import LockChoices
     from controller.workspace.orientations import orientations_at
 
@@ -50,10 +51,11 @@ def workspace(
     check_options(own, samples)
     point = None if at is None else position(at, arm.manipulator.dimension)
     densities = densities_of(arm, silent=as_json)
+    coverage = coverage_of(arm.reduced, densities, own, seed=seed)
     found = None if point is None else orientations_at(arm.reduced, densities, point, own, seed=seed)
     locks = None if locked is None else LockChoices(locked, samples, seed)
     reach = None if locks is None else locked_reach(arm, densities, own, locks, silent=as_json)
-    study = WorkspaceStudy(arm, densities, own, point, found, locked or 0, reach)
+    study = WorkspaceStudy(arm, densities, coverage, own, point, found, locked or 0, reach)
     save_picture(picture, study)
     report = {**describe_study(study), "picture": str(picture)}
     if as_json:
@@ -128,9 +130,10 @@ def locked_reach(arm: Arm, densities: Densities, tolerance: float, locks: LockCh
             raise InputFaults(Path("--locked"), [str(error)]) from None
 
 
-def power(exponent: float | None) -> str:
-    """Returns a power of ten as text."""
-    return "none" if exponent is None else f"10^{exponent:.1f}"
+def span(figure: dict[str, float], form: str) -> str:
+    """Returns the limits of a figure as text; only one number if the form shows no difference."""
+    lower, upper = form.format(figure["lower"]), form.format(figure["upper"])
+    return lower if lower == upper else f"{lower}..{upper}"
 
 
 def show(report: dict[str, Any]) -> None:
@@ -138,10 +141,11 @@ def show(report: dict[str, Any]) -> None:
     own, tolerance = report["positions"], report["tolerance"]
     kind = "area" if len(own["densest"]) == 2 else "volume"
     console.print(
-        f"{report['arm']}: 10^{own['configurations']:.1f} configurations, by {own['method']}: {own['why']}.\n"
-        f"reach: {kind} {own['reach']:.4g}; {own['covered']:.4g} with at least one configuration within {tolerance:g}\n"
-        f"redundancy: {power(own['redundancy'])} configurations within {tolerance:g} (median of these),"
-        f" {power(own['greatest_redundancy'])} near {shown(own['densest'])}. Obstacles are not considered."
+        f"{report['arm']}: 10^{own['log10_configurations']:.1f} configurations."
+        f" {own['positions']} positions, by {own['method']}: {own['why']}.\n"
+        f"{kind} with at least one configuration within {tolerance:g}: {span(own['covered'], '{:.3g}')}\n"
+        f"configurations within {tolerance:g}: median {span(own['log10_redundancy'], '10^{:.1f}')} over that {kind},"
+        f" 10^{own['log10_greatest_redundancy']:.1f} near {shown(own['densest'])}. Obstacles are not considered."
     )
     if (at := report.get("at")) is not None:
         console.print(
@@ -162,5 +166,8 @@ def show(report: dict[str, Any]) -> None:
             states = ", ".join(f"{label}={state}" for label, state in worst["locked"].items())
             table.add_row(name, *("none" if value is None else f"{value:.4g}" for value in values), states)
         console.print(table)
-        console.print("redundancy: log10 of configurations within the tolerance, median over the free arm's coverage")
+        console.print(
+            "reach: of pixels with a tip; covered: expected with a configuration within the tolerance;"
+            " log10_redundancy: of expected configurations within the tolerance, median over the free arm's coverage"
+        )
     console.print(f"picture: {report['picture']}")

@@ -12,13 +12,18 @@ from controller.manipulator.frames import quaternion
 from controller.manipulator.locked import STATES
 
 if TYPE_CHECKING:
+    from controller.workspace.coverage import Coverage, Range
     from controller.workspace.densities import Densities
     from controller.workspace.locked_reach import LockedReach, Reach
     from controller.workspace.orientations import Orientations
 
-FIGURES = ("reach", "covered", "redundancy")
+FIGURES = ("reach", "covered", "log10_redundancy")
 DRAWN = "random draws, weighted by the Mapping Algorithm's densities; a grid over orientations would be far too coarse"
-MAPPED = "the search uses the same densities of all intermediate workspaces"
+COUNTED = {
+    "listing": "the arm has few configurations, all are listed",
+    "halves": "configurations are counted exactly, as pairs of two lists",
+    "draws": "random draws, weighted by the Mapping Algorithm's densities; the arm has too many configurations to list",
+}
 LOCKED = "a lock changes only the intermediate workspaces below its module; the others are mapped once"
 
 
@@ -28,6 +33,7 @@ class WorkspaceStudy(NamedTuple):
     Attributes:
         arm: the arm.
         densities: of the reduced arm.
+        coverage: area within the tolerance of the tips, and density over it, of the reduced arm.
         tolerance: position tolerance.
         point: position at which orientations were counted, shape (dimension,); None: nowhere.
         orientations: orientations at the point; None without a point.
@@ -37,6 +43,7 @@ class WorkspaceStudy(NamedTuple):
 
     arm: Arm
     densities: Densities
+    coverage: Coverage
     tolerance: float
     point: list[float] | None
     orientations: Orientations | None
@@ -48,7 +55,7 @@ def describe_study(study: WorkspaceStudy) -> dict[str, Any]:
     """Returns all figures."""
     arm, found, reach = study.arm, study.orientations, study.locked_reach
     fields: dict[str, Any] = {"arm": arm.settings.name, "tolerance": study.tolerance}
-    fields["positions"] = positions(arm, study.densities, study.tolerance)
+    fields["positions"] = positions(study.coverage)
     if found is not None:
         fields["at"] = {"position": study.point, **orientations(found, planar=arm.manipulator.planar)}
     if reach is not None:
@@ -56,27 +63,23 @@ def describe_study(study: WorkspaceStudy) -> dict[str, Any]:
     return fields
 
 
-def positions(arm: Arm, densities: Densities, tolerance: float) -> dict[str, Any]:
-    """Returns the figures of the density of positions."""
-    planar, dimension = arm.manipulator.planar, arm.manipulator.dimension
-    values, pixel = densities.level(0).astype(float), float(densities.pixels[0])
-    some = values[values >= 0]
-    ball = math.pi * tolerance**2 if planar else 4 / 3 * math.pi * tolerance**3
-    within = (some + math.log(ball / pixel**dimension)) / math.log(10)
-    covered = within[within >= 0]
-    z, y, x = np.unravel_index(int(values.argmax()), values.shape)
-    densest = arm.reduced.base @ np.append(densities.references[0] + pixel * np.array([x, y, z]), 1.0)
+def positions(found: Coverage) -> dict[str, Any]:
+    """Returns the figures of positions. Names of logarithms begin with `log10_`."""
     return {
-        "method": "mapping",
-        "why": MAPPED,
-        "pixel": pixel,
-        "configurations": float(np.log10(arm.reduced.states).sum()),
-        "reach": len(some) * pixel**dimension,
-        "covered": len(covered) * pixel**dimension,
-        "redundancy": float(np.median(covered)) if len(covered) else None,
-        "greatest_redundancy": float(within.max()),
-        "densest": densest[:dimension].tolist(),
+        "method": found.method,
+        "why": COUNTED[found.method],
+        "positions": found.positions,
+        "log10_configurations": found.log10_configurations,
+        "covered": limits(found.area),
+        "log10_redundancy": limits(found.log10_median),
+        "log10_greatest_redundancy": found.log10_greatest,
+        "densest": found.densest.tolist(),
     }
+
+
+def limits(figure: Range) -> dict[str, float]:
+    """Returns a figure with its lower and upper limit."""
+    return {"lower": figure.lower, "estimate": figure.middle, "upper": figure.upper}
 
 
 def orientations(found: Orientations, *, planar: bool) -> dict[str, Any]:

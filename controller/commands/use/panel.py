@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 LISTEN = "127.0.0.1:7480"
 PEOPLE = "File of people who may view or command. Default: new tokens for one operator and one viewer at each start."
+WAY_OUT = "give another port: hyperbit panel --listen 127.0.0.1:7481, or hyperbit run ARM.yaml --panel 7481"
 CLIENTS = "Authority of client certificates; people whose certificate is named in --people need no token."
 
 
@@ -41,19 +42,19 @@ def panel(
         return
     if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
         raise InputFaults(Path("panel"), ["--certificate and --key go together; --client-ca needs both"])
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     try:
+        from controller.panel.log_limit import LogLimit
         from controller.panel.serve import Tls, parse_address, serve
     except ImportError as error:
         raise CommandFailed(str(error), "install the page's libraries: pip install 'hyperbit[panel]'") from None
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    logging.getLogger().handlers[0].addFilter(LogLimit())
     tls = None if certificate is None or key is None else Tls(certificate, key, client_ca)
     config = zenoh_config(connect or [ENDPOINT], zenoh_file)
     try:
         serve(parse_address(listen), tls, people, config, prefix)
     except OSError as error:
-        raise CommandFailed(
-            f"the page cannot be served at {listen}: {error}", "name another address by --listen"
-        ) from None
+        raise CommandFailed(f"the page cannot be served at {listen}: {error.strerror or error}", WAY_OUT) from None
 
 
 def zenoh_config(connect: list[str], file: Path | None) -> zenoh.Config:
@@ -72,8 +73,8 @@ def zenoh_config(connect: list[str], file: Path | None) -> zenoh.Config:
 
 def print_token(name: str) -> None:
     """Prints a new token for a person, and the entry for the file of people, which holds only the token's digest."""
-    from controller.panel.access import digest_of
-    from controller.panel.access import new_token as make
+    from controller.panel.people import digest_of
+    from controller.panel.people import new_token as make
 
     token = make()
     sys.stdout.write(

@@ -82,7 +82,10 @@ class View:
         parts += [Text(f"{fault['code']}: {fault['message']}", style="red") for fault in state["faults"]]
         if (diagnostics := self._latest.get("diagnostics")) is not None:
             parts.append(self._hardware(diagnostics))
-        return Panel(Group(*parts), title=f"{self._arm}  {time.strftime('%H:%M:%S', time.localtime(state['stamp']))}")
+        simulated = ", simulated" if state.get("simulated") else ""
+        return Panel(
+            Group(*parts), title=f"{self._arm}{simulated}  {time.strftime('%H:%M:%S', time.localtime(state['stamp']))}"
+        )
 
     def _summary(self, state: dict[str, Any]) -> RenderableType:
         table = Table.grid(padding=(0, 2))

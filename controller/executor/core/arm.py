@@ -9,6 +9,7 @@ import msgspec
 from controller.armfile.actuators import ending_time, longest_travel, read_wired, travel_times
 from controller.armfile.error_states import error_state
 from controller.armfile.locks import WORDS
+from controller.armfile.places import placed_faults
 from controller.armfile.settings import ActuatorSettings, ArmSettings, BusSettings, RealTimeSettings
 from controller.armfile.strict import InputFaults
 from controller.armfile.terminals import actuator_terminals, owned_terminals
@@ -66,8 +67,9 @@ def read_arm(path: Path) -> ExecutedArm:
     """
     settings, actuators, wired = read_wired(path)
     wiring = wiring_of(settings, actuators, wired)
-    if faults := layout_faults(settings, wiring):
-        raise InputFaults(path, faults)
+    with placed_faults(path):
+        if faults := layout_faults(settings, wiring):
+            raise InputFaults(path, faults)
     return ExecutedArm(
         name=settings.name,
         actuators=actuators,

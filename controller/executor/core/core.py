@@ -9,13 +9,13 @@ from typing import ParamSpec
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.ending import Ending
 from controller.executor.core.events import (
-    TICK,
     Action,
     ClientGone,
     ClientId,
     Defect,
     Event,
     ExecutorTick,
+    FaultPlayed,
     FromClient,
     Health,
     SendFrame,
@@ -30,7 +30,7 @@ from controller.executor.motion.motion import ArmMotion
 from controller.executor.process.clients import Clients
 from controller.executor.process.switch_journal import SwitchJournal
 from controller.host.process import Log, Notify, Quit
-from controller.program import VERSION, Acknowledge, Counts, Down, Goodbye, Hello, Up, Welcome
+from controller.program import TICK, VERSION, Acknowledge, Counts, Down, Goodbye, Hello, PlayableFaults, Up, Welcome
 from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
@@ -58,6 +58,7 @@ class Executor:
         journal: counts switches.
         instance: random number that identifies this run.
         watchdog: systemd's watchdog time [s]; None without a watchdog.
+        simulation: the simulated boards of this process; None: the boards are on CAN buses.
         build_master: returns the CANopen master; tests pass their own.
     """
 
@@ -67,10 +68,11 @@ class Executor:
         journal: SwitchJournal,
         instance: int,
         watchdog: float | None = None,
+        simulation: PlayableFaults | None = None,
         build_master: Callable[..., Master] = Master,
     ) -> None:
         self.journal = journal
-        self._arm, self._instance, self._watchdog = arm, instance, watchdog
+        self._arm, self._instance, self._watchdog, self._simulation = arm, instance, watchdog, simulation
         self._actions: list[Action] = []
         self._master = master = build_master(arm.wiring, arm.timing, self._send)
         self._clients = clients = Clients(arm.name, arm.planner_timeout, self._to_client)
@@ -79,7 +81,9 @@ class Executor:
         self.motion = motion = ArmMotion(arm, master, journal, locked, self._results, clients.to_planner)
         self.reports = Reports(arm, master, motion, locked, journal)
         self.modes = Modes(master, motion, locked, self.reports, self._act)
-        self._requests = ClientRequests(arm, motion, locked, self.modes, clients, self._act)
+        self._requests = ClientRequests(
+            arm, motion, locked, self.modes, clients, self._act, simulated=simulation is not None
+        )
         self.ending = Ending(arm, motion, locked, self.modes, self._act)
         self._last_tick: float | None = None
         self._awake = 0.0  # until the last tick [s]
@@ -115,7 +119,7 @@ class Executor:
         self._healthy, self._handed_out = True, False
         self.motion.clock = self._clock(now)
         if self._last_tick is not None:
-            self._guarded(self._look_back, now)
+            self._guarded(self._find_pause, now)
         self._guarded(self._handle, event, now)
         if not (isinstance(event, FrameEchoed) and self.collecting):  # one echo of many, nothing has changed
             self._guarded(self._conclude, on_bus(event, now), now)
@@ -140,9 +144,9 @@ class Executor:
             self._act(Log(logging.ERROR, f"internal error\n{text}"))
         self.modes.fail(DEFECT, now)
 
-    def _look_back(self, now: float) -> None:
-        """Checks first whether the process was halted: then the waiting events are stale."""
-        fault = self._master.halted(now)
+    def _find_pause(self, now: float) -> None:
+        """Checks first whether the process has paused: then the waiting events are stale."""
+        fault = self._master.find_pause(now)
         if fault is not None:
             self.modes.fail(fault, now)
 
@@ -158,6 +162,8 @@ class Executor:
             case ClientGone():
                 if self._clients.remove(event.client):
                     self._lose_planner("the planner is gone")
+            case FaultPlayed():
+                self._requests.receive_fault_played(event)
             case Defect():
                 self._fail(event.text, now)
             case Quit():
@@ -187,7 +193,7 @@ class Executor:
         self._master.tick(now)
         self._conclude(None, now)
         self.motion.actuation.tick(now)
-        for fault in self.motion.actuation.overdue(now):
+        for fault in self.motion.actuation.find_overdue(now):
             self.modes.fail(fault, now)
         for finding in self.motion.supervise(now):
             if finding.fault.code == "stuck":
@@ -245,7 +251,8 @@ class Executor:
     def _greet(self, client: ClientId, hello: Hello) -> None:
         if self._clients.greet(client, hello, self.motion.clock):
             arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
-            self._to_client(client, Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest))
+            welcome = Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest, self._simulation)
+            self._to_client(client, welcome)
             if hello.role == "planner":
                 self._results.send_again()
             self.reports.changed = True

@@ -119,6 +119,5 @@ class Ending:
             return
         if not stages:  # only actuators of unknown state: homing them is enough
             stream.stages = [stream.start]
-        self._motion.follow(stream)
+        self._modes.follow(stream)
         self._stream = self._motion.stream
-        self._modes.enter("executing", reason)

@@ -7,8 +7,6 @@ from controller.program import Down, Up
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Event as CanEvent
 
-TICK = 0.01  # [s] from one `ExecutorTick` to the next
-
 
 class ClientId(NamedTuple):
     """A connection to the executor's socket.
@@ -53,6 +51,22 @@ class ClientGone(NamedTuple):
     client: ClientId
 
 
+class FaultPlayed(NamedTuple):
+    """The answer to `ToSimulation`.
+
+    Attributes:
+        client: that asked.
+        request: number of its request.
+        message: what was done, or why not.
+        played: whether the simulated boards play the fault.
+    """
+
+    client: ClientId
+    request: int
+    message: str
+    played: bool
+
+
 class Defect(NamedTuple):
     """The event loop itself has failed.
 
@@ -63,7 +77,7 @@ class Defect(NamedTuple):
     text: str
 
 
-Event = CanEvent | ExecutorTick | Health | FromClient | ClientGone | Defect | Quit
+Event = CanEvent | ExecutorTick | Health | FromClient | ClientGone | FaultPlayed | Defect | Quit
 
 
 class SendFrame(NamedTuple):
@@ -80,4 +94,12 @@ class ToClient(NamedTuple):
     message: Up
 
 
-Action = SendFrame | ToClient | Notify | Log
+class ToSimulation(NamedTuple):
+    """A fault that a client wants to be played in simulated boards; answered by `FaultPlayed`."""
+
+    client: ClientId
+    request: int
+    fault: str
+
+
+Action = SendFrame | ToClient | ToSimulation | Notify | Log

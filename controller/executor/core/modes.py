@@ -7,6 +7,8 @@ from controller.executor.core.events import Action
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.reports import Reports
 from controller.executor.motion.motion import ArmMotion
+from controller.executor.motion.program_execution import ProgramExecution
+from controller.executor.motion.setpoint_stream import SetpointStream
 from controller.host.journal import fields_of_fault, fields_of_mode
 from controller.host.process import Log, Notify
 from controller.program import Mode
@@ -114,6 +116,17 @@ class Modes:
         self._motion.hold(status, message)
         if mode != "ready" or self.mode == "executing":
             self.enter(mode, reason)
+
+    def run(self, execution: ProgramExecution) -> None:
+        """Starts a program in place of what runs. Every program begins here."""
+        self._motion.run(execution)
+        self.enter("executing", execution.program.name)
+
+    def follow(self, stream: SetpointStream) -> None:
+        """Follows a set-point in place of what runs. Every set-point comes here."""
+        self._motion.follow(stream)
+        if (self.mode, self.reason) != ("executing", stream.reason):
+            self.enter("executing", stream.reason)
 
     def new_epoch(self) -> None:
         """Begins an epoch: programs and streams of earlier epochs are refused, so the planner must plan again."""

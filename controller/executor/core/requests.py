@@ -1,11 +1,11 @@
-"""Requests of clients: programs, set-points, cancel, stop, reset, lock."""
+"""Requests of clients: programs, set-points, cancel, stop, reset, lock, faults to play."""
 
 import logging
 from collections.abc import Callable
 from typing import NamedTuple
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import TICK, Action, ClientId, ToClient
+from controller.executor.core.events import Action, ClientId, FaultPlayed, ToClient, ToSimulation
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
 from controller.executor.motion.motion import ArmMotion
@@ -14,6 +14,7 @@ from controller.executor.motion.setpoint_stream import SetpointStream
 from controller.executor.process.clients import Clients
 from controller.host.process import Log
 from controller.program import (
+    TICK,
     Accepted,
     Answer,
     Cancel,
@@ -22,6 +23,7 @@ from controller.program import (
     Down,
     Goodbye,
     Lock,
+    PlayFault,
     Program,
     Replaced,
     Replacement,
@@ -66,6 +68,7 @@ class ClientRequests:
         modes: of the executor.
         clients: of the executor.
         act: takes actions.
+        simulated: whether the boards are simulated in this process.
     """
 
     def __init__(
@@ -76,8 +79,10 @@ class ClientRequests:
         modes: Modes,
         clients: Clients,
         act: Callable[[Action], None],
+        *,
+        simulated: bool,
     ) -> None:
-        self.quitting = False
+        self.quitting, self._simulated = False, simulated
         self._arm, self._motion, self._locked = arm, motion, locked
         self._modes, self._clients, self._act = modes, clients, act
         self._size = len(arm.actuators)
@@ -114,6 +119,8 @@ class ClientRequests:
                 self._reset(client, message, now)
             case Lock():
                 self._lock(client, message, now)
+            case PlayFault():
+                self._play_fault(client, message)
 
     # --- programs and set-points
 
@@ -125,8 +132,7 @@ class ClientRequests:
             return
         self._program = message.program
         begin = message.begin or now
-        self._motion.run(ProgramExecution(message, begin, self._locked))
-        self._modes.enter("executing", message.name)
+        self._modes.run(ProgramExecution(message, begin, self._locked))
         self._clients.to_planner(Accepted(message.program, begin))
 
     def _refusal(self, message: Program) -> Refusal | None:
@@ -178,9 +184,7 @@ class ClientRequests:
             self._act(Log(logging.WARNING, f"set-point refused: {misfit}"))
             return
         self._stream = message.stream
-        self._motion.follow(stream)
-        if (self._modes.mode, self._modes.reason) != ("executing", message.reason):
-            self._modes.enter("executing", message.reason)
+        self._modes.follow(stream)
 
     # --- cancel, stop, reset, lock
 
@@ -261,6 +265,24 @@ class ClientRequests:
         self._modes.new_epoch()
         text = f"{self._locked.sentence()}{', after a reset' if waits else ''}"
         self._answer(client, message.request, text)
+
+    # --- faults of simulated boards
+
+    def _play_fault(self, client: ClientId, message: PlayFault) -> None:
+        """Has the simulated boards play a fault."""
+        if not self._simulated:
+            self._refuse(client, message.request, Refusal(Reason.NOT_SIMULATED))
+            return
+        self._act(ToSimulation(client, message.request, message.fault))
+
+    def receive_fault_played(self, event: FaultPlayed) -> None:
+        """Answers the client that asked for a fault."""
+        if event.client not in self._clients.roles:
+            return
+        if event.played:
+            self._answer(event.client, event.request, event.message)
+        else:
+            self._refuse(event.client, event.request, Refusal(Reason.NO_SUCH_FAULT, why=event.message))
 
     def _answer(self, client: ClientId, request: int, message: str) -> None:
         self._act(ToClient(client, Answer(request, message[:1_000])))

@@ -114,7 +114,7 @@ class Actuation:
         if self.target is not None or self._master.committing:
             return False
         if not self._master.outputs_known:
-            self._refused("a board is not up", now)
+            self._record_refused("a board is not up", now)
             return False
         differ = self.differ(states, homing) & self._kinds.paired
         self._journal.intend(self.states, states)
@@ -122,7 +122,7 @@ class Actuation:
             self._master.commit(self._kinds.outputs(states, self._on(now) | differ), now)
         except Busy as error:
             self._journal.resolve(self.states)
-            self._refused(str(error), now)
+            self._record_refused(str(error), now)
             return False
         self.target, self._doubtful, self._given_up = states, differ, False
         return True
@@ -139,7 +139,9 @@ class Actuation:
         if not self._kinds.paired:
             return
         extending, contracting = self._kinds.on(self._master.outputs)
-        over = (extending & contracting) | ((extending | contracting) & ~self._on(now)) | self._doubtful_pulses(now)
+        over = (
+            (extending & contracting) | ((extending | contracting) & ~self._on(now)) | self._watch_doubtful_pulses(now)
+        )
         if not over:
             return
         possible = self._master.outputs | self._master.doubtful
@@ -148,7 +150,7 @@ class Actuation:
         except Busy:
             return  # the next tick tries again; a board without its master switches its outputs off itself
 
-    def overdue(self, now: float) -> list[ArmFault]:
+    def find_overdue(self, now: float) -> list[ArmFault]:
         """Returns a fault for each pulse that has not ended in time, once until the next boot has ended.
 
         A pulse has ended when its outputs are off and its board is ready, so that it is read back. Call every period.
@@ -163,7 +165,7 @@ class Actuation:
         self._told |= sum(1 << k for k in due)
         return [self._overdue(k) for k in due]
 
-    def switched(self, lines: int, now: float) -> int:
+    def record_switched(self, lines: int, now: float) -> int:
         """Records that the SYNC of output lines was sent; returns the mask of the actuators that it moves."""
         extending, contracting = self._kinds.on(self._master.outputs & lines)
         energised = (extending ^ contracting) & self._kinds.paired
@@ -177,7 +179,7 @@ class Actuation:
         self._states = states
         if self._adopted is not None:  # a pulse that a start finds may end before the first adoption
             self._adopted = states
-        self._moved(moved, now)
+        self._record_moved(moved, now)
         self.switches += moved.bit_count()
         return moved
 
@@ -191,7 +193,7 @@ class Actuation:
         if why is None or self._given_up:
             self._busy_since = None
         else:
-            self._refused(why, now)
+            self._record_refused(why, now)
         reached = self.states == states and not self._doubtful
         self._doubtful = 0
         return CommitOutcome(states, reached)
@@ -210,14 +212,14 @@ class Actuation:
         self.target, self.fault = None, None
         extending, contracting = self._kinds.on(self._master.outputs)
         told = extending ^ contracting
-        self.uncertain = (self.uncertain | self._rebooted() | self._doubtful | (extending & contracting)) & ~told
+        self.uncertain = (self.uncertain | self._find_rebooted() | self._doubtful | (extending & contracting)) & ~told
         resting = definite & self._kinds.paired & ~told
         self._states = merged(resting, measured, self.states)
         self.uncertain &= ~resting
         self._doubtful = 0
         states, first = self.states, self._adopted is None
         self.switches += self._journal.resolve(states, self.uncertain).bit_count()
-        self._moved(self._kinds.everything if first else (self._adopted or 0) ^ states, now)
+        self._record_moved(self._kinds.everything if first else (self._adopted or 0) ^ states, now)
         self._adopted, self._adopted_at = states, now
         self._watched = (extending | contracting) & self._kinds.pulsed
         self.rest()
@@ -233,8 +235,8 @@ class Actuation:
         over = (k for k in indices(on & self._kinds.pulsed) if now >= self._pulse_ends[k] - EARLY)
         return on & ~sum(1 << k for k in over)
 
-    def _doubtful_pulses(self, now: float) -> int:
-        """Returns the mask of the actuators whose pulse may have begun with a SYNC that was lost with its bus."""
+    def _watch_doubtful_pulses(self, now: float) -> int:
+        """Watches pulses that a SYNC may have begun although its bus was lost; returns the mask of their actuators."""
         doubtful = self._master.doubtful & ~self._master.outputs
         if not doubtful:
             return 0
@@ -250,7 +252,7 @@ class Actuation:
         text = f"the pulse of actuator {place} could not be ended in time: its coil may be on"
         return ArmFault("pulse-overdue", place, f"{text}; it is ended as soon as its bus and its board can be reached")
 
-    def _rebooted(self) -> int:
+    def _find_rebooted(self) -> int:
         """Returns the mask of the paired actuators whose board has restarted since the last adoption."""
         before, self._boots = self._boots, tuple(self._master.boots)
         if before == self._boots or not before:
@@ -258,14 +260,14 @@ class Actuation:
         board_of = self._master.board_of
         return sum(1 << k for k in indices(self._kinds.paired) if before[board_of[k]] != self._boots[board_of[k]])
 
-    def _moved(self, mask: int, now: float) -> None:
+    def _record_moved(self, mask: int, now: float) -> None:
         """Records that the actuators of a mask have begun to move."""
         states = self.states
         for k in indices(mask):
             self._arrives_at[k] = now + self._kinds.travel[k][states >> k & 1]
             self.free_at = max(self.free_at, self._arrives_at[k])
 
-    def _refused(self, why: str, now: float) -> None:
+    def _record_refused(self, why: str, now: float) -> None:
         if self._busy_since is None:
             self._busy_since = now
         if now - self._busy_since > BUSY_FOR:

@@ -111,12 +111,12 @@ class ArmMotion:
     # --- begin and end
 
     def run(self, execution: ProgramExecution) -> None:
-        """Starts a program in place of what runs."""
+        """Starts a program in place of what runs. Only `Modes.run` calls this, since the mode changes too."""
         self._end("replaced", f"replaced by {execution.program.name}")
         self.execution = execution
 
     def follow(self, stream: SetpointStream) -> None:
-        """Follows a set-point in place of a program or of the last set-point.
+        """Follows a set-point in place of a program or of the last set-point. Only `Modes.follow` calls this.
 
         While a question about the last set-point is open, its stages are kept. Otherwise each answer would belong to
         the previous set-point.
@@ -171,20 +171,20 @@ class ArmMotion:
         """
         running = self.execution if self._ended is None else self._ended[0]
         for lines, switched_at in self._master.drain_switched():
-            mask = self.actuation.switched(lines, switched_at)
-            self.supervision.switched(mask, self.actuation.states, self.readings.ends, self.clock, now)
+            mask = self.actuation.record_switched(lines, switched_at)
+            self.supervision.record_switched(mask, self.actuation.states, self.readings.ends, self.clock, now)
             self._travel_times.begin(mask, self.actuation.states, self.readings.ends, at)
             if running is not None:
                 running.switches += mask.bit_count()
         if self._travel_times.measuring:
-            travels = self._travel_times.arrived(self.readings.ends, at)
+            travels = self._travel_times.drain_arrived(self.readings.ends, at)
             if running is not None and len(running.travels) < MOST_TRAVELS:
                 running.travels += travels
         commit = self.actuation.conclude(now)
         if not self.committing:
             self.send_result()
         if commit is not None and commit.reached and self._index != REALIGNMENT:
-            self._took(commit, now)
+            self._record_reached(commit, now)
 
     def advance(self, now: float) -> End | None:
         """Starts what is due; returns an end if the program or stream has ended by itself."""
@@ -193,10 +193,10 @@ class ArmMotion:
         execution = self.execution
         if execution is None:
             return None
-        if execution.waiting and not self.busy and not self.moving and execution.settles(now):
+        if execution.waiting and not self.busy and not self.moving and execution.settle(now):
             self._send(self._settled(execution))
         if execution.idle and now >= self.actuation.free_at - EPSILON and not self.busy and not self.moving:
-            end = execution.end(self.clock)
+            end = execution.find_end(self.clock)
             if end is not None:
                 return end
         return self._advance_program(execution, now) if self._realign(*execution.homed, now) else None
@@ -277,7 +277,7 @@ class ArmMotion:
         if strict and self.moving:
             return StageBegin.WAITS
         if states == self._before:
-            self._took(CommitOutcome(states, reached=True), now)
+            self._record_reached(CommitOutcome(states, reached=True), now)
             return StageBegin.BEGUN
         if now < self.actuation.ready_at(self.actuation.differ(states, 0), strict) - EPSILON:
             return StageBegin.WAITS
@@ -292,7 +292,7 @@ class ArmMotion:
             return StageBegin.WAITS
         self.clearances.forget()  # if the stage must begin again, obstacles may have changed
         if self.execution is not None:
-            self.execution.begins(index)
+            self.execution.record_begun(index)
         return StageBegin.BEGUN
 
     def _start_of(self, states: int) -> int:
@@ -300,15 +300,15 @@ class ArmMotion:
         measured = self.readings.measured
         return merged(measured ^ states, measured, self._before)
 
-    def _took(self, commit: CommitOutcome, now: float) -> None:
+    def _record_reached(self, commit: CommitOutcome, now: float) -> None:
         """Records that the outputs have reached the stage begun last."""
         self.supervision.await_anew(commit.states, self.readings.ends, self.clock, now)
         execution, stream = self.execution, self.stream
         if stream is not None and self._index < len(stream.stages) and stream.stages[self._index] == commit.states:
-            stream.took(self._index)
+            stream.record_reached(self._index)
         if execution is not None:
             switched = commit.states != self._before
-            execution.took(self._index, self._before, switched, self.actuation.free_at)
+            execution.record_reached(self._index, self._before, switched, self.actuation.free_at)
             self._send(Begun(execution.program.program, self._index))
 
     def _settled(self, execution: ProgramExecution) -> Settled:

@@ -61,7 +61,7 @@ class MotionSupervision:
         self._commanded = merged(self._pending, self._commanded, states)
         self._commanded_known = merged(self._pending, self._commanded_known, known)
 
-    def switched(self, mask: int, states: int, ends: Ends, clock: float, now: float) -> None:
+    def record_switched(self, mask: int, states: int, ends: Ends, clock: float, now: float) -> None:
         """Records that the actuators of a mask were switched to `states`.
 
         Args:
@@ -95,7 +95,7 @@ class MotionSupervision:
         """
         behind = (states ^ self._commanded) & self._commanded_known & ~self._pending
         if behind:
-            self.switched(behind, states, ends, clock, now)
+            self.record_switched(behind, states, ends, clock, now)
 
     def moving(self, ends: Ends, clock: float) -> bool:
         """Returns whether a switched actuator has not arrived, by its end-stop or by the travel time."""
@@ -121,12 +121,12 @@ class MotionSupervision:
         late = self._late(ends) & readable
         self._forgive(ends)
         both = ends.extended & ends.contracted & known
-        broken, self._doubtful = self._confirmed(both, self._doubtful, now)
+        broken, self._doubtful = self._confirm(both, self._doubtful, now)
         broken &= ~self._reported
         doubtful = self._doubtful | broken
-        stuck = (self._overdue(late, clock, now) | self._unreliable(readable)) & ~doubtful
+        stuck = (self._find_stuck(late, clock, now) | self._find_unreliable(readable)) & ~doubtful
         strayed = late & ~self._pending & ~self._reported & ~stuck & ~doubtful
-        stray, self._strayed = self._confirmed(strayed, self._strayed, now)
+        stray, self._strayed = self._confirm(strayed, self._strayed, now)
         stuck &= ~self._reported
         self._reported |= stuck | stray | broken
         return [
@@ -153,7 +153,7 @@ class MotionSupervision:
         """Returns the mask of the actuators whose end-stops contradict the commanded state."""
         return self._awaited(ends) | self._at_other_end(ends)
 
-    def _confirmed(self, suspects: int, asked: int, now: float) -> tuple[int, int]:
+    def _confirm(self, suspects: int, asked: int, now: float) -> tuple[int, int]:
         """Asks the boards of actuators whose end-stops read what they should not.
 
         Args:
@@ -170,8 +170,8 @@ class MotionSupervision:
         certain = sum(1 << k for k in again)
         return certain, suspects & ~certain
 
-    def _overdue(self, late: int, clock: float, now: float) -> int:
-        """Asks the boards of overdue actuators; returns the mask of the stuck ones."""
+    def _find_stuck(self, late: int, clock: float, now: float) -> int:
+        """Asks the boards of overdue actuators; returns the mask of those found stuck, which move no more."""
         stuck = 0
         for k in indices(self._pending):
             bit, over = 1 << k, clock - self._switched_at[k] - self._travel(k)
@@ -189,7 +189,7 @@ class MotionSupervision:
         self._pending &= ~stuck
         return stuck
 
-    def _unreliable(self, readable: int) -> int:
+    def _find_unreliable(self, readable: int) -> int:
         """Returns the mask of the actuators that missed MOST_MISSED commands and whose boards have answered."""
         asked = [k for k in indices(self._suspect & readable) if not self._questioning(k)]
         mask = sum(1 << k for k in asked)

@@ -119,11 +119,11 @@ class ProgramExecution:
                     return k
         return following
 
-    def begins(self, index: int) -> None:
+    def record_begun(self, index: int) -> None:
         """Records that the commit of a stage has begun: the stage can no longer be replaced."""
         self._begun = max(self._begun, index)
 
-    def took(self, index: int, before: int, switched: bool, settled: float) -> None:
+    def record_reached(self, index: int, before: int, switched: bool, settled: float) -> None:
         """Records that the outputs have reached a stage.
 
         Args:
@@ -138,15 +138,15 @@ class ProgramExecution:
         as_planned = before == self.state(self.taken) and all(self._states[k] == before for k in skipped)
         self.planned = self.planned and as_planned
         self.stages += switched
-        self.begins(index)
+        self.record_begun(index)
         self.taken = index
         stage = self._stages[index]
         if stage.mark >= 0:
             self.mark = stage.mark
         self._settles = max(self.begin + stage.settled, settled) if stage.mark >= 0 else None
 
-    def settles(self, now: float) -> bool:
-        """Returns True once when the mark reached has settled, by its time."""
+    def settle(self, now: float) -> bool:
+        """Settles the mark reached if its time has come; returns whether it did."""
         if self._settles is None or now < self._settles - EPSILON:
             return False
         self._settles = None
@@ -162,7 +162,7 @@ class ProgramExecution:
         """Whether all stages so far were taken, and the last mark has settled."""
         return self.taken == len(self._stages) - 1 and self._settles is None
 
-    def end(self, clock: float) -> End | None:
+    def find_end(self, clock: float) -> End | None:
         """Returns how an idle program ends; None while it waits for further stages. Call every period.
 
         Args:

@@ -57,6 +57,6 @@ class SetpointStream:
         near = (k for k, states in enumerate(self.stages) if (states ^ outputs).bit_count() <= most)
         return max(near, default=0)
 
-    def took(self, index: int) -> None:
+    def record_reached(self, index: int) -> None:
         """Records that the outputs have reached a stage."""
         self.start, self.stages = self.stages[index], self.stages[index + 1 :]

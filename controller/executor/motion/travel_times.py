@@ -42,8 +42,8 @@ class TravelTimes:
         """Stops to measure the travels of the actuators of a mask; -1 is all."""
         self._travelling = [going & ~mask for going in self._travelling]
 
-    def arrived(self, ends: Ends, at: float | None) -> list[Travel]:
-        """Returns the travels that have ended.
+    def drain_arrived(self, ends: Ends, at: float | None) -> list[Travel]:
+        """Returns the travels that have ended since the last call.
 
         Args:
             ends: the end-stops now.

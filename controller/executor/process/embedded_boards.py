@@ -6,27 +6,25 @@ import select
 import stat
 import sys
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from controller.armfile.strict import InputFaults
 from controller.executor.core.arm import ExecutedArm
+from controller.program import FaultVerb, PlayableFaults
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
 from drivers.canopen.wiring import Timing, Wiring
 from drivers.simulation.buses import SimulatedBuses, board_names
-from drivers.simulation.fault_commands import perform
+from drivers.simulation.fault_commands import VERBS, play
 from drivers.simulation.variants import Variant, choose
 
-STALL_ALLOWANCE = 10.0  # [s] added to the heartbeat timeout of simulated boards, which stall with this process
 INPUT = 0  # file descriptor of the standard input
-MOST_STEPS = 100  # of the boards in one poll
-LONGEST = 0.02  # [s] of simulated time between two calls: a stall of the process stalls the boards as well
+MOST_STEPS = 500  # of the boards in one poll, as a socket buffers a limited number of frames
 
 
-def simulated(arm: ExecutedArm, board: Sequence[str]) -> tuple[ExecutedArm, "EmbeddedBoards"]:
-    """Returns the arm with the times of simulated boards, and its simulated boards.
+def simulated_boards(arm: ExecutedArm, board: Sequence[str]) -> "EmbeddedBoards":
+    """Returns the simulated boards of an arm.
 
     Args:
         arm: from its file.
@@ -35,18 +33,19 @@ def simulated(arm: ExecutedArm, board: Sequence[str]) -> tuple[ExecutedArm, "Emb
     Raises:
         InputFaults: a board or variant is unknown.
     """
-    arm = replace(arm, timing=replace(arm.timing, heartbeat_timeout=arm.timing.heartbeat_timeout + STALL_ALLOWANCE))
     try:
         variants = choose(board, board_names(arm.wiring))
     except ValueError as error:
         raise InputFaults(Path("--board"), [str(error)]) from None
-    return arm, EmbeddedBoards(arm.wiring, arm.timing, variants)
+    return EmbeddedBoards(arm.wiring, arm.timing, variants)
 
 
 class EmbeddedBoards:
     """Simulated boards, with faults from lines on the standard input. See `Buses`.
 
-    Frames have the boards' own time, which stands still while the process stalls.
+    The boards live in real time, as real boards do. While this process stands still, their heartbeats continue, and
+    they lose their master after its heartbeat timeout. The next poll returns their frames, each with the time of its
+    cause.
     """
 
     def __init__(self, wiring: Wiring, timing: Timing, variants: Mapping[str, Variant] | None = None) -> None:
@@ -55,8 +54,21 @@ class EmbeddedBoards:
         self._boards = SimulatedBuses(
             wiring, timing, lambda bus, frame: self._events.append(FrameReceived(bus, frame, self._at)), variants
         )
-        self._lines = FaultLines(self._boards)
-        self._clock = self._last = self._at = -math.inf
+        self._lines = FaultLines(self.play_fault)
+        self._at = -math.inf  # time of the boards [s]
+
+    def simulation(self) -> PlayableFaults:
+        """Returns the description of these boards for clients."""
+        verbs = tuple(FaultVerb(verb, *described) for verb, described in VERBS.items())
+        return PlayableFaults(verbs, tuple(self._boards.names), tuple(self._boards.interlocks))
+
+    def play_fault(self, text: str) -> str:
+        """Causes or ends a fault, such as "silence can0/5"; returns the answer.
+
+        Raises:
+            ValueError: the text is no fault; the message names the choices.
+        """
+        return play(self._boards, text)
 
     def filenos(self) -> list[int]:
         """See `Buses`."""
@@ -64,38 +76,34 @@ class EmbeddedBoards:
 
     def wait(self, now: float) -> float:
         """See `Buses`."""
-        return 0.0 if self._events else max(self._boards.next_due() - self._clock, 0.0)
+        return 0.0 if self._events else max(self._boards.next_due() - now, 0.0)
 
     def poll(self, now: float) -> Sequence[Event]:
         """See `Buses`."""
         self._lines.read()
-        begun = self._last > -math.inf
-        until = self._time(now)
-        for _ in range(MOST_STEPS if begun else 0):  # each frame gets the time of its cause
-            if (due := self._boards.next_due()) >= until:
-                break
-            self._at = max(due, self._at)
-            self._boards.step(self._at)
-        self._at = until
-        self._boards.step(until)
+        self._advance(now)
         events = list(self._events)
         self._events.clear()
         return events
 
     def send_frame(self, bus: str, frame: Frame, now: float) -> None:
         """See `Buses`."""
-        self._at = self._time(now)
-        self._events.append(FrameEchoed(bus, frame, self._at))
-        self._boards.receive(bus, frame, self._at)
+        self._advance(now)  # what the boards did before this frame
+        self._events.append(FrameEchoed(bus, frame, now))
+        self._boards.receive(bus, frame, now)
 
     def close(self) -> None:
         """See `Buses`."""
 
-    def _time(self, now: float) -> float:
-        """Returns the boards' time [s]."""
-        self._clock = now if self._last == -math.inf else self._clock + min(max(now - self._last, 0.0), LONGEST)
-        self._last = now
-        return self._clock
+    def _advance(self, now: float) -> None:
+        """Advances the boards to `now` [s], from one of their times to the next; the first call switches them on."""
+        for _ in range(MOST_STEPS if self._at > -math.inf else 0):
+            if (due := self._boards.next_due()) >= now:
+                break
+            self._at = max(due, self._at)
+            self._boards.step(self._at)
+        self._at = max(now, self._at)
+        self._boards.step(self._at)
 
 
 class FaultLines:
@@ -105,12 +113,12 @@ class FaultLines:
         open: whether more lines may come.
 
     Args:
-        boards: simulated.
+        play_fault: causes a fault; returns the answer, or raises ValueError.
     """
 
-    def __init__(self, boards: SimulatedBuses) -> None:
+    def __init__(self, play_fault: Callable[[str], str]) -> None:
         self.open = readable()
-        self._boards, self._rest = boards, b""
+        self._play_fault, self._rest = play_fault, b""
 
     def read(self) -> None:
         """Causes the faults of the lines that wait."""
@@ -126,11 +134,9 @@ class FaultLines:
 
     def _act(self, text: str) -> None:
         try:
-            perform(self._boards, *text.split())
-        except (ValueError, KeyError) as error:
-            print(f"not done: {error.args[0]}", file=sys.stderr, flush=True)
-        else:
-            print(f"done: {text}", flush=True)
+            print(self._play_fault(text), flush=True)
+        except ValueError as error:
+            print(f"not done: {error}", file=sys.stderr, flush=True)
 
 
 def readable() -> bool:

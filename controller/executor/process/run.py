@@ -12,12 +12,23 @@ from collections import deque
 from collections.abc import Callable
 
 from controller.executor.core.core import Executor
-from controller.executor.core.events import TICK, Action, Defect, Event, ExecutorTick, Health, SendFrame, ToClient
+from controller.executor.core.events import (
+    Action,
+    Defect,
+    Event,
+    ExecutorTick,
+    FaultPlayed,
+    Health,
+    SendFrame,
+    ToClient,
+    ToSimulation,
+)
 from controller.executor.process.buses import Buses
 from controller.executor.process.server import ExecutorServer
 from controller.flight_recorder import FlightRecorder
 from controller.host.notify import Notifier
 from controller.host.process import Log, Notify, Quit
+from controller.program import TICK
 
 log = logging.getLogger("executor")
 
@@ -47,6 +58,8 @@ class EventLoop:
         notifier: sends states to systemd.
         clock: CLOCK_MONOTONIC [s].
         recorder: of the events; None: they are not recorded.
+        play_fault: plays a fault in simulated boards and returns the answer; raises ValueError with the reason. None:
+            the boards are real.
     """
 
     def __init__(
@@ -57,9 +70,10 @@ class EventLoop:
         notifier: Notifier,
         clock: Callable[[], float] = time.monotonic,
         recorder: FlightRecorder | None = None,
+        play_fault: Callable[[str], str] | None = None,
     ) -> None:
         self._core, self._buses, self._server, self._notifier = core, buses, server, notifier
-        self._clock, self._recorder = clock, recorder
+        self._clock, self._recorder, self._play_fault = clock, recorder, play_fault
         self._time = Timekeeper(TICK)
         self._garbage = Garbage()
         self._quitting = False
@@ -172,12 +186,22 @@ class EventLoop:
         match action:
             case ToClient():
                 self._server.send_message(action.client, action.message)
+            case ToSimulation():
+                self._step(self._fault_played(action))
             case Notify():
                 self._notifier.notify(action.text)
             case Log():
                 log.log(action.level, "%s", action.text, extra={"journal": action.fields})
             case _:
                 pass
+
+    def _fault_played(self, action: ToSimulation) -> FaultPlayed:
+        """Plays a fault in the simulated boards."""
+        try:
+            assert self._play_fault is not None, "the core plays no faults in real boards"
+            return FaultPlayed(action.client, action.request, self._play_fault(action.fault), True)
+        except ValueError as error:
+            return FaultPlayed(action.client, action.request, str(error), False)
 
     def _report_all(self) -> None:
         while self._queued:

@@ -28,6 +28,7 @@ from controller.executor.process.journal_copy import (
     locked_file,
     packed,
 )
+from controller.host.folders import state_folder
 
 log = logging.getLogger(__name__)
 
@@ -238,8 +239,6 @@ def shared_path(path: Path) -> Path:
     return SHARED / f"hyperbit-{os.getuid()}-{name}.switches"
 
 
-def default_path(arm: str) -> Path:
-    """Returns the path of an arm's journal: in systemd's StateDirectory, else in XDG_STATE_HOME."""
-    folder = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
-    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
-    return (Path(folder) if folder else Path(base) / "hyperbit") / f"{arm}.switches"
+def default_path(arm: str, *, simulated: bool = False) -> Path:
+    """Returns the path of an arm's journal, in `state_folder`."""
+    return state_folder(simulated=simulated) / f"{arm}.switches"

@@ -1,4 +1,4 @@
-"""Requests beside goals: jog, degrade and obstacles. Strict decoding."""
+"""Requests beside goals: jog, degrade, obstacles and fault. Strict decoding."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -34,6 +34,12 @@ class ObstaclesMessage(Struct, forbid_unknown_fields=True, frozen=True):
     regions: ObstacleList
 
 
+class FaultMessage(Struct, forbid_unknown_fields=True, frozen=True):
+    """The payload of `fault`: a fault to play in simulated boards, such as "silence can0/5"."""
+
+    fault: Annotated[str, Meta(min_length=1, max_length=200)]
+
+
 def decode_jog(payload: bytes, actuators: Sequence[str]) -> dict[int, int]:
     """Returns the states in a `jog` payload, 0 contracted and 1 extended, by index of the actuator.
 
@@ -58,6 +64,15 @@ def decode_degrade(payload: bytes) -> DegradeMessage:
         Refusal: the payload is invalid; the message names the field. No other exception is raised.
     """
     return parse(payload, DegradeMessage, "degrade")
+
+
+def decode_fault(payload: bytes) -> FaultMessage:
+    """Returns the message in a `fault` payload.
+
+    Raises:
+        Refusal: the payload is invalid; the message names the field. No other exception is raised.
+    """
+    return parse(payload, FaultMessage, "fault")
 
 
 def decode_obstacles(payload: bytes, dimension: int) -> Obstacles:

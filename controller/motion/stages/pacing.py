@@ -15,8 +15,8 @@ from controller.motion.stages.stage_sequencer import DETOUR_TIME, StageSequencer
 from controller.motion.stages.stages import SKIPPED, order_stages, peaks
 from controller.motion.stages.transition import build_transition
 from controller.obstacles.sweep import Sweep
+from controller.program import TICK
 
-PERIOD = 0.01  # [s] of the executor's loop
 MOST_STAGES = 8  # of a transition, unless the inrush bound needs more; further stages lower the deviation little
 
 
@@ -187,7 +187,7 @@ class Stager:
 
 def pace_of(settings: ArmSettings) -> Pace:
     """Returns the pace of an arm's transitions."""
-    return Pace(longest_travel(settings) + PERIOD, settings.inrush, settings.rest_time)
+    return Pace(longest_travel(settings) + TICK, settings.inrush, settings.rest_time)
 
 
 def at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> Staged:

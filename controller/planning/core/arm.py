@@ -1,25 +1,19 @@
-"""What the executor last said: its snapshot in the planner's terms, the mode, the connection, and locked actuators."""
+"""What the executor last said: its snapshot in the planner's terms, the mode and the connection."""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.armfile.locks import lock_warning, locks_in_words
-from controller.host.process import Log
-from controller.manipulator.locked import require_states
 from controller.motion.stages.program import pack_states, unpack_states
-from controller.planning.core.events import LockMessage
-from controller.planning.core.parts import Parts
-from controller.planning.core.tasks import Answer, ArmStart, BuildTables, Failed, Tables
-from controller.program import Diagnostics, Fault, Mode, Settled, Snapshot, Welcome
+from controller.planning.core.events import Payload
+from controller.planning.core.tasks import ArmStart
+from controller.program import Diagnostics, Mode, PlayableFaults, Settled, Snapshot, Welcome
 from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal, no_actuator, no_motion
+from controller.refusals.refusal import Refusal, no_motion
 
 if TYPE_CHECKING:
     from controller.manipulator.manipulator import Configuration, Manipulator
@@ -172,6 +166,8 @@ class ExecutorView:
         instance: of the latest executor; None before the first connection.
         problem: why there is no connection.
         counted: switches of all actuators when the first executor was met; None before.
+        simulation: the executor's simulated boards, for the payload of `arm`; None: the boards are real, or there is no
+            connection.
     """
 
     def __init__(self, manipulator: Manipulator, travel: float, pace: Pace) -> None:
@@ -182,17 +178,19 @@ class ExecutorView:
         self.connected, self.problem = False, "waiting for the executor"
         self.rest = RestClock(len(manipulator.actuators), travel, pace)
         self.counted: int | None = None
+        self.simulation: Payload | None = None
         self._was_connected = False
         self._sentence, self._shown_for = "", ""
 
-    def welcome(self, message: Welcome, known: tuple[int, ...]) -> None:
+    def receive_welcome(self, message: Welcome, known: tuple[int, ...]) -> None:
         """Takes the greeting of an executor; `known` are the ledger's counts of switches."""
         self.instance, self.connected = message.instance, True
         self.problem = "waiting for the executor's first snapshot"
+        self.simulation = None if message.simulation is None else described(message.simulation)
         if self.counted is None:
             self.counted = sum(map(max, known, message.counts)) if message.counts else sum(known)
 
-    def take(self, snapshot: Snapshot) -> ArmState:
+    def receive_snapshot(self, snapshot: Snapshot) -> ArmState:
         """Stores a snapshot, and returns it as ArmState."""
         state = ArmState(self.manipulator, snapshot)
         self.rest.note(self.state, state)
@@ -206,7 +204,7 @@ class ExecutorView:
     def lost(self, reason: str) -> None:
         """Notes that there is no connection."""
         self.connected, self.problem = False, reason
-        self.state = self.diagnostics = None
+        self.state = self.diagnostics = self.simulation = None
         self._sentence = ""
 
     def ended(self, sentence: str) -> None:
@@ -230,6 +228,12 @@ class ExecutorView:
         return snapshot.mode, self._sentence if snapshot.mode == "ready" and self._sentence else snapshot.reason
 
 
+def described(simulation: PlayableFaults) -> Payload:
+    """Returns simulated boards as the field `simulation` of `arm`."""
+    faults = [{name: getattr(verb, name) for name in verb.__struct_fields__} for verb in simulation.faults]
+    return {"faults": faults, "boards": list(simulation.boards), "interlocks": list(simulation.interlocks)}
+
+
 def obstruction(state: ArmState, mode: Mode, reason: str) -> Refusal | None:
     """Returns why no goal can be planned from a state, in the mode that users see; None if one can."""
     if state.unknown_state is not None:
@@ -237,107 +241,3 @@ def obstruction(state: ArmState, mode: Mode, reason: str) -> Refusal | None:
     if state.known and state.configuration is None:
         return Refusal(Reason.STATE_IN_BETWEEN, why=reason)
     return no_motion(mode, reason) if state.configuration is None else None
-
-
-class Locks:
-    """The locked actuators of one arm, and the tables for them.
-
-    The executor owns which actuators are locked. The planner owns the tables, and knows which locks leave each module
-    a state.
-
-    Attributes:
-        problem: why the tables could not be rebuilt; None if they could.
-    """
-
-    def __init__(self, parts: Parts, tables: Tables) -> None:
-        self._view, self._jobs, self._act = parts.view, parts.jobs, parts.act
-        self._built, self._building = tables, False
-        self._locked = tables.locked
-        self.problem: str | None = None
-
-    @property
-    def states(self) -> NDArray[np.int8]:
-        """Locked state of each actuator, 0 or 1; -1 if it is free; shape (A,)."""
-        return np.frombuffer(self._locked, np.int8)
-
-    @property
-    def tables(self) -> Tables | None:
-        """The tables for the present locks; None while they are rebuilt."""
-        return self._built if self._built.locked == self._locked else None
-
-    def mode(self) -> tuple[Mode, str]:
-        """Returns the mode as users see it: the executor's, unless the tables do not allow goals."""
-        mode, reason = self._view.mode()
-        if mode == "ready" and self.problem is not None:
-            return "fault", self.problem
-        if mode == "ready" and self.tables is None:
-            return "starting", f"the planner's tables are being rebuilt; {self.sentence()}"
-        return mode, reason
-
-    def update(self, state: ArmState) -> None:
-        """Takes the locked actuators of a snapshot."""
-        if state.known and not state.snapshot.moving and (locked := state.locked_states) != self._locked:
-            self._locked, self.problem = locked, None
-            self._act(Log(logging.WARNING, self.sentence()))
-        self._rebuild()
-
-    def retry(self) -> None:
-        """Starts another attempt to rebuild the tables."""
-        self.problem = None
-        self._rebuild()
-
-    def actuator(self, message: LockMessage, state: ArmState) -> int:
-        """Returns the index of the actuator of a request; the executor decides on the rest.
-
-        Raises:
-            Refusal: it is no actuator of this arm, or a lock would leave a module no state.
-        """
-        labels = self._view.manipulator.actuators
-        if message.actuator not in labels:
-            raise no_actuator("actuator", message.actuator, labels)
-        k, states = labels.index(message.actuator), self.states.copy()
-        if message.state is None:
-            return k  # also in states that are no configuration: a jog leaves them only with unlocked actuators
-        states[k] = message.state
-        if state.sensed[k] and state.measured[k] not in (-1, message.state):
-            return k  # the executor refuses it, because the end-stop reads the other state
-        try:
-            require_states(self._view.manipulator, states)
-            if (state.measured >= 0).all():
-                held = np.where((states >= 0) & ~state.sensed, states, state.measured)
-                self._view.manipulator.configuration(held)
-        except ValueError as error:
-            raise Refusal(Reason.MODULE_WITHOUT_STATE, error=str(error)) from None
-        return k
-
-    def faults(self) -> Iterator[Fault]:
-        """Yields the faults for `state`: each locked actuator, and tables that could not be rebuilt."""
-        for label, state in self._locks():
-            yield Fault("degraded", label, lock_warning(label, state))
-        if self.problem is not None:
-            yield Fault("internal-error", "daemon", self.problem)
-
-    def sentence(self) -> str:
-        """Returns the locked actuators in words, e.g. "locked: 5.left (contracted)"."""
-        return locks_in_words(self._locks())
-
-    def _locks(self) -> Iterator[tuple[str, int]]:
-        """Yields label and state of each locked actuator."""
-        labels, states = self._view.manipulator.actuators, self.states
-        return ((labels[k], int(states[k])) for k in np.flatnonzero(states >= 0))
-
-    def _rebuild(self) -> None:
-        """Starts a rebuild if one is needed and none runs."""
-        if self.tables is None and not self._building and self.problem is None:
-            self._building = True
-            task = BuildTables(self._built.generation + 1, self._locked)
-            self._jobs.start(task, partial(self._answered, task.locked))
-
-    def _answered(self, locked: bytes, answer: Answer) -> None:
-        self._building = False
-        if isinstance(answer, Tables):
-            self._built = answer
-        elif isinstance(answer, Failed) and locked == self._locked:
-            reason = f"{answer.reason}; reset to try again"
-            self.problem = f"the tables for the locked actuators cannot be rebuilt: {reason}"
-        self._rebuild()

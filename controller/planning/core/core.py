@@ -13,17 +13,18 @@ from controller import program
 from controller.host.process import Log, Quit
 from controller.motion.tracking.goal_motion import tracking_of
 from controller.planning.core import events
-from controller.planning.core.arm import ExecutorView, Locks
+from controller.planning.core.arm import ExecutorView
 from controller.planning.core.goals import Goals
+from controller.planning.core.locks import Locks
 from controller.planning.core.obstacles import ObstacleOwner
 from controller.planning.core.parts import Parts
 from controller.planning.core.programs import InFlight, Programs
-from controller.planning.core.reports import Outcome
+from controller.planning.core.reports import GoalOutcome
 from controller.planning.core.requests import ExecutorRequests, Queries
 from controller.planning.core.results import Results
 from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream, TipBiasEstimator
-from controller.planning.core.tasks import ImprovePlan, Planned, Scene, Tables
+from controller.planning.core.tasks import ImprovePlan, Planned, Tables, VersionedScene
 from controller.refusals.codes import PATH_TOLERANCE_VIOLATED
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 # Fields that the core does not look inside: the flight recorder leaves them out.
 OPAQUE: dict[type, str] = {
     Tables: "solvers",
-    Scene: "keep_out",
+    VersionedScene: "keep_out",
     ImprovePlan: "plan",
     Planned: "plan",
     InFlight: "plan",
@@ -56,15 +57,17 @@ class Beginning(NamedTuple):
         counts: switches of each actuator, of the ledger.
         published: results that earlier planner processes published, by program.
         owed: goals that they accepted, and whose results the ledger does not have.
+        simulated: whether this process serves an executor with simulated boards; it connects to no other.
     """
 
     name: str
     tables: Tables
-    scene: Scene
+    scene: VersionedScene
     obstacles: int
     counts: tuple[int, ...]
-    published: Mapping[events.Identity, events.Ended] = MappingProxyType({})
+    published: Mapping[events.Identity, events.ResultEntry] = MappingProxyType({})
     owed: Iterable[events.OpenGoal] = ()
+    simulated: bool = False
 
 
 class Core:
@@ -80,7 +83,7 @@ class Core:
         self._actions: list[events.Action] = []
         self._counts = beginning.counts
         view = ExecutorView(manipulator, arm.travel_time, pace)
-        self._parts = parts = Parts(view, pace, beginning.name, self._act)
+        self._parts = parts = Parts(view, pace, beginning.name, self._act, simulated=beginning.simulated)
         self._view, self._admission, self._jobs, self._moment = view, parts.admission, parts.jobs, parts.moment
         self._locks = parts.locks = Locks(parts, beginning.tables)
         self._obstacles = parts.obstacles = ObstacleOwner(parts, beginning.scene, beginning.obstacles)
@@ -114,7 +117,7 @@ class Core:
         self._stream.consider()
         self._obstacles.answer(self._programs.unchecked())
         self._keep_alive()
-        self._close()
+        self._end_if_over()
         if self._actions and not isinstance(event, events.Tick):
             self._report_at = now + CALM  # urgent actions, and their worker, come before reports
         if now >= self._report_at:
@@ -131,16 +134,16 @@ class Core:
         match event:
             case events.FromExecutor(message):
                 self._silent = 0
-                self._hear(message)
+                self._receive(message)
             case events.Request():
                 self._answer(event)
             case events.Answered(number, answer, last):
                 self._jobs.answered(number, answer, last)
             case events.SetpointArrived(payload):
-                self._stream.take(payload, self._admission.arrive())
+                self._stream.receive_setpoint(payload, self._admission.arrive())
             case events.TipArrived(payload):
                 if self._parts.tip_bias is not None:
-                    self._parts.tip_bias.take(payload)
+                    self._parts.tip_bias.receive_tip(payload)
             case events.Published(number):
                 self._results.published(number)
             case events.Recorded(entry):
@@ -164,18 +167,18 @@ class Core:
         try:
             match request.key:
                 case "goal" | "jog":
-                    self._goals.submit(request, self._admission.arrive())
+                    self._goals.queue_motion(request, self._admission.arrive())
                 case "plan":
-                    self._queries.submit(request)
+                    self._queries.queue_query(request)
                 case "obstacles":
-                    assert isinstance(request.message, events.ObstaclesMessage)
+                    assert isinstance(request.message, events.SentObstacles)
                     if self._obstacles.change(request.number, request.message):
                         self._programs.park(self._obstacles.generation)
                         self._stream.park()
                 case "arm":
                     self._act(events.Reply(request.number, self._live()))
                 case _:
-                    self._requests.take(request)
+                    self._requests.receive_request(request)
         except Exception:
             self._act(Log(logging.ERROR, f"a request on {request.key} failed\n{traceback.format_exc()}"))
             self._act(events.Reply(request.number, events.refused(Refusal(Reason.INTERNAL_ERROR))))
@@ -187,22 +190,24 @@ class Core:
         return {
             "limits": [fault.message for fault in faults if fault.code == "board-limits"],
             "sent_obstacles": self._obstacles.regions,
+            "simulated": self._parts.simulated,
+            "simulation": self._view.simulation,
             "running": None if running is None else {"goal": running.report.id, "waypoints": running.report.waypoints},
         }
 
     # --- the executor
 
-    def _hear(self, message: program.Up) -> None:
+    def _receive(self, message: program.Up) -> None:
         match message:
             case program.Snapshot():
                 self._admission.snapshot(message.epoch)
-                self._locks.update(self._view.take(message))
+                self._locks.update(self._view.receive_snapshot(message))
             case program.Accepted():
                 self._goals.accepted(message)
             case program.Declined():
                 self._goals.declined(message)
             case program.Begun() | program.Replaced() | program.Settled() | program.Ended():
-                self._programs.hear(message)
+                self._programs.receive_report(message)
             case program.Answer():
                 self._requests.answered(message)
             case program.Question():
@@ -216,7 +221,7 @@ class Core:
                 self._welcome(message)
 
     def _welcome(self, message: program.Welcome) -> None:
-        self._view.welcome(message, self._counts)
+        self._view.receive_welcome(message, self._counts)
         self._parts.last_number = max(self._parts.last_number, message.program)
         self._act(events.ToExecutor(program.Counts(self._counts)))
         self._results.met(message.instance)
@@ -257,13 +262,13 @@ class Core:
         if self._quit_at is not None:
             return
         self._quit_at = self._moment.now + LAST_RESULTS_WITHIN
-        self._goals.closing = True
-        self._queries.close()
+        self._goals.quitting = True
+        self._queries.end_queries()
         self._stream.park()
         if (running := self._programs.current) is not None:
-            self._programs.end(running, Outcome("aborted", PATH_TOLERANCE_VIOLATED, events.CLOSING))
+            self._programs.end(running, GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, events.SHUTTING_DOWN))
 
-    def _close(self) -> None:
+    def _end_if_over(self) -> None:
         over = self._programs.idle and self._results.idle and not self._goals.waiting
         if self._quit_at is not None and (over or self._moment.now >= self._quit_at):
             if not self.ended:

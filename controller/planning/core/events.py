@@ -29,16 +29,22 @@ class LockMessage(NamedTuple):
     state: int | None
 
 
-class ObstaclesMessage(NamedTuple):
+class FaultToPlay(NamedTuple):
+    """The payload of `fault`: a fault to play in simulated boards, such as "silence can0/5"."""
+
+    fault: str
+
+
+class SentObstacles(NamedTuple):
     """The payload of `obstacles`: decoded for the workers, and as it came for the description of the arm."""
 
     obstacles: Any
     regions: list[Any]
 
 
-Key = Literal["goal", "jog", "plan", "cancel", "stop", "reset", "degrade", "obstacles", "arm"]
+Key = Literal["goal", "jog", "plan", "cancel", "stop", "reset", "degrade", "obstacles", "fault", "arm"]
 # A jog has the new state of each actuator by index. Keys without a content have None.
-Message = GoalMessage | dict[int, int] | CancelMessage | LockMessage | ObstaclesMessage | None
+Message = GoalMessage | dict[int, int] | CancelMessage | LockMessage | SentObstacles | FaultToPlay | None
 
 
 class Request(NamedTuple):
@@ -166,7 +172,7 @@ class PublishResult(NamedTuple):
     payload: Payload
 
 
-class Accepted(NamedTuple):
+class AcceptanceEntry(NamedTuple):
     """The acceptance of a goal or jog, for the ledger; `wall` is its time [UNIX s]."""
 
     goal: str
@@ -174,7 +180,7 @@ class Accepted(NamedTuple):
     waypoints: int
 
 
-class Ended(NamedTuple):
+class ResultEntry(NamedTuple):
     """The result of a goal or jog, for the ledger; `wall` is its time [UNIX s]."""
 
     wall: float
@@ -192,8 +198,8 @@ class Record(NamedTuple):
 
     entry: int
     identity: Identity
-    accepted: Accepted | None
-    ended: Ended | None
+    accepted: AcceptanceEntry | None
+    ended: ResultEntry | None
 
 
 class RecordCounts(NamedTuple):
@@ -244,7 +250,7 @@ ForLedger = Record | RecordCounts
 ForWorkers = Start | Abandon
 Action = ForClients | ForLedger | ForWorkers | ToExecutor | Disconnect | Wake | Notify | Log | Fail
 
-CLOSING = Reason.SHUTTING_DOWN.sentence
+SHUTTING_DOWN = Reason.SHUTTING_DOWN.sentence
 
 
 def done(message: str) -> Payload:

@@ -21,7 +21,7 @@ from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal, no_motion
 
 MOST_WAITING, MOST_TRIES = 16, 10  # requests; plans, and programs sent, of one goal while the arm moves
-PATIENCE = 2.0  # [s] for the executor's answer; it answers within milliseconds
+EXECUTOR_TIMEOUT = 2.0  # [s] for the executor's answer; it answers within milliseconds
 NEWER_WITHIN = 0.2  # [s]; a snapshot comes 20 times a second
 LONGEST_PLANNING = 60.0  # [s]
 MOVED = (Reason.MOVED_SINCE_PLANNED, Reason.SWITCH_NOT_CONFIRMED)  # the goal is planned again from the new state
@@ -89,7 +89,7 @@ class Goals:
     """
 
     def __init__(self, parts: Parts, prepares: bool) -> None:
-        self.closing = False
+        self.quitting = False
         self._parts, self._view, self._moment, self._act = parts, parts.view, parts.moment, parts.act
         self._locks, self._obstacles, self._programs = parts.locks, parts.obstacles, parts.programs
         self._preparation = Preparation(parts, prepares)
@@ -103,13 +103,13 @@ class Goals:
         """Number of requests that wait, the one that is planned included."""
         return len(self._waiting) + (self._current is not None)
 
-    def submit(self, request: Request, ticket: Ticket) -> None:
+    def queue_motion(self, request: Request, ticket: Ticket) -> None:
         """Queues a goal or jog, or refuses it at once."""
         wanted, name = request.message, f"{self._parts.name}{request.number:x}"
         assert isinstance(wanted, GoalMessage | dict)
         name = f"jog-{name}" if isinstance(wanted, dict) else wanted.id or name
         motion = Motion(request.number, ticket, wanted, name, request.wall, self._moment.now)
-        if self.closing:
+        if self.quitting:
             self._refuse(motion, Refusal(Reason.SHUTTING_DOWN))
         elif len(self._waiting) >= MOST_WAITING:
             self._refuse(motion, Refusal(Reason.BUSY, most=MOST_WAITING, what="goals"))
@@ -185,11 +185,11 @@ class Goals:
         """
         admission = self._parts.admission
         if motion.program is not None:
-            if self._waits(motion, PATIENCE):
+            if self._waits(motion, EXECUTOR_TIMEOUT):
                 return
             self._programs.give_up(motion.program)
-            raise Refusal(Reason.EXECUTOR_SILENT, seconds=PATIENCE)
-        if self.closing:
+            raise Refusal(Reason.EXECUTOR_SILENT, seconds=EXECUTOR_TIMEOUT)
+        if self.quitting:
             raise Refusal(Reason.SHUTTING_DOWN)
         if admission.barred(motion.ticket):
             raise Refusal(Reason.OVERTAKEN)
@@ -201,7 +201,7 @@ class Goals:
             return
         motion.waits = None
         if motion.ticket.epoch is None:
-            if self._waits(motion, PATIENCE):
+            if self._waits(motion, EXECUTOR_TIMEOUT):
                 return
             raise Refusal(Reason.EXECUTOR_BEHIND)
         state, (mode, reason) = self._view.state, self._locks.mode()
@@ -281,7 +281,7 @@ class Goals:
             assert isinstance(wanted, dict)
             program = jog_program(self._parts, motion, wanted, planned, state, basis)
         motion.program, motion.since = program.program.program, self._moment.now
-        self._programs.offer(program)
+        self._programs.send_program(program)
 
     def _end(self, motion: Motion, refusal: Refusal) -> None:
         self._drop(motion)

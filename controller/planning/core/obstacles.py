@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from controller.planning.core import tasks
-from controller.planning.core.events import ObstaclesMessage, Reply, ToExecutor, done, refused
+from controller.planning.core.events import Reply, SentObstacles, ToExecutor, done, refused
 from controller.planning.core.parts import Parts
-from controller.planning.core.tasks import Answer, Checked, Scene, SceneBuilt
+from controller.planning.core.tasks import Answer, Checked, SceneBuilt, VersionedScene
 from controller.program import Clearance, Question
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
@@ -44,20 +44,20 @@ class ObstacleOwner:
         standing: the collision of the arm at rest, in words; None: with nothing.
     """
 
-    def __init__(self, parts: Parts, scene: Scene, total: int) -> None:
+    def __init__(self, parts: Parts, scene: VersionedScene, total: int) -> None:
         self.generation = scene.generation
         self.standing: str | None = None
         self._view, self._jobs, self._moment, self._act = parts.view, parts.jobs, parts.moment, parts.act
-        self._sent: ObstaclesMessage | None = None  # the obstacles of this generation
+        self._sent: SentObstacles | None = None  # the obstacles of this generation
         self._built = SceneBuilt(scene, total, 0)  # the last scene
-        self._built_of: ObstaclesMessage | None = None  # its message
+        self._built_of: SentObstacles | None = None  # its message
         self._changes: list[Change] = []
         self._questions: list[Question] = []
         self._standing_seen: tuple[int, bytes, bytes] | None = None  # what the last check depends on
         self._standing_job: int | None = None
 
     @property
-    def scene(self) -> Scene | None:
+    def scene(self) -> VersionedScene | None:
         """The scene of this generation; None while it is built."""
         return self._built.scene if self._built.scene.generation == self.generation else None
 
@@ -68,7 +68,7 @@ class ObstacleOwner:
 
     # --- requests
 
-    def change(self, request: int, message: ObstaclesMessage) -> bool:
+    def change(self, request: int, message: SentObstacles) -> bool:
         """Takes other obstacles; returns whether they differ from the present ones."""
         self._changes.append(Change(request, self._moment.now))
         before, obstacles = self._sent, message.obstacles

@@ -16,7 +16,8 @@ from controller.planning.core.tasks import Answer, Basis, Task
 
 if TYPE_CHECKING:
     from controller.motion.stages.pacing import Pace
-    from controller.planning.core.arm import ExecutorView, Locks
+    from controller.planning.core.arm import ExecutorView
+    from controller.planning.core.locks import Locks
     from controller.planning.core.obstacles import ObstacleOwner
     from controller.planning.core.programs import Programs
     from controller.planning.core.results import Results
@@ -177,6 +178,7 @@ class Parts:
         pace: of the arm's transitions.
         name: of this process, distinct from those of all others; a part of ids.
         last_number: of a program or stream of set-points.
+        simulated: whether the boards of the arm are simulated.
         tip_bias: None: the arm has no tracker.
     """
 
@@ -187,6 +189,7 @@ class Parts:
     moment: Moment = field(default_factory=Moment)
     admission: Admission = field(default_factory=Admission)
     last_number: int = 0
+    simulated: bool = False
     jobs: Jobs = field(init=False)
     locks: Locks = field(init=False)
     obstacles: ObstacleOwner = field(init=False)

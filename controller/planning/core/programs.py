@@ -9,12 +9,19 @@ from typing import Any
 
 from controller.motion.stages.feed import Feed, Improved
 from controller.planning.core.arm import ArmState
-from controller.planning.core.events import Accepted as AcceptedEntry
-from controller.planning.core.events import Identity, Publish, Record, Reply, ToExecutor
+from controller.planning.core.events import AcceptanceEntry, Identity, Publish, Record, Reply, ToExecutor
 from controller.planning.core.parts import Parts
-from controller.planning.core.reports import Outcome, Report, collision_outcome
-from controller.planning.core.results import Known
-from controller.planning.core.tasks import Answer, CheckStages, Deviations, ImprovePlan, Scene, Tables, collision_of
+from controller.planning.core.reports import GoalOutcome, Report, collision_outcome
+from controller.planning.core.results import KnownProgram
+from controller.planning.core.tasks import (
+    Answer,
+    CheckStages,
+    Deviations,
+    ImprovePlan,
+    Tables,
+    VersionedScene,
+    collision_of,
+)
 from controller.program import Accepted, Begun, Cancel, Ended, Program, Replaced, Settled
 from controller.refusals.codes import PATH_TOLERANCE_VIOLATED
 
@@ -49,7 +56,7 @@ class InFlight:
     delay: float = 0.0
     begin: float = 0.0
     accepted: bool = False
-    outcome: Outcome | None = None
+    outcome: GoalOutcome | None = None
     improving: int | None = None
     deviates: bool = False
     held: deque[Settled | Ended] = field(default_factory=deque)
@@ -108,7 +115,7 @@ class Programs:
 
     # --- sending
 
-    def offer(self, program: InFlight) -> None:
+    def send_program(self, program: InFlight) -> None:
         """Sends a program."""
         self._programs[program.program.program] = program
         self._act(ToExecutor(program.program))
@@ -123,7 +130,7 @@ class Programs:
         self.withdraw(number)
         self._cancel(number, GAVE_UP)
 
-    def end(self, program: InFlight, outcome: Outcome) -> None:
+    def end(self, program: InFlight, outcome: GoalOutcome) -> None:
         """Cancels a running program at the executor; the outcome becomes its result."""
         if program.outcome is None:
             program.outcome = outcome
@@ -147,7 +154,7 @@ class Programs:
         program.accepted, program.begin, self.last_accepted = True, message.begin, message.program
         program.entry = self._results.next_entry()
         self._replies[program.entry] = program.request, program.answer
-        accepted = AcceptedEntry(program.report.id, self._moment.wall, program.report.count)
+        accepted = AcceptanceEntry(program.report.id, self._moment.wall, program.report.count)
         self._act(Record(program.entry, self._identity(message.program), accepted, None))
         self._improve(program)
         self._feed(program)
@@ -157,7 +164,7 @@ class Programs:
         if (reply := self._replies.pop(entry, None)) is not None:
             self._act(Reply(*reply))
 
-    def hear(self, message: Begun | Replaced | Settled | Ended) -> None:
+    def receive_report(self, message: Begun | Replaced | Settled | Ended) -> None:
         """Handles what the executor tells of a program, own or of an earlier planner process."""
         program = self._programs.get(message.program)
         if program is None:
@@ -193,8 +200,8 @@ class Programs:
             if self._programs.pop(program.program.program, None) is not None:
                 self._stop_tasks(program)
                 message = f"{reason}; the arm holds"
-                outcome = program.outcome or Outcome("aborted", PATH_TOLERANCE_VIOLATED, message)
-                known = Known(outcome, None, None, self._unrecorded(program))
+                outcome = program.outcome or GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, message)
+                known = KnownProgram(outcome, None, None, self._unrecorded(program))
                 self._results.lost(self._identity(program.program.program), program.program.context, known)
 
     # --- obstacles
@@ -218,7 +225,7 @@ class Programs:
             if waits and program.accepted and program.outcome is None:
                 self._check(program, scene, state)
 
-    def _check(self, program: InFlight, scene: Scene, state: ArmState) -> None:
+    def _check(self, program: InFlight, scene: VersionedScene, state: ArmState) -> None:
         """Starts the check of the next stages of a program, or releases them if there is nothing to collide with."""
         while (unchecked := program.feed.to_check()) is not None:
             if not scene.free:
@@ -292,7 +299,7 @@ class Programs:
                 del self._programs[message.program]
                 report, feed = program.report, program.feed
                 self._results.ended(
-                    message, Known(program.outcome, report.present, feed.proof, self._unrecorded(program))
+                    message, KnownProgram(program.outcome, report.present, feed.proof, self._unrecorded(program))
                 )
                 continue
             deviation = program.feed.deviation(message.mark) if message.planned else None

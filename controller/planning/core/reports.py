@@ -81,7 +81,7 @@ def decode_context(data: bytes) -> Context | None:
         return None
 
 
-class Outcome(NamedTuple):
+class GoalOutcome(NamedTuple):
     """The end of a goal: status, code and message of its result, and a sentence on what the arm does then."""
 
     status: str
@@ -155,7 +155,7 @@ class GoalReport:
         self._stages, self._deviation = 0, 0.0
         return feedback
 
-    def left_path(self, point: int, measured: Measured) -> Outcome | None:
+    def left_path(self, point: int, measured: Measured) -> GoalOutcome | None:
         """Returns the outcome of a goal whose measured tip has left its path at a settled point; otherwise None."""
         trajectory = self.trajectory
         if trajectory.path_tolerance is None or point == len(trajectory.times) - 1:
@@ -168,7 +168,7 @@ class GoalReport:
         at = f"after waypoints[{trajectory.last(point)}] the measured tip is {away}"
         message = f"{at}, path_tolerance {trajectory.path_tolerance:g}"
         sentence = f"holding; goal {self.id} left its path: {message}"
-        return Outcome("aborted", codes.PATH_TOLERANCE_VIOLATED, message, sentence)
+        return GoalOutcome("aborted", codes.PATH_TOLERANCE_VIOLATED, message, sentence)
 
     def _asked(self, point: int) -> Payload:
         """Returns position and orientation of a point; the orientation is None if any serves."""
@@ -218,7 +218,7 @@ class JogReport:
         """Returns no feedback."""
         return None
 
-    def left_path(self, point: int, measured: Measured) -> Outcome | None:
+    def left_path(self, point: int, measured: Measured) -> GoalOutcome | None:
         """Returns no outcome: a jog has no path."""
         return None
 
@@ -226,8 +226,8 @@ class JogReport:
 Report = GoalReport | JogReport
 
 
-def collision_outcome(goal: str, words: str) -> Outcome:
+def collision_outcome(goal: str, words: str) -> GoalOutcome:
     """Returns the outcome of a goal whose remaining stages would collide."""
     message = f"the planned motion would collide: {words}; the arm holds"
     sentence = f"holding; goal {goal} was aborted: the planned motion would collide: {words}"
-    return Outcome("aborted", codes.PATH_TOLERANCE_VIOLATED, message, sentence)
+    return GoalOutcome("aborted", codes.PATH_TOLERANCE_VIOLATED, message, sentence)

@@ -1,4 +1,4 @@
-"""Requests that wait for no motion: cancel, stop, reset and locks, which the executor answers, and plans of goals."""
+"""Requests that wait for no motion: cancel, stop, reset, locks and faults for the executor, and plans of goals."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from controller.motion.decoding.goal import GoalMessage
 from controller.planning.core.arm import obstruction
 from controller.planning.core.events import (
     CancelMessage,
+    FaultToPlay,
     LockMessage,
     Payload,
     Reply,
@@ -17,18 +18,17 @@ from controller.planning.core.events import (
     done,
     refused,
 )
-from controller.planning.core.goals import Goals
+from controller.planning.core.goals import EXECUTOR_TIMEOUT, Goals
 from controller.planning.core.parts import Parts
 from controller.planning.core.tasks import Answer, Described, DescribePlan, PlanGoal, refusal_of
 from controller.program import Answer as ExecutorAnswer
-from controller.program import Cancel, Down, Lock, Reset
+from controller.program import Cancel, Down, Lock, PlayFault, Reset
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal, no_motion
 
 MOST_WAITING = 4
 LONGEST = 10.0  # [s] for one query, without its time in the queue
 CANCELED = "canceled; the arm holds"
-PATIENCE = 2.0  # [s] for an answer, after which the executor counts as silent
 
 
 class ExecutorRequests:
@@ -39,8 +39,8 @@ class ExecutorRequests:
         self._locks, self._goals, self._programs = parts.locks, goals, parts.programs
         self._pending: dict[int, float] = {}  # time of each request that is not answered yet [s]
 
-    def take(self, request: Request) -> None:
-        """Takes a cancel, stop, reset or lock."""
+    def receive_request(self, request: Request) -> None:
+        """Handles a cancel, stop, reset, lock or fault."""
         match request.key, request.message:
             case "cancel", CancelMessage(str(goal)):
                 self._cancel_goal(request.number, goal)
@@ -51,6 +51,11 @@ class ExecutorRequests:
                 self._reset(request.number)
             case _, LockMessage() as message:
                 self._lock(request.number, message)
+            case _, FaultToPlay(fault):
+                if self._parts.simulated:
+                    self._send(request.number, PlayFault(request.number, fault))
+                else:
+                    self._act(Reply(request.number, refused(Refusal(Reason.NOT_SIMULATED))))
 
     def unsent(self, number: int, reason: str) -> None:
         """Refuses a request that could not be sent."""
@@ -68,7 +73,7 @@ class ExecutorRequests:
 
     def overdue(self) -> bool:
         """Returns whether the executor has not answered a request in time."""
-        return any(self._parts.moment.now > at + PATIENCE for at in self._pending.values())
+        return any(self._parts.moment.now > at + EXECUTOR_TIMEOUT for at in self._pending.values())
 
     def _cancel_goal(self, number: int, goal: str) -> None:
         running = self._programs.running(goal)
@@ -134,8 +139,8 @@ class Queries:
         """Number of queries that are not answered yet."""
         return len(self._waiting)
 
-    def submit(self, request: Request) -> None:
-        """Takes a query, or refuses it at once."""
+    def queue_query(self, request: Request) -> None:
+        """Queues a query, or refuses it at once."""
         message, number = request.message, request.number
         assert isinstance(message, GoalMessage)
         goal = message.id or f"{self._parts.name}{number:x}"
@@ -157,7 +162,7 @@ class Queries:
                     job = self._parts.jobs.start(task, partial(self._answered, query))
                     self._waiting[query.request] = query._replace(job=job)
 
-    def close(self) -> None:
+    def end_queries(self) -> None:
         """Refuses all queries: the process ends."""
         for query in list(self._waiting.values()):
             self._parts.jobs.abandon(query.job)

@@ -15,10 +15,18 @@ from controller.manipulator.locked import STATES
 from controller.motion.stages.feed import PlanProof
 from controller.motion.targets import GoalTarget, measured_pose
 from controller.planning.core.arm import Measured, measured_states
-from controller.planning.core.events import Accepted, Identity, OpenGoal, Payload, PublishResult, Record, ToExecutor
-from controller.planning.core.events import Ended as EndedEntry
+from controller.planning.core.events import (
+    AcceptanceEntry,
+    Identity,
+    OpenGoal,
+    Payload,
+    PublishResult,
+    Record,
+    ResultEntry,
+    ToExecutor,
+)
 from controller.planning.core.parts import Parts
-from controller.planning.core.reports import Context, Outcome, decode_context
+from controller.planning.core.reports import Context, GoalOutcome, decode_context
 from controller.program import Acknowledge, Ended
 from controller.refusals import codes
 
@@ -34,7 +42,7 @@ STATUS_CODES = {
 }
 
 
-class Known(NamedTuple):
+class KnownProgram(NamedTuple):
     """What this planner process knows of a program beside its context.
 
     Attributes:
@@ -44,7 +52,7 @@ class Known(NamedTuple):
         acceptance: entry of the acceptance that the ledger does not have yet; None: it has.
     """
 
-    outcome: Outcome | None
+    outcome: GoalOutcome | None
     target: GoalTarget | None
     proof: PlanProof | None
     acceptance: int | None
@@ -61,7 +69,7 @@ class Untold:
 
     identity: Identity
     result: int | None
-    accepted: Accepted | None
+    accepted: AcceptanceEntry | None
     payload: Payload
 
 
@@ -77,7 +85,7 @@ class Results:
         owed: goals that an earlier planner process accepted, and whose results the ledger does not have.
     """
 
-    def __init__(self, parts: Parts, published: Mapping[Identity, EndedEntry], owed: Iterable[OpenGoal]) -> None:
+    def __init__(self, parts: Parts, published: Mapping[Identity, ResultEntry], owed: Iterable[OpenGoal]) -> None:
         self._view, self._moment, self._act = parts.view, parts.moment, parts.act
         self._owed = {goal.identity: goal for goal in owed}
         self._doubtful = {identity: mark for identity, mark in published.items() if identity in self._owed}
@@ -105,7 +113,7 @@ class Results:
 
     # --- made
 
-    def ended(self, message: Ended, known: Known | None) -> None:
+    def ended(self, message: Ended, known: KnownProgram | None) -> None:
         """Takes the executor's result of a program; `known` is None for a program of an earlier planner process."""
         context, view = decode_context(message.context), self._view
         identity = Identity(view.instance or 0, message.program)
@@ -130,7 +138,7 @@ class Results:
         view.ended(outcome.sentence)
         self._tell(Untold(identity, message.result, accepted_of(context), payload), known)
 
-    def lost(self, identity: Identity, context: bytes, known: Known, switches: int = 0) -> None:
+    def lost(self, identity: Identity, context: bytes, known: KnownProgram, switches: int = 0) -> None:
         """Ends a program of which the executor tells nothing any more; `known` has an outcome."""
         found, view, outcome = decode_context(context) or Context("unknown"), self._view, known.outcome
         assert outcome is not None
@@ -150,13 +158,13 @@ class Results:
             goal = self._owed.pop(identity)
             context = msgspec.msgpack.encode(Context(goal.goal, goal.waypoints, sent=goal.wall))
             outcome, mark = self._told_outcome(identity), self._doubtful.get(identity)
-            known = Known(outcome or Outcome("lost", STATUS_CODES["lost"], LOST), None, None, None)
+            known = KnownProgram(outcome or GoalOutcome("lost", STATUS_CODES["lost"], LOST), None, None, None)
             self.lost(identity, context, known, 0 if mark is None else mark.switches)
 
-    def _told_outcome(self, identity: Identity) -> Outcome | None:
+    def _told_outcome(self, identity: Identity) -> GoalOutcome | None:
         """Returns the outcome that an earlier planner process has published, perhaps in vain; otherwise None."""
         mark = self._doubtful.get(identity)
-        return None if mark is None else Outcome(mark.status, mark.code, mark.message)
+        return None if mark is None else GoalOutcome(mark.status, mark.code, mark.message)
 
     # --- published, recorded, acknowledged
 
@@ -173,7 +181,7 @@ class Results:
         if untold is not None and untold.result is not None and untold.identity.instance == self._view.instance:
             self._act(ToExecutor(Acknowledge(untold.result)))
 
-    def _tell(self, untold: Untold, known: Known | None) -> None:
+    def _tell(self, untold: Untold, known: KnownProgram | None) -> None:
         self._owed.pop(untold.identity, None)
         if untold.identity in self._told:
             self._record(untold)
@@ -195,25 +203,25 @@ class Results:
         payload, number = untold.payload, self.next_entry()
         fields = payload["status"], payload["code"], payload["message"], payload["switches"]
         self._recording[number] = untold
-        self._act(Record(number, untold.identity, untold.accepted, EndedEntry(self._moment.wall, *fields)))
+        self._act(Record(number, untold.identity, untold.accepted, ResultEntry(self._moment.wall, *fields)))
 
 
-def accepted_of(context: Context) -> Accepted:
+def accepted_of(context: Context) -> AcceptanceEntry:
     """Returns the acceptance of a goal, for a ledger that may not have it."""
-    return Accepted(context.id, context.sent, context.waypoints)
+    return AcceptanceEntry(context.id, context.sent, context.waypoints)
 
 
-def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, context: Context) -> Outcome:
+def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, context: Context) -> GoalOutcome:
     """Returns the outcome of a program as the executor ended it, judged by the measured states (A,)."""
     if ended.status != "done":
-        return Outcome(ended.status, STATUS_CODES[ended.status], ended.message)
+        return GoalOutcome(ended.status, STATUS_CODES[ended.status], ended.message)
     if context.target is None:
         return jog_outcome(manipulator, measured, context)
     where = measured_pose(manipulator, measured, context.target)
     return last_waypoint_outcome(context.id, context.target, where)
 
 
-def last_waypoint_outcome(goal: str, target: GoalTarget, where: Payload) -> Outcome:
+def last_waypoint_outcome(goal: str, target: GoalTarget, where: Payload) -> GoalOutcome:
     """Returns the outcome of a goal whose last waypoint has settled; `where` is its measured_pose."""
     error, angle = where["error"], where["orientation_error"]
     if target.configuration is not None:
@@ -229,17 +237,17 @@ def last_waypoint_outcome(goal: str, target: GoalTarget, where: Payload) -> Outc
             tolerances = f"tolerances {target.tolerance:g} and {target.angle_tolerance:g}"
             message = f"the measured tip is {away} and turned {angle:.4f} rad, {tolerances}"
     if reached:
-        return Outcome("succeeded", codes.SUCCESSFUL, "reached", f"holding; goal {goal} was reached")
-    return Outcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; goal {goal} was missed: {message}")
+        return GoalOutcome("succeeded", codes.SUCCESSFUL, "reached", f"holding; goal {goal} was reached")
+    return GoalOutcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; goal {goal} was missed: {message}")
 
 
-def jog_outcome(manipulator: Manipulator, measured: Measured, context: Context) -> Outcome:
+def jog_outcome(manipulator: Manipulator, measured: Measured, context: Context) -> GoalOutcome:
     """Returns whether the actuators of a jog are measured in their new states, as an outcome."""
     apart = [manipulator.actuators[k] for k, state in sorted(context.jogged.items()) if measured[k] != state]
     if not apart:
-        return Outcome("succeeded", codes.SUCCESSFUL, "switched", "holding; the actuators were switched")
+        return GoalOutcome("succeeded", codes.SUCCESSFUL, "switched", "holding; the actuators were switched")
     message = f"not measured in the requested state: {', '.join(apart)}"
-    return Outcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {message}")
+    return GoalOutcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {message}")
 
 
 def result_of(
@@ -247,7 +255,7 @@ def result_of(
     ended: Ended,
     measured: Measured,
     context: Context,
-    outcome: Outcome,
+    outcome: GoalOutcome,
     target: GoalTarget | None,
 ) -> Payload:
     """Returns the payload of a result.

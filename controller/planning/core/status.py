@@ -103,6 +103,7 @@ class Status:
             "stamp": self._moment.wall - age,
             "mode": mode,
             "reason": reason,
+            "simulated": parts.simulated,
             "configuration": self._measured["configuration"],
             "commanded": None if state is None or not state.known else state.states.tolist(),
             "measured": self._measured["measured"],

@@ -24,7 +24,7 @@ from controller.planning.core.arm import obstruction
 from controller.planning.core.events import Payload, ToExecutor
 from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.tasks import Answer, Basis, Failed, Followed, FollowSetpoint
-from controller.program import Setpoint
+from controller.program import TICK, Setpoint
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from controller.motion.tracking.goal_motion import Tracking
     from controller.planning.core.arm import ArmState
 
-PERIOD = 0.01  # [s] of the executor's loop
 POLL = 0.005  # [s] between two considerations, at least
 ALIVE_EVERY = 0.02  # [s] between commands without news, which keep the stream alive
 NOTE_EVERY = 1.0  # [s] between changes of the note in `state`
@@ -57,7 +56,7 @@ class Stream:
         self._parts, self._moment, self._dimension = parts, parts.moment, arm.manipulator.dimension
         self._default_tolerance = self._tolerance = arm.tolerance
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
-        self._lead = arm.travel_time + PERIOD  # of a stage
+        self._lead = arm.travel_time + TICK  # of a stage
         self._ticket: Ticket | None = None  # of the first set-point; None: no stream is followed
         self._number, self._offset, self._searching = 0, 0.0, SEARCH_TIME
         self._heard = self._fitted = self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
@@ -71,7 +70,7 @@ class Stream:
 
     # --- set-points
 
-    def take(self, payload: bytes, ticket: Ticket) -> None:
+    def receive_setpoint(self, payload: bytes, ticket: Ticket) -> None:
         """Takes a set-point that has arrived, as JSON; a refused one is only counted."""
         self._received += 1
         try:
@@ -189,7 +188,7 @@ class Stream:
     def _search(self, state: ArmState) -> None:
         """Starts a search from a state to the predicted goal, unless the arm stays or it is too early to decide."""
         parts, now, free_at = self._parts, self._moment.now, state.snapshot.free_at
-        self._next_search = max(free_at - self._searching - PERIOD, self._retry)
+        self._next_search = max(free_at - self._searching - TICK, self._retry)
         if now < self._next_search or (basis := parts.basis()) is None:
             return
         if (configuration := state.configuration) is None:
@@ -204,9 +203,9 @@ class Stream:
             self._stay("")
             return
         task = FollowSetpoint(basis, tuple((goal - shift).tolist()), self._tolerance, bias)
-        self._job = parts.jobs.start(task, partial(self._take_answer, basis))
+        self._job = parts.jobs.start(task, partial(self._receive_answer, basis))
 
-    def _take_answer(self, basis: Basis, answer: Answer) -> None:
+    def _receive_answer(self, basis: Basis, answer: Answer) -> None:
         """Stores the answer of the search for the consideration at the end of this step."""
         self._job, self._next_look = None, self._moment.now
         if isinstance(answer, Followed):
@@ -260,7 +259,7 @@ class TipBiasEstimator:
         self._received = self._accepted = self._refused = 0
         self._last_refusal: str | None = None
 
-    def take(self, payload: bytes) -> None:
+    def receive_tip(self, payload: bytes) -> None:
         """Takes a measured tip that has arrived, as JSON; a refused one is only counted."""
         self._received += 1
         try:

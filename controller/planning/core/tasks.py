@@ -29,7 +29,7 @@ class Tables(NamedTuple):
     solvers: Any = None
 
 
-class Scene(NamedTuple):
+class VersionedScene(NamedTuple):
     """The obstacles, those of the arm's file and those sent.
 
     Attributes:
@@ -64,7 +64,7 @@ class Basis(NamedTuple):
 
     start: ArmStart
     tables: Tables
-    scene: Scene
+    scene: VersionedScene
 
 
 # --- tasks
@@ -96,7 +96,7 @@ class ImprovePlan(NamedTuple):
     begin: float
     search: bool
     tables: Tables
-    scene: Scene
+    scene: VersionedScene
 
 
 class PrepareSearch(NamedTuple):
@@ -134,7 +134,7 @@ class CheckStages(NamedTuple):
     The bits of locked actuators are their states, not their outputs.
     """
 
-    scene: Scene
+    scene: VersionedScene
     before: bytes
     stages: tuple[bytes, ...]
 
@@ -142,7 +142,7 @@ class CheckStages(NamedTuple):
 class CheckStanding(NamedTuple):
     """Check states at rest for a collision. Answered by `Checked` or `Failed`."""
 
-    scene: Scene
+    scene: VersionedScene
     states: bytes
 
 
@@ -221,7 +221,7 @@ class Checked(NamedTuple):
 class SceneBuilt(NamedTuple):
     """A new scene, with the number of all its obstacles, and of those sent."""
 
-    scene: Scene
+    scene: VersionedScene
     total: int
     sent: int
 

@@ -13,7 +13,7 @@ from controller.motion.decoding.goal import GoalRules
 from controller.motion.stages.pacing import pace_of
 from controller.motion.stages.program import pack_states, unpack_states
 from controller.obstacles.keep_out import KeepOutSet, States
-from controller.planning.core.tasks import ArmStart, BuildScene, BuildTables, Scene, SceneBuilt, Tables
+from controller.planning.core.tasks import ArmStart, BuildScene, BuildTables, SceneBuilt, Tables, VersionedScene
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 from controller.search.solver import Solver
@@ -56,7 +56,7 @@ class ArmModel:
         self._generations = (-1, -1)  # of tables and obstacles of the latest solver
         self._solver: Solver | None = None
 
-    def solver(self, tables: Tables, scene: Scene) -> Solver:
+    def solver(self, tables: Tables, scene: VersionedScene) -> Solver:
         """Returns the solver of the reduced arm that avoids the obstacles of a scene."""
         generations = tables.generation, scene.generation
         if self._solver is None or generations != self._generations:
@@ -122,5 +122,5 @@ def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], t
 def build_scene(arm: Arm, task: BuildScene) -> SceneBuilt:
     """Returns the scene of the obstacles of the arm's file and those sent."""
     keep_out = KeepOutSet(arm.clearance(others=task.obstacles), task.obstacles)
-    scene = Scene(task.generation, keep_out.free, keep_out)
+    scene = VersionedScene(task.generation, keep_out.free, keep_out)
     return SceneBuilt(scene, len(keep_out.clearance.obstacles), len(task.obstacles))

@@ -119,14 +119,15 @@ class Boards:
         return states & ~off & ~(doubtful & touched), off
 
     def warnings(self) -> tuple[ArmFault, ...]:
-        """Returns the warnings of ready boards: limits, and outputs that were written off before the start."""
+        """Returns the warnings: error-passive buses; limits of boards, and outputs written off before the start."""
+        passive = tuple(fault for link in self.links.values() if (fault := link.passive()) is not None)
         boards = [station.board for station in self.stations if station.board.ready]
         limits = (
             ArmFault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards if b.warnings
         )
         text = "outputs may have been switched off by the board; written off before start"
         released = (ArmFault("outputs-off", b.name, f"{b.name}: {text}") for b in boards if b.released)
-        return (*limits, *released)
+        return (*passive, *limits, *released)
 
     def rearm(self) -> dict[str, ArmFault]:
         """Arms all buses; returns a fault for each unusable bus, by its name."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.station import Station
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame, State
@@ -19,7 +20,7 @@ BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 class Heartbeat:
     """Sends the master's heartbeat on all buses, and polls boards with node guarding.
 
-    It also finds halts in which boards had neither. Times are real time [s].
+    It also finds pauses of the executor in which boards had neither. Times are real time [s].
 
     Args:
         links: all buses.
@@ -33,7 +34,7 @@ class Heartbeat:
         self._stations = stations
         self._polls: dict[int, tuple[float, Outgoing]] = {}  # of boards with node guarding, by index: time and frame
         self._last: float | None = None  # time of the last `tick`
-        self._halted: float | None = None  # time of the last `tick` before a halt that was told
+        self._paused_at: float | None = None  # time of the last `tick` before a pause that was told
         self._sent: dict[str, float] = {}  # of each bus, time of the last heartbeat
         self._before: dict[str, float] = {}  # and the one before it
 
@@ -67,21 +68,23 @@ class Heartbeat:
         self._polls[i] = at, outgoing
         link.queue(outgoing, now, urgent=True)
 
-    def failed(self, bus: str) -> None:
-        """Records that the last heartbeat could not be sent; the next tick tries again."""
-        self._sent[bus] = self._before.get(bus, -math.inf)
+    def send_failed(self, bus: str, frame: Frame) -> None:
+        """Records that a frame could not be sent; the next tick repeats a heartbeat."""
+        if frame == BEAT:
+            self._sent[bus] = self._before.get(bus, -math.inf)
 
-    def halted(self, clock: float) -> float | None:
-        """Returns once the time since the last `tick` [s] if boards lost their master in it, else None."""
+    def find_pause(self, clock: float) -> ArmFault | None:
+        """Returns a fault if boards have lost their master since the last `tick`; each pause once."""
         timing, last = self._timing, self._last
-        if last is None or last == self._halted or clock - last < timing.heartbeat_timeout - timing.heartbeat:
+        if last is None or last == self._paused_at or clock - last < timing.heartbeat_timeout - timing.heartbeat:
             return None
         armed = [link.name for link in self._links if link.armed]
         without = any(clock - self._sent.get(name, clock) >= timing.heartbeat_timeout for name in armed)
         if not without:
             return None
-        self._halted = last
-        return clock - last
+        self._paused_at = last
+        text = f"the executor was halted for {clock - last:.2f} s, and the boards lost their master: the arm holds"
+        return ArmFault("halted", "executor", text)
 
 
 class LoopClock:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 from drivers.canopen.boot.booting import Booting
-from drivers.canopen.faults import ArmFault, Busy
+from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.boards import Boards
 from drivers.canopen.run.commit import Commit
-from drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
+from drivers.canopen.run.heartbeat import Heartbeat, LoopClock
 from drivers.canopen.run.input_watch import InputWatch
-from drivers.canopen.run.outputs import Key
+from drivers.canopen.run.switching import OutputSwitching
 from drivers.canopen.run.verification import Verification
 from drivers.canopen.status import MasterStatus
-from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
 from drivers.canopen.wire.load import BITS
@@ -55,7 +53,7 @@ class Master:
         interlocks = sum(1 << line for line in wiring.interlock_lines)
         self._inputs = InputWatch(boards.stations, boards.links.values(), interlocks)
         self._commit = Commit(boards.links, boards.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
-        self._releasing = 0, 0  # levels and lines of the last release
+        self._switching = OutputSwitching(boards, self._booting, self._commit, self._verification)
 
     def receive_event(self, event: Event, now: float) -> None:
         """Passes an event of a bus to one of the six methods below."""
@@ -93,24 +91,21 @@ class Master:
             return
         if self._commit.under_way:
             self._commit.sent(bus, frame, now, time)
-        if frame.id == cia301.NMT and (station := self._receptions[bus].stations.get(frame.data[1])) is not None:
-            station.runner.check(time)
+        self._receptions[bus].echoed(frame, time)
 
     def send_failed(self, bus: str, frame: Frame, why: str, now: float) -> None:
         """Records that a frame could not be sent."""
         self._links[bus].send_failed(frame, self._clock.at(now))
         self._commit.send_failed(bus, frame, why)
-        if frame == BEAT:
-            self._heartbeat.failed(bus)
+        self._heartbeat.send_failed(bus, frame)
 
     def bus_changed(self, bus: str, state: str | None, why: str, errors: tuple[int, int] | None, now: float) -> None:
         """Takes state and error counters of a bus; None: unchanged."""
         if (fault := self._links[bus].changed(state, why, errors, self._clock.at(now))) is not None:
             self._lose(fault)
-        elif state is not None and self._releasing != (0, 0):
+        elif state is not None:
             # A restart of the controller drops the frames that it holds: a release is sent again at once.
-            self._commit.give_up(f"{bus} is {state} again")
-            self._releasing = 0, 0
+            self._switching.give_up_release(f"{bus} is {state} again")
 
     def overrun(self, bus: str, now: float) -> None:
         """Records that the controller of a bus has lost received frames, and asks for the inputs again at once.
@@ -126,7 +121,7 @@ class Master:
 
         Only this method sends the master's heartbeat, so that the boards of a hanging executor become safe.
         """
-        self._look_halted(now)
+        self._report_pause(now)
         time = self._clock.tick(now)
         for link in self._links.values():
             if (fault := link.tick(time, now)) is not None:
@@ -138,20 +133,19 @@ class Master:
             self._verification.tick(time)
             self._inputs.tick(time)
 
-    def halted(self, now: float) -> ArmFault | None:
-        """Returns a fault if `tick` was not called for so long that the boards lost their master.
+    def find_pause(self, now: float) -> ArmFault | None:
+        """Returns a fault if `tick` was not called for so long that the boards lost their master; each pause once.
 
-        Then the states of all boards are unknown until `boot`. A running boot begins again, without a fault. Call this
-        before any event is handled. `tick` and `commit` check this as well, and report it in `drain_faults`.
+        After a pause the states of all boards are unknown until `boot`. A running boot begins again, without a fault.
+        Call this before any event is handled. `tick` and `commit` check it as well, and report to `drain_faults`.
         """
-        if (pause := self._heartbeat.halted(now)) is None:
+        if (fault := self._heartbeat.find_pause(now)) is None:
             return None
         if self._booting.under_way:
             self.boot(now)
             return None
-        self._boards.forget()  # the boards' states are unknown after the halt
-        text = f"the executor was halted for {pause:.2f} s, and the boards lost their master: the arm holds"
-        return ArmFault("halted", "executor", text)
+        self._boards.forget()  # the boards' states are unknown after the pause
+        return fault
 
     def boot(self, now: float) -> None:
         """Boots all boards of all buses in parallel; switches no output.
@@ -165,43 +159,24 @@ class Master:
         self._booting.begin(self._boards.rearm(), self._clock.at(now))
 
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
-        """Switches all output lines to `outputs`: sends RPDOs, and one SYNC on each bus after them, see `Commit`.
-
-        Nothing is sent if nothing changes. `committing`, `commit_failed` and `drain_switched` tell the result. After a
-        boot, the first commit ends when the outputs of boards without end-stops were read back.
+        """Switches output lines. `committing`, `commit_failed` and `drain_switched` tell the result.
 
         Args:
             outputs: levels of all lines.
             now: see above.
-            release: only switch lines off, also those of boards that are not ready, on buses that were lost and send
-                frames again, and during a boot; cancels a commit whose RPDOs wait.
+            release: only switch lines off, see `OutputSwitching.release`; otherwise see `OutputSwitching.commit`.
 
         Raises:
             Busy: a commit is running, or a bus or a board is not ready.
             ValueError: `outputs` has a bit that is no line.
         """
-        self._look_halted(now)
-        if release:
-            self._release(outputs, now)
-            return
-        if self._commit.under_way:
-            raise Busy("frames of the previous commit were not sent yet")
-        if self._verification.blocking:
-            raise Busy("the outputs of the previous commit are being read back")
-        due = self._boards.outputs.due(outputs)
-        self._verification.failed = None
-        if not due:
-            self._commit.failed = None
-            return
-        self._begin(outputs, due, None, now)
+        self._report_pause(now)
+        switch = self._switching.release if release else self._switching.commit
+        switch(outputs, now, self._clock.at(now))
 
     def give_up(self, why: str) -> None:
-        """Gives up a commit whose SYNC was not handed out. Does nothing after that, or if it only switches lines off.
-
-        Only the lines of `leaving` still switch. `why` is the reason for `commit_failed`, as a sentence.
-        """
-        if self._releasing == (0, 0):
-            self._commit.give_up(why)
+        """Gives up a commit, see `OutputSwitching.give_up`; only the lines of `leaving` still switch."""
+        self._switching.give_up(why)
 
     def question(self, board: int, now: float) -> None:
         """Asks a board for its inputs by SDO; see `questioning`."""
@@ -306,42 +281,16 @@ class Master:
         return switched
 
     def warnings(self) -> tuple[ArmFault, ...]:
-        """Returns a warning for each error-passive bus, and for each board with limits."""
-        passive = tuple(fault for link in self._links.values() if (fault := link.passive()) is not None)
-        return passive + self._boards.warnings()
+        """Returns the warnings of buses and boards."""
+        return self._boards.warnings()
 
     def status(self) -> MasterStatus:
         """Returns state and counters for diagnostics."""
         return self._boards.status(self._clock.now)
 
-    def _look_halted(self, now: float) -> None:
-        if (fault := self.halted(now)) is not None:
+    def _report_pause(self, now: float) -> None:
+        if (fault := self.find_pause(now)) is not None:
             self._boards.log.report(fault)
-
-    def _release(self, outputs: int, now: float) -> None:
-        """Switches the lines off that are not in `outputs`; a release that waits for its echoes goes on."""
-        boards = self._boards
-        states, off = boards.released(~outputs)
-        if not off or (self._commit.collecting and self._releasing == (states, off)):
-            return
-        self._commit.give_up("an output had to be switched off first")
-        if self._commit.under_way:
-            raise Busy("the SYNC of the previous commit was not sent yet")
-        due = boards.outputs.due(states, off)
-        booted = [i for bus in due for i in boards.left_out(bus, off)] if self._booting.under_way else []
-        self._begin(states, due, off, now)
-        self._releasing = states, off
-        for station in (boards.stations[i] for i in booted):
-            if station.board.heard:  # it was told to leave operational, in which its boot may have put it
-                self._booting.rebooted(station, self._clock.at(now))
-
-    def _begin(self, states: int, due: dict[str, list[Key]], off: int | None, now: float) -> None:
-        """Starts a commit; `off`: mask of lines if they only go off, else None."""
-        if refusal := self._boards.refusal(off):
-            raise Busy(refusal)
-        frames = {bus: self._boards.frames_of(bus, keys, off) for bus, keys in due.items()}
-        self._releasing, refuses = (0, 0), partial(self._boards.refusal, off)
-        self._commit.begin(states, frames, refuses, now, self._clock.at(now), together=off is None)
 
     def _lose(self, fault: ArmFault) -> None:
         self._boards.forget(fault.source)  # one fault for the bus, not one for each board

@@ -32,7 +32,7 @@ class Reception:
         report: Callable[[ArmFault], None],
     ) -> None:
         self._bus, self._rebooted, self._report = bus, rebooted, report
-        self.stations = {s.board.layout.node: s for s in stations if s.board.layout.bus == bus}
+        self._stations = {s.board.layout.node: s for s in stations if s.board.layout.bus == bus}
         self._masters = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", cia301.HEARTBEAT + MASTER: "the master's heartbeat"}
         self._outputs = outputs
 
@@ -44,7 +44,7 @@ class Reception:
             text = f"another master sends on {self._bus} ({what}, frame {cob_id:03X}h): stop it, only one may switch"
             self._report(ArmFault("foreign-master", self._bus, f"{text} the boards"))
             return True
-        if not 0 <= cob_id <= 0x7FF or (station := self.stations.get(cob_id & 0x7F)) is None:
+        if not 0 <= cob_id <= 0x7FF or (station := self._stations.get(cob_id & 0x7F)) is None:
             return False
         function, board, boots = cob_id & 0x780, station.board, station.board.boots
         understood = board.receive_frame(cob_id, data, now)
@@ -54,3 +54,8 @@ class Reception:
             self._rebooted(station, now)
         station.runner.check(now)
         return understood
+
+    def echoed(self, frame: Frame, now: float) -> None:
+        """Takes the echo of a sent frame: the procedure of a board may wait for its NMT command."""
+        if frame.id == cia301.NMT and (station := self._stations.get(frame.data[1])) is not None:
+            station.runner.check(now)

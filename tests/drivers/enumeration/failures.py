@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame
-from tests.drivers.enumeration.bench import BOARD, MASTER, Bench
+from tests.drivers.enumeration.rig import BOARD, MASTER, Rig
 
 LATE = 0.7  # [s] of a late answer, longer than the timeout of a request
 _SHORT, _LONG = 0.1, 0.8  # [s]; the board loses the master only in the second
@@ -30,37 +30,37 @@ class Failure(NamedTuple):
 class Event(NamedTuple):
     """Something that happens between two frames; `mend` follows after `pause` [s]."""
 
-    happen: Callable[[Bench], None]
+    happen: Callable[[Rig], None]
     pause: float = 0.0
-    mend: Callable[[Bench], None] | None = None
+    mend: Callable[[Rig], None] | None = None
 
 
 def _command(command: Command) -> Event:
-    return Event(lambda bench: bench.command(command))
+    return Event(lambda rig: rig.command(command))
 
 
-def _end_executor(bench: Bench) -> None:
-    bench.master = None
+def _end_executor(rig: Rig) -> None:
+    rig.master = None
 
 
-def _start_executor(bench: Bench) -> None:
-    bench.start_master()
+def _start_executor(rig: Rig) -> None:
+    rig.start_master()
 
 
-def _go_off(bench: Bench) -> None:
-    bench.set_bus("bus-off")
+def _go_off(rig: Rig) -> None:
+    rig.set_bus("bus-off")
 
 
-def _come_back(bench: Bench) -> None:
-    bench.set_bus("active")
+def _come_back(rig: Rig) -> None:
+    rig.set_bus("active")
 
 
-def _stand_still(bench: Bench) -> None:
-    bench.stalled = True
+def _stand_still(rig: Rig) -> None:
+    rig.stalled = True
 
 
-def _go_on(bench: Bench) -> None:
-    bench.go_on()
+def _go_on(rig: Rig) -> None:
+    rig.go_on()
 
 
 FRAME_KINDS = {
@@ -72,7 +72,7 @@ FRAME_KINDS = {
     "NMT 81h by a tool": _command(Command.RESET_NODE),
     "NMT 82h by a tool": _command(Command.RESET_COMMUNICATION),
     "executor stalled 0.8 s": Event(_stand_still, _LONG, _go_on),
-    "board power-cycled": Event(Bench.power_cycle),
+    "board power-cycled": Event(Rig.power_cycle),
     "executor restarted": Event(_end_executor, 0.0, _start_executor),
     "executor dead 0.8 s": Event(_end_executor, _LONG, _start_executor),
 }
@@ -90,7 +90,7 @@ KINDS = (*SDO_KINDS, *FRAME_KINDS)
 
 
 class Injection:
-    """Causes one failure on a bench.
+    """Causes one failure on a rig.
 
     Attributes:
         struck: whether the failure has happened.
@@ -121,12 +121,12 @@ class Injection:
         self.struck = True
         return self._delays
 
-    def delivered(self, bench: Bench) -> None:
+    def delivered(self, rig: Rig) -> None:
         """Counts a frame; lets the event happen after the given number of frames."""
         self._frames += 1
         if self._between is not None and self._frames == self._failure.at:
             self.struck, self.event = True, self._between
-            self._between.happen(bench)
+            self._between.happen(rig)
 
 
 def is_request(sender: str, frame: Frame) -> bool:

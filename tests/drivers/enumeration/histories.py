@@ -9,7 +9,7 @@ from typing import NamedTuple
 from drivers.canopen.wire.cia301 import Command
 from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.variants import VARIANTS
-from tests.drivers.enumeration.bench import BITRATE, BUS, Bench
+from tests.drivers.enumeration.rig import BITRATE, BUS, Rig
 from tests.drivers.variants.cases import Case
 
 NODE = 5
@@ -24,42 +24,42 @@ class Before(NamedTuple):
 
     Attributes:
         name: for the table.
-        happens: takes a bench whose arm is extended and whose executor has ended.
+        happens: takes a rig whose arm is extended and whose executor has ended.
         other_loss: whether the executor before had the other `on_loss`.
     """
 
     name: str
-    happens: Callable[[Bench], None]
+    happens: Callable[[Rig], None]
     other_loss: bool = False
 
 
-def _lose_master(bench: Bench) -> None:
-    bench.run(LOST)
+def _lose_master(rig: Rig) -> None:
+    rig.run(LOST)
 
 
-def _cycle_power(bench: Bench) -> None:
-    bench.power_cycle()
-    bench.run(0.05)
+def _cycle_power(rig: Rig) -> None:
+    rig.power_cycle()
+    rig.run(0.05)
 
 
-def _stop(bench: Bench) -> None:
-    bench.command(Command.STOP)
-    bench.run(0.01)
+def _stop(rig: Rig) -> None:
+    rig.command(Command.STOP)
+    rig.run(0.01)
 
 
-def _leave_operational(bench: Bench) -> None:
-    bench.command(Command.PRE_OPERATIONAL)
-    bench.run(0.01)
+def _leave_operational(rig: Rig) -> None:
+    rig.command(Command.PRE_OPERATIONAL)
+    rig.run(0.01)
 
 
-def _lose_master_and_leave(bench: Bench) -> None:
-    bench.run(LOST)
-    _leave_operational(bench)
+def _lose_master_and_leave(rig: Rig) -> None:
+    rig.run(LOST)
+    _leave_operational(rig)
 
 
 HISTORIES = (
     Before("executor dead until the board lost it", _lose_master),
-    Before("executor restarted at once", lambda bench: None),
+    Before("executor restarted at once", lambda rig: None),
     Before("board power-cycled", _cycle_power),
     Before("NMT 02h by a tool", _stop),
     Before("NMT 80h by a tool", _leave_operational),
@@ -68,11 +68,11 @@ HISTORIES = (
 )
 
 
-FIRST_START = Before("first start", lambda bench: None)  # of a board that is refused
+FIRST_START = Before("first start", lambda rig: None)  # of a board that is refused
 
 
-def histories(case: Case) -> Iterator[tuple[Before, Bench]]:
-    """Yields a bench for each possible history of a board, at the moment before a boot; no executor runs."""
+def histories(case: Case) -> Iterator[tuple[Before, Rig]]:
+    """Yields a rig for each possible history of a board, at the moment before a boot; no executor runs."""
     name = case.variant
     far = 64 if name == "many-outputs" else 1
     channels = (Channel("5.left", BUS, NODE, 0, 0, input_contracted=1), Channel("5.right", BUS, NODE, far, None))
@@ -81,27 +81,27 @@ def histories(case: Case) -> Iterator[tuple[Before, Bench]]:
     timing = Timing(boot_timeout=8.0 if name == "late-boot" else 2.0)
     for before in (FIRST_START,) if case.refused else HISTORIES:
         earlier = replace(wiring, on_loss=OPPOSITE[wiring.on_loss]) if before.other_loss else wiring
-        bench = Bench(earlier, timing, VARIANTS[name])
-        bench.run(0.05)
+        rig = Rig(earlier, timing, VARIANTS[name])
+        rig.run(0.05)
         if case.refused:
-            yield before, bench
+            yield before, rig
             continue
-        if not extended(bench):
+        if not extended(rig):
             continue
-        bench.master = None
-        before.happens(bench)
-        bench.wiring = wiring
-        yield before, bench
+        rig.master = None
+        before.happens(rig)
+        rig.wiring = wiring
+        yield before, rig
 
 
-def extended(bench: Bench) -> bool:
+def extended(rig: Rig) -> bool:
     """Boots the board and extends both actuators; returns whether the board booted."""
-    master = bench.start_master()
-    bench.boot()
-    assert bench.until(lambda: not master.booting, LONGEST_BOOT)
+    master = rig.start_master()
+    rig.boot()
+    assert rig.until(lambda: not master.booting, LONGEST_BOOT)
     if not master.ready:
         return False
-    bench.commit(0b11)
-    bench.run(0.2)
-    assert bench.board.pins.bit_count() == 2
+    rig.commit(0b11)
+    rig.run(0.2)
+    assert rig.board.pins.bit_count() == 2
     return True

@@ -9,9 +9,9 @@ from typing import NamedTuple
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire.cia301 import Frame, State
 from drivers.simulation.objects import Objects
-from tests.drivers.enumeration.bench import BUS, MASTER, TICK, TOOL, Bench, Copies
 from tests.drivers.enumeration.failures import SDO_KINDS, Failure, Injection, failures
 from tests.drivers.enumeration.histories import LONGEST_BOOT, NODE, Before, histories
+from tests.drivers.enumeration.rig import BUS, MASTER, TICK, TOOL, Copies, Rig
 from tests.drivers.variants.cases import Case
 
 MOST_BOOTS = 6
@@ -30,7 +30,7 @@ class Trial(NamedTuple):
         case: the board.
         before: history of the board.
         failure: the failure.
-        copies: of the bench before the boot.
+        copies: of the rig before the boot.
     """
 
     case: Case
@@ -65,8 +65,8 @@ class Verdict(NamedTuple):
 def trials(case: Case, every: int = 1) -> Iterator[Trial]:
     """Yields each `every`-th trial of a board, in an order that is always the same."""
     number = 0
-    for before, bench in histories(case):
-        copies = Copies(bench)
+    for before, rig in histories(case):
+        copies = Copies(rig)
         for failure in failures(frames_of_a_boot(copies)):
             number += 1
             if number % every == 0:
@@ -75,55 +75,55 @@ def trials(case: Case, every: int = 1) -> Iterator[Trial]:
 
 def frames_of_a_boot(copies: Copies) -> list[tuple[str, Frame]]:
     """Returns the frames of a boot without a failure."""
-    bench = copies.copy()
-    master = bench.start_master()
-    bench.log.clear()
-    bench.boot()
-    assert bench.until(lambda: not master.booting, LONGEST_BOOT)
-    return bench.log
+    rig = copies.copy()
+    master = rig.start_master()
+    rig.log.clear()
+    rig.boot()
+    assert rig.until(lambda: not master.booting, LONGEST_BOOT)
+    return rig.log
 
 
 def run(trial: Trial) -> Verdict:
     """Runs a trial."""
-    bench = trial.copies.copy()
-    bench.changes.clear()
-    bench.start_master()
-    bench.interception = injection = Injection(trial.failure)
+    rig = trial.copies.copy()
+    rig.changes.clear()
+    rig.start_master()
+    rig.interception = injection = Injection(trial.failure)
     broken: list[str] = []
     boots, ready = 0, False
     while not ready and boots < MOST_BOOTS:
         boots += 1
-        broken += _boot(bench, injection, trial)
-        ready = _stays_ready(bench)
+        broken += _boot(rig, injection, trial)
+        ready = _stays_ready(rig)
         if not ready:
-            _wait_until_back(bench)
-            bench.run(TICK)  # the command of another program may still be on the bus
+            _wait_until_back(rig)
+            rig.run(TICK)  # the command of another program may still be on the bus
     if not injection.struck:
         broken.append("the failure did not happen")
-    return _verdict(bench, boots, ready, broken)
+    return _verdict(rig, boots, ready, broken)
 
 
-def _boot(bench: Bench, injection: Injection, trial: Trial) -> Iterator[str]:
+def _boot(rig: Rig, injection: Injection, trial: Trial) -> Iterator[str]:
     """Boots once; yields broken invariants."""
-    master, found = bench.master, _picture(bench)
+    master, found = rig.master, _picture(rig)
     assert master is not None
     struck = injection.struck
-    bench.boot()
-    ended = bench.until(lambda: injection.event is not None or not master.booting, LONGEST_BOOT)
+    rig.boot()
+    ended = rig.until(lambda: injection.event is not None or not master.booting, LONGEST_BOOT)
     if (event := injection.event) is not None:
         injection.event = None
         if event.mend is not None:
-            bench.run(event.pause)
-            event.mend(bench)
-        if bench.master is not master:
+            rig.run(event.pause)
+            event.mend(rig)
+        if rig.master is not master:
             return  # the executor has died
-        ended = bench.until(lambda: not master.booting, LONGEST_BOOT)
+        ended = rig.until(lambda: not master.booting, LONGEST_BOOT)
     if not ended:
         yield "the boot does not end"
     yield from _unclear_sentences(master, trial.failure)
     between = trial.failure.kind not in SDO_KINDS and struck != injection.struck
     if any(fault.code in REFUSALS for fault in master.boot_faults) and not between:
-        yield from _left_changed(bench, found, master)
+        yield from _left_changed(rig, found, master)
 
 
 def _unclear_sentences(master: Master, failure: Failure) -> Iterator[str]:
@@ -140,24 +140,24 @@ class _Picture(NamedTuple):
     state: State | None
 
 
-def _picture(bench: Bench) -> _Picture:
-    return _Picture(dict(bench.board.objects._values), bench.board.state)
+def _picture(rig: Rig) -> _Picture:
+    return _Picture(dict(rig.board.objects._values), rig.board.state)
 
 
-def _left_changed(bench: Bench, found: _Picture, master: Master) -> Iterator[str]:
+def _left_changed(rig: Rig, found: _Picture, master: Master) -> Iterator[str]:
     """Yields the objects and the state that a refused boot has left in another way than it found them."""
-    objects = bench.board.objects
-    default = Objects(NODE, bench.variant, lambda index, sub: None)
+    objects = rig.board.objects
+    default = Objects(NODE, rig.variant, lambda index, sub: None)
     default._stored = objects._stored
     for key in sorted(found.values.keys() | objects._values.keys()):
-        if key[0] in OWN_OBJECTS or key[0] == bench.variant.output_object:
+        if key[0] in OWN_OBJECTS or key[0] == rig.variant.output_object:
             continue
         was, now = (values.get(key, default.get_data(*key)) for values in (found.values, objects._values))
         if was != now:
             text = f"{key[0]:04X}h/{key[1]} was {was.hex()} and is {now.hex()}"
             yield f"a refusal leaves an object changed: {text}: {_faults(master)}"
-    if found.state is not None and bench.board.state is not found.state:
-        text = f"it was {found.state.words} and is {bench.board.state and bench.board.state.words}"
+    if found.state is not None and rig.board.state is not found.state:
+        text = f"it was {found.state.words} and is {rig.board.state and rig.board.state.words}"
         yield f"a refusal leaves the state changed: {text}: {_faults(master)}"
 
 
@@ -165,33 +165,33 @@ def _faults(master: Master) -> str:
     return "; ".join(fault.message for fault in master.boot_faults)
 
 
-def _stays_ready(bench: Bench) -> bool:
-    master = bench.master
+def _stays_ready(rig: Rig) -> bool:
+    master = rig.master
     assert master is not None
     if not master.ready:
         return False
-    bench.run(AFTERWARDS)
+    rig.run(AFTERWARDS)
     return master.ready
 
 
-def _wait_until_back(bench: Bench) -> None:
+def _wait_until_back(rig: Rig) -> None:
     """Waits until the buses and the board are back, as an executor does; an operator resets it in any case."""
-    master, end = bench.master, bench.now + LONGEST_WAIT
+    master, end = rig.master, rig.now + LONGEST_WAIT
     assert master is not None
-    while bench.now < end and not bench.until(lambda: master.back, PROBED_EVERY):
-        master.probe_silent(bench.now)
+    while rig.now < end and not rig.until(lambda: master.back, PROBED_EVERY):
+        master.probe_silent(rig.now)
 
 
-def _verdict(bench: Bench, boots: int, ready: bool, broken: list[str]) -> Verdict:
-    started = [change for change in bench.changes if change.cause == "START" and change.sender == MASTER]
-    ours = [change for change in bench.changes if change.sender != TOOL and change.cause != "supply"]
+def _verdict(rig: Rig, boots: int, ready: bool, broken: list[str]) -> Verdict:
+    started = [change for change in rig.changes if change.cause == "START" and change.sender == MASTER]
+    ours = [change for change in rig.changes if change.sender != TOOL and change.cause != "supply"]
     energised = [change for change in ours if change.on]
     broken += [f"START has changed pins: {change}" for change in started]
     broken += [f"pins came on: {change}" for change in energised if change not in started]
-    if ready and bench.master is not None and bench.master.outputs != _lines(bench):
-        broken.append(f"the master is wrong on the pins: it believes {bench.master.outputs:b}, not {_lines(bench):b}")
+    if ready and rig.master is not None and rig.master.outputs != _lines(rig):
+        broken.append(f"the master is wrong on the pins: it believes {rig.master.outputs:b}, not {_lines(rig):b}")
     return Verdict(len(started), len(energised), ready, boots, tuple(broken))
 
 
-def _lines(bench: Bench) -> int:
-    return sum((bench.board.pins >> channel.output & 1) << k for k, channel in enumerate(bench.wiring.channels))
+def _lines(rig: Rig) -> int:
+    return sum((rig.board.pins >> channel.output & 1) << k for k, channel in enumerate(rig.wiring.channels))

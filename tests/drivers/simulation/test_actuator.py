@@ -126,7 +126,7 @@ def test_a_spring_may_extend():
 
 
 def test_a_valve_with_two_coils_stays_as_it_is_without_energy():
-    actuator = Actuator("a", 0.1, coils=2)
+    actuator = Actuator("a", 0.1, least_pulse=0.0)
     actuator.drive(1, 0.0)
     actuator.drive(0, 0.01)
     assert at(actuator, 0.1) == (1, (0, 1))
@@ -138,7 +138,7 @@ def test_a_valve_with_two_coils_stays_as_it_is_without_energy():
 
 
 def test_a_pulse_that_is_too_short_does_not_switch_the_valve():
-    actuator = Actuator("a", 0.1, coils=2, least_pulse=0.03)
+    actuator = Actuator("a", 0.1, least_pulse=0.03)
     actuator.drive(1, 0.0)
     actuator.drive(0, 0.02)
     assert at(actuator, 1.0) == (0, (1, 0))
@@ -152,7 +152,7 @@ def test_a_pulse_that_is_too_short_does_not_switch_the_valve():
 
 
 def test_with_both_coils_on_the_last_winner_stays_and_the_coils_heat():
-    actuator = Actuator("a", 0.1, coils=2)
+    actuator = Actuator("a", 0.1, least_pulse=0.0)
     actuator.drive(1, 0.0)
     actuator.drive(1, 1.0, off=1)
     assert at(actuator, 2.0) == (1, (0, 1))

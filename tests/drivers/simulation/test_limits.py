@@ -11,22 +11,22 @@ from drivers.simulation.buses import SimulatedBuses
 from drivers.simulation.fault_commands import perform
 from drivers.simulation.variants import STANDARD, VARIANTS, Variant
 from tests.drivers.canopen.world import one_board
-from tests.drivers.simulation.bench import Bench
+from tests.drivers.simulation.rig import Rig
 
 GUARD = cia301.REMOTE | 0x705
 EXTEND = "03" + 7 * " 00"
 OFF, ON = (0x185, "00" + 7 * " 00"), (0x185, EXTEND)
 
 
-def bench(variant: Variant = STANDARD) -> Bench:
+def rig(variant: Variant = STANDARD) -> Rig:
     """A board that has booted, with actuators on outputs 0 and 1 and their end-stops on inputs 0 and 1."""
-    bench = Bench((0, 0), (1, 1), variant=variant)
-    bench.answers()
-    return bench
+    rig = Rig((0, 0), (1, 1), variant=variant)
+    rig.answers()
+    return rig
 
 
 def test_synchronous_rpdos_after_the_window_are_dropped():
-    it = bench(VARIANTS["sync-window"])
+    it = rig(VARIANTS["sync-window"])
     assert it.sdo("40 07 10 00") == "43 07 10 00 10 27 00 00"
     assert it.write(0x1400, 2, 1) == 0
     it.nmt(Command.START)
@@ -57,20 +57,20 @@ def test_synchronous_rpdos_after_the_window_are_dropped():
     ],
 )
 def test_times_are_rounded_down(name, index, sub, value, size, kept):
-    it = bench(VARIANTS[name])
+    it = rig(VARIANTS[name])
     assert it.write(index, sub, value, size) == 0
     assert it.board.objects.number(index, sub) == kept
 
 
 def test_a_rounded_heartbeat_comes_at_the_rounded_time():
-    it = bench(VARIANTS["rounded-heartbeats"])
+    it = rig(VARIANTS["rounded-heartbeats"])
     assert it.write(0x1017, 0, 88, 2) == 0
     assert it.wait(0.079) == []
     assert it.wait(0.002) == [(0x705, "7f")]
 
 
 def test_one_node_is_watched_by_one_entry_only():
-    it = bench(VARIANTS["watched-already"])
+    it = rig(VARIANTS["watched-already"])
     assert it.write(0x1016, 1, 127 << 16 | 300, 4) == 0x0604_0043
     assert it.write(0x1016, 1, 126 << 16 | 300, 4) == 0
     assert it.write(0x1016, 2, 127 << 16 | 300, 4) == 0, "the entry itself may change"
@@ -79,7 +79,7 @@ def test_one_node_is_watched_by_one_entry_only():
 
 
 def test_a_mapping_may_have_fewer_entries():
-    it = bench(VARIANTS["short-mapping"])
+    it = rig(VARIANTS["short-mapping"])
     assert it.sdo("40 00 16 00") == "4f 00 16 00 04 00 00 00"
     assert it.sdo("40 00 16 05") == "80 00 16 05 11 00 09 06"
     assert it.write(0x1400, 1, 0x8000_0205, 4) == 0
@@ -90,14 +90,14 @@ def test_a_mapping_may_have_fewer_entries():
 
 @pytest.mark.parametrize(("name", "kind"), [("no-device-type", "00 00 00 00"), ("many-profiles", "ff ff 00 00")])
 def test_device_types_that_name_no_profile(name, kind):
-    it = bench(VARIANTS[name])
+    it = rig(VARIANTS[name])
     assert it.sdo("40 00 10 00") == "43 00 10 00 " + kind
     assert it.sdo("40 00 62 00") == "4f 00 62 00 08 00 00 00"
 
 
 @pytest.mark.parametrize(("name", "heard"), [("standard", 1), ("no-emergencies", 0)])
 def test_emergencies_come_only_if_1014h_enables_them(name, heard):
-    it = bench(VARIANTS[name])
+    it = rig(VARIANTS[name])
     it.board.emergencies.report(0x2320)
     assert len(it.answers()) == heard
     assert it.board.objects.number(0x1001) == 0x03
@@ -109,7 +109,7 @@ def test_emergencies_come_only_if_1014h_enables_them(name, heard):
 
 
 def test_a_kept_loss_of_the_master_stands_until_a_reset():
-    it = bench(VARIANTS["kept-loss"])
+    it = rig(VARIANTS["kept-loss"])
     assert it.write(0x1016, 1, 127 << 16 | 300, 4) == 0
     it.say(0x77F, "05")
     assert [cob_id for cob_id, _ in it.wait(0.31)] == [0x085]
@@ -122,7 +122,7 @@ def test_a_kept_loss_of_the_master_stands_until_a_reset():
 
 
 def test_a_stopped_guarded_board_only_answers_remote_frames():
-    it = bench(VARIANTS["guarding-with-1029h"])
+    it = rig(VARIANTS["guarding-with-1029h"])
     assert it.write(0x1029, 1, 2) == it.write(0x100C, 0, 100, 2) == it.write(0x100D, 0, 3) == 0
     it.nmt(Command.START)
     it.say(0x205, EXTEND)
@@ -134,7 +134,7 @@ def test_a_stopped_guarded_board_only_answers_remote_frames():
 
 
 def test_the_event_timer_repeats_a_tpdo_while_the_board_is_operational():
-    it = bench()
+    it = rig()
     assert it.write(0x1800, 5, 100, 2) == 0
     assert it.wait(1.0) == []
     assert it.nmt(Command.START) == [OFF]
@@ -150,7 +150,7 @@ def test_the_event_timer_repeats_a_tpdo_while_the_board_is_operational():
 
 @pytest.mark.parametrize(("timer", "after"), [(0, []), (150, [ON])])
 def test_a_lost_tpdo_comes_again_only_by_the_event_timer(timer, after):
-    it = bench()
+    it = rig()
     assert it.write(0x1800, 5, timer, 2) == 0
     it.nmt(Command.START)
     it.board.lose_tpdo()

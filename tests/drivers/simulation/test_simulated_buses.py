@@ -23,7 +23,7 @@ SETTINGS = [  # SDO downloads: RPDO on SYNC, TPDO on change
 ]
 
 
-class Bench:
+class Rig:
     def __init__(self) -> None:
         self.sent: list[tuple[str, Frame]] = []
         self.buses = SimulatedBuses(WIRING, Timing(travel_time=0.1), lambda *sent: self.sent.append(sent))
@@ -40,81 +40,103 @@ class Bench:
 
 
 @pytest.fixture
-def bench() -> Bench:
-    bench = Bench()
-    assert bench.heard() == [("can0", 0x705, "00"), ("can1", 0x705, "00")]
-    bench.receive("can0", *SETTINGS, START, now=1.0)
-    bench.sent.clear()
-    return bench
+def rig() -> Rig:
+    rig = Rig()
+    assert rig.heard() == [("can0", 0x705, "00"), ("can1", 0x705, "00")]
+    rig.receive("can0", *SETTINGS, START, now=1.0)
+    rig.sent.clear()
+    return rig
 
 
-def test_boards_answer_on_their_own_bus_only(bench):
-    bench.receive("can1", Frame(0x605, bytes.fromhex("4000100000000000")), now=1.0)
-    assert [(bus, cob_id) for bus, cob_id, _ in bench.heard()] == [("can1", 0x585)]
-    bench.receive("can1", Frame(0x606, bytes.fromhex("4000100000000000")), now=1.0)
-    assert bench.heard() == []
+def test_boards_answer_on_their_own_bus_only(rig):
+    rig.receive("can1", Frame(0x605, bytes.fromhex("4000100000000000")), now=1.0)
+    assert [(bus, cob_id) for bus, cob_id, _ in rig.heard()] == [("can1", 0x585)]
+    rig.receive("can1", Frame(0x606, bytes.fromhex("4000100000000000")), now=1.0)
+    assert rig.heard() == []
 
 
-def test_actuators_move_while_time_passes_and_end_stops_are_sent_on_arrival(bench):
-    bench.receive("can0", EXTEND_BOTH, SYNC, now=1.0)
-    assert (bench.buses.drives(), bench.buses.switches()) == ([1, 1, 0], [1, 1, 0])
-    assert bench.buses.next_due() == pytest.approx(1.0025), "the switches of the contracted ends open"
-    bench.buses.step(1.025)
-    assert bench.buses.next_due() == pytest.approx(1.05)
-    assert bench.buses.positions() == pytest.approx([0.5, 0.5, 0.0])
-    assert bench.heard() == []
-    bench.buses.step(bench.buses.next_due())
-    assert bench.buses.positions() == [1.0, 1.0, 0.0]
-    assert bench.heard() == [("can0", 0x185, "03" + SPARE)]
-    assert bench.buses.next_due() == float("inf")
+def test_actuators_move_while_time_passes_and_end_stops_are_sent_on_arrival(rig):
+    rig.receive("can0", EXTEND_BOTH, SYNC, now=1.0)
+    assert (rig.buses.drives(), rig.buses.switches()) == ([1, 1, 0], [1, 1, 0])
+    assert rig.buses.next_due() == pytest.approx(1.0025), "the switches of the contracted ends open"
+    rig.buses.step(1.025)
+    assert rig.buses.next_due() == pytest.approx(1.05)
+    assert rig.buses.positions() == pytest.approx([0.5, 0.5, 0.0])
+    assert rig.heard() == []
+    rig.buses.step(rig.buses.next_due())
+    assert rig.buses.positions() == [1.0, 1.0, 0.0]
+    assert rig.heard() == [("can0", 0x185, "03" + SPARE)]
+    assert rig.buses.next_due() == float("inf")
 
 
-def test_an_arrival_before_a_frame_is_not_passed_over(bench):
-    bench.receive("can0", EXTEND_BOTH, SYNC, now=1.0)
-    bench.receive("can0", Frame(0x205, bytes(8)), SYNC, now=1.2)
-    assert bench.heard() == [("can0", 0x185, "03" + SPARE)]
+def test_an_arrival_before_a_frame_is_not_passed_over(rig):
+    rig.receive("can0", EXTEND_BOTH, SYNC, now=1.0)
+    rig.receive("can0", Frame(0x205, bytes(8)), SYNC, now=1.2)
+    assert rig.heard() == [("can0", 0x185, "03" + SPARE)]
 
 
-def test_faults_by_words(bench):
+def test_faults_by_words(rig):
     for line in ("stick 5.left 1", "slow 5.right 2", "lose_sensor 5.right", "silence can1/5"):
-        fault_commands.perform(bench.buses, *line.split())
-    bench.buses.step(1.05)
-    assert bench.buses.positions() == [1.0, 0.0, 0.0]
-    assert bench.heard() == [("can0", 0x185, "01" + SPARE)]
-    bench.receive("can0", EXTEND_BOTH, SYNC, now=1.1)
-    bench.buses.step(1.21)
-    assert bench.buses.positions() == [1.0, 1.0, 0.0]
-    assert bench.heard() == [], "the end-stop of 5.right is frozen"
-    fault_commands.perform(bench.buses, "restore_sensor", "5.right")
-    assert bench.heard() == [("can0", 0x185, "03" + SPARE)]
-    bench.receive("can1", Frame(0x605, bytes.fromhex("4000100000000000")), now=1.21)
-    assert bench.heard() == [], "can1/5 is cut off"
+        fault_commands.perform(rig.buses, *line.split())
+    rig.buses.step(1.05)
+    assert rig.buses.positions() == [1.0, 0.0, 0.0]
+    assert rig.heard() == [("can0", 0x185, "01" + SPARE)]
+    rig.receive("can0", EXTEND_BOTH, SYNC, now=1.1)
+    rig.buses.step(1.21)
+    assert rig.buses.positions() == [1.0, 1.0, 0.0]
+    assert rig.heard() == [], "the end-stop of 5.right is frozen"
+    fault_commands.perform(rig.buses, "restore_sensor", "5.right")
+    assert rig.heard() == [("can0", 0x185, "03" + SPARE)]
+    rig.receive("can1", Frame(0x605, bytes.fromhex("4000100000000000")), now=1.21)
+    assert rig.heard() == [], "can1/5 is cut off"
 
 
-def test_a_board_without_supply_contracts_its_actuators(bench):
-    bench.receive("can0", EXTEND_BOTH, SYNC, now=1.0)
-    bench.buses.step(1.1)
-    bench.buses.power_cut("can0/5")
-    bench.buses.step(1.2)
-    assert (bench.buses.positions(), bench.buses.switches()) == ([0.0, 0.0, 0.0], [2, 2, 0])
-    bench.sent.clear()
-    bench.buses.power_on("can0/5")
-    assert bench.heard() == [("can0", 0x705, "00")]
+def test_a_board_without_supply_contracts_its_actuators(rig):
+    rig.receive("can0", EXTEND_BOTH, SYNC, now=1.0)
+    rig.buses.step(1.1)
+    rig.buses.power_cut("can0/5")
+    rig.buses.step(1.2)
+    assert (rig.buses.positions(), rig.buses.switches()) == ([0.0, 0.0, 0.0], [2, 2, 0])
+    rig.sent.clear()
+    rig.buses.power_on("can0/5")
+    assert rig.heard() == [("can0", 0x705, "00")]
 
 
 @pytest.mark.parametrize(
-    "line", ["", "explode 5.left", "stick 5.left", "stick 5.left 2", "slow 5.left 0", "jam 5.left -1", "receive x"]
+    ("line", "said"),
+    [
+        ("", r"'' is no fault\. Faults: silence, unsilence"),
+        ("explode 5.left", "'explode' is no fault"),
+        ("silense can0/5", r"'silense' is no fault: did you mean silence\? Faults"),
+        ("receive x", "'receive' is no fault"),
+        ("silence", "'silence': needed is silence BOARD: disconnect"),
+        ("silence can0/5 now", "needed is silence BOARD"),
+        ("stick 5.left", "needed is stick ACTUATOR STATE"),
+        ("stick 5.left 2", "'2' is no state: 0 is contracted"),
+        ("slow 5.left 0", "not a positive number"),
+        ("slow 5.left fast", "not a positive number"),
+        ("jam 5.left -1", "not a positive number"),
+        ("error can0/5 xyz", "'xyz' is no error code"),
+    ],
 )
-def test_words_that_make_no_fault_are_refused(bench, line):
-    with pytest.raises(ValueError, match=r"no fault|not a positive number"):
-        fault_commands.perform(bench.buses, *line.split())
+def test_words_that_make_no_fault_are_refused(rig, line, said):
+    with pytest.raises(ValueError, match=said):
+        fault_commands.play(rig.buses, line)
 
 
-def test_names_that_are_not_there_are_refused_with_those_that_are(bench):
-    with pytest.raises(KeyError, match=r"no actuator 7\.left, there are 5\.left, 5\.right, 6\.left"):
-        fault_commands.perform(bench.buses, "stick", "7.left", 1)
-    with pytest.raises(KeyError, match="no board can0/9, there are can0/5, can1/5"):
-        fault_commands.perform(bench.buses, "power_cut", "can0/9")
+def test_a_command_is_answered_and_help_names_all_verbs(rig):
+    assert fault_commands.play(rig.buses, " silence  can1/5\n") == "done: silence can1/5"
+    told = fault_commands.play(rig.buses, "help")
+    assert all(f"  {verb} " in told for verb in fault_commands.VERBS)
+
+
+def test_names_that_are_not_there_are_refused_with_those_that_are(rig):
+    with pytest.raises(
+        ValueError, match=r"'7\.left' is no actuator: did you mean .*\? Actuators: 5\.left, 5\.right, 6"
+    ):
+        fault_commands.perform(rig.buses, "stick", "7.left", 1)
+    with pytest.raises(ValueError, match=r"'can0/9' is no board: did you mean can0/5\? Boards: can0/5, can1/5"):
+        fault_commands.perform(rig.buses, "power_cut", "can0/9")
 
 
 def test_variants_by_words():
@@ -150,19 +172,19 @@ KINDS = Wiring(
 
 
 @pytest.fixture
-def kinds() -> Bench:
-    bench = Bench.__new__(Bench)
-    bench.sent = []
-    bench.buses = SimulatedBuses(KINDS, Timing(), lambda *sent: bench.sent.append(sent))
-    bench.buses.step(0.0)
+def kinds() -> Rig:
+    rig = Rig.__new__(Rig)
+    rig.sent = []
+    rig.buses = SimulatedBuses(KINDS, Timing(), lambda *sent: rig.sent.append(sent))
+    rig.buses.step(0.0)
     for bus in ("can0", "can1"):
-        bench.receive(bus, Frame(0x000, b"\x01\x00"), now=0.0)
-    return bench
+        rig.receive(bus, Frame(0x000, b"\x01\x00"), now=0.0)
+    return rig
 
 
-def inputs(bench: Bench) -> list[int]:
+def inputs(rig: Rig) -> list[int]:
     """First bytes of the TPDOs since the last call."""
-    return [int(data[:2], 16) for _, cob_id, data in bench.heard() if cob_id & 0x780 == 0x180]
+    return [int(data[:2], 16) for _, cob_id, data in rig.heard() if cob_id & 0x780 == 0x180]
 
 
 def test_two_outputs_move_an_actuator_there_and_back(kinds):
@@ -202,18 +224,18 @@ def test_interlocks_open_and_close(kinds):
     ):
         fault_commands.perform(kinds.buses, *line.split())
         assert inputs(kinds) == [levels]
-    with pytest.raises(KeyError, match="no interlock window, there are door, stop"):
+    with pytest.raises(ValueError, match=r"'window' is no interlock\. Interlocks: door, stop"):
         fault_commands.perform(kinds.buses, "open", "window")
 
 
-def test_an_error_is_told_once_and_stands_until_it_is_over(bench):
-    fault_commands.perform(bench.buses, "error", "can0/5", "2320")
-    fault_commands.perform(bench.buses, "error", "can0/5", "2320")
-    assert bench.heard() == [("can0", 0x085, "2023030000000000")]
-    bench.receive("can0", Frame(0x605, bytes.fromhex("4001100000000000")), now=1.0)
-    assert bench.heard() == [("can0", 0x585, "4f01100003000000")]
-    fault_commands.perform(bench.buses, "error_over", "can0/5", "2320")
-    assert bench.heard() == [("can0", 0x085, "0000000000000000")]
+def test_an_error_is_told_once_and_stands_until_it_is_over(rig):
+    fault_commands.perform(rig.buses, "error", "can0/5", "2320")
+    fault_commands.perform(rig.buses, "error", "can0/5", "2320")
+    assert rig.heard() == [("can0", 0x085, "2023030000000000")]
+    rig.receive("can0", Frame(0x605, bytes.fromhex("4001100000000000")), now=1.0)
+    assert rig.heard() == [("can0", 0x585, "4f01100003000000")]
+    fault_commands.perform(rig.buses, "error_over", "can0/5", "2320")
+    assert rig.heard() == [("can0", 0x085, "0000000000000000")]
 
 
 def test_a_board_of_end_stops_sends_what_the_actuators_of_another_board_do():

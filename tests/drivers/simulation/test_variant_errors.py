@@ -6,8 +6,8 @@ import pytest
 
 from drivers.canopen.wire.cia301 import Command, State
 from drivers.simulation.variants import VARIANTS
-from tests.drivers.simulation.bench import Bench
-from tests.drivers.simulation.test_variants import BOOTED, EXTEND, OVER, bench, lose_master
+from tests.drivers.simulation.rig import Rig
+from tests.drivers.simulation.test_variants import BOOTED, EXTEND, OVER, lose_master, rig
 
 
 @pytest.mark.parametrize(
@@ -19,7 +19,7 @@ from tests.drivers.simulation.test_variants import BOOTED, EXTEND, OVER, bench, 
     ],
 )
 def test_the_history_after_the_loss_of_the_master_and_its_return(name, lost, over):
-    it = bench(name)
+    it = rig(name)
     assert history(it) == []
     lose_master(it)
     assert history(it) == lost
@@ -29,7 +29,7 @@ def test_the_history_after_the_loss_of_the_master_and_its_return(name, lost, ove
     assert history(it) == []
 
 
-def history(it: Bench) -> list[str]:
+def history(it: Rig) -> list[str]:
     """The entries of 1003h as on the wire; those above their count answer that there are no data."""
     count = int(it.sdo("40 03 10 00").split()[4], 16)
     for sub in range(count + 1, 9):
@@ -46,7 +46,7 @@ def history(it: Bench) -> list[str]:
     ],
 )
 def test_a_standing_error_is_told_once_and_stands(name, emergency, register, entry):
-    it = Bench((0, 0), variant=VARIANTS[name])
+    it = Rig((0, 0), variant=VARIANTS[name])
     assert it.answers() == [BOOTED, (0x085, emergency + " 00 00 00 00 00")]
     for _ in range(2):
         assert it.sdo("40 01 10 00") == f"4f 01 10 00 {register} 00 00 00"
@@ -61,7 +61,7 @@ def test_a_standing_error_is_told_once_and_stands(name, emergency, register, ent
 
 
 def test_other_errors_add_to_the_register_of_a_standing_one():
-    it = bench("standing-error")
+    it = rig("standing-error")
     it.nmt(Command.START)
     it.answers()
     assert it.say(0x205, "01") == [(0x085, "10 82 91 00 00 00 00 00")]

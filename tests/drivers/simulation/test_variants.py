@@ -6,7 +6,7 @@ import pytest
 
 from drivers.canopen.wire.cia301 import REMOTE, Command, State
 from drivers.simulation.variants import VARIANTS
-from tests.drivers.simulation.bench import Bench
+from tests.drivers.simulation.rig import Rig
 
 NO_OBJECT, READ_ONLY = "00 00 02 06", "02 00 01 06"  # abort codes as on the wire
 GUARD = REMOTE | 0x705
@@ -15,14 +15,14 @@ LOST, OVER = (0x085, "30 81 11 00 00 00 00 00"), (0x085, "00 00 00 00 00 00 00 0
 EXTEND = "03" + 7 * " 00"
 
 
-def bench(name: str) -> Bench:
+def rig(name: str) -> Rig:
     """A board that has booted, with actuators on outputs 0 and 1 and their end-stops on inputs 0 and 1."""
-    bench = Bench((0, 0), (1, 1), variant=VARIANTS[name])
-    assert bench.answers()[0] == BOOTED
-    return bench
+    rig = Rig((0, 0), (1, 1), variant=VARIANTS[name])
+    assert rig.answers()[0] == BOOTED
+    return rig
 
 
-def lose_master(it: Bench) -> None:
+def lose_master(it: Rig) -> None:
     """Both actuators are extended, then the master is lost."""
     assert it.write(0x1016, 1, 127 << 16 | 300, 4) == 0
     it.nmt(Command.START)
@@ -33,7 +33,7 @@ def lose_master(it: Bench) -> None:
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_each_variant_boots_when_its_time_has_come_and_answers_what_it_is(name):
-    it = Bench((0, 0), variant=VARIANTS[name])
+    it = Rig((0, 0), variant=VARIANTS[name])
     assert (it.answers() or it.wait(5.0))[0] == BOOTED
     it.say(0x605, "40 00 10 00 00 00 00 00")
     [(_, answer)] = it.sent or it.wait(0.6) or [(0x585, it.sdo("40 00 10 00"))]
@@ -46,7 +46,7 @@ def test_each_variant_boots_when_its_time_has_come_and_answers_what_it_is(name):
 
 
 def test_guarding_answers_with_a_toggle_bit_and_the_state():
-    it = bench("guarding-only")
+    it = rig("guarding-only")
     assert it.say(GUARD) == [(0x705, "7f")]
     assert it.say(GUARD) == [(0x705, "ff")]
     it.nmt(Command.START)
@@ -60,7 +60,7 @@ def test_guarding_answers_with_a_toggle_bit_and_the_state():
 
 
 def test_guarding_that_ends_after_life_time_is_the_loss_of_the_master():
-    it = bench("guarding-only")
+    it = rig("guarding-only")
     assert (it.write(0x100C, 0, 100, 2), it.write(0x100D, 0, 3)) == (0, 0)
     it.nmt(Command.START)
     it.say(0x205, EXTEND)
@@ -75,7 +75,7 @@ def test_guarding_that_ends_after_life_time_is_the_loss_of_the_master():
 
 
 def test_one_supervision_refuses_heartbeats_until_guarding_is_off():
-    it = bench("one-supervision")
+    it = rig("one-supervision")
     assert it.sdo("40 0c 10 00") == "4b 0c 10 00 f4 01 00 00"
     assert it.sdo("2b 17 10 00 64 00") == "80 17 10 00 43 00 04 06"
     assert it.write(0x100D, 0, 0) == 0
@@ -85,12 +85,12 @@ def test_one_supervision_refuses_heartbeats_until_guarding_is_off():
 
 
 def test_boards_without_guarding_answer_no_remote_frame_and_an_unsupervised_one_takes_no_heartbeat():
-    assert bench("standard").say(GUARD) == bench("unsupervised").say(GUARD) == []
-    assert bench("unsupervised").sdo("23 16 10 01 2c 01 7f 00").endswith(NO_OBJECT)
+    assert rig("standard").say(GUARD) == rig("unsupervised").say(GUARD) == []
+    assert rig("unsupervised").sdo("23 16 10 01 2c 01 7f 00").endswith(NO_OBJECT)
 
 
 def test_outputs_in_rpdo5_wait_until_it_is_enabled():
-    it = bench("outputs-in-rpdo5")
+    it = rig("outputs-in-rpdo5")
     assert it.sdo("40 04 14 01") == "43 04 14 01 00 00 00 80"
     assert it.sdo("40 04 16 01") == "43 04 16 01 08 01 00 62"
     assert it.sdo("23 04 16 01 08 01 00 62") == "80 04 16 01 " + READ_ONLY
@@ -107,7 +107,7 @@ def test_outputs_in_rpdo5_wait_until_it_is_enabled():
 
 
 def test_of_many_outputs_those_beyond_64_are_in_rpdo5():
-    it = Bench((0, 0), (64, 64), variant=VARIANTS["many-outputs"])
+    it = Rig((0, 0), (64, 64), variant=VARIANTS["many-outputs"])
     it.answers()
     assert it.sdo("40 00 62 00") == "4f 00 62 00 10 00 00 00"
     assert it.sdo("40 04 14 01") == "43 04 14 01 00 00 00 80"
@@ -126,7 +126,7 @@ def test_of_many_outputs_those_beyond_64_are_in_rpdo5():
 
 
 def test_a_fixed_mapping_cannot_be_written():
-    it = bench("fixed-mapping")
+    it = rig("fixed-mapping")
     assert it.write(0x1400, 1, 0x8000_0205, 4) == 0
     assert it.sdo("2f 00 16 00 00") == "80 00 16 00 " + READ_ONLY
     assert it.sdo("23 00 1a 01 08 01 00 60") == "80 00 1a 01 " + READ_ONLY
@@ -134,7 +134,7 @@ def test_a_fixed_mapping_cannot_be_written():
 
 
 def test_without_sync_types_each_rpdo_acts_at_once():
-    it = bench("no-sync")
+    it = rig("no-sync")
     assert it.sdo("2f 00 14 02 01") == "80 00 14 02 30 00 09 06"
     assert it.sdo("2f 00 14 02 ff") == "60 00 14 02 00 00 00 00"
     it.nmt(Command.START)
@@ -143,7 +143,7 @@ def test_without_sync_types_each_rpdo_acts_at_once():
 
 
 def test_saved_writes_outlive_the_supply_and_are_counted():
-    it = bench("saves-writes")
+    it = rig("saves-writes")
     assert it.write(0x1017, 0, 100, 2) == 0
     assert it.write(0x6200, 1, 3) == 0
     assert it.board.objects.flash_writes == 1
@@ -159,11 +159,11 @@ def test_saved_writes_outlive_the_supply_and_are_counted():
     ("name", "kind"), [("no-output-bit", "91 01 00 00"), ("all-bits", "91 01 0f 00"), ("maker-object", "00 00 00 00")]
 )
 def test_device_types(name, kind):
-    assert bench(name).sdo("40 00 10 00") == "43 00 10 00 " + kind
+    assert rig(name).sdo("40 00 10 00") == "43 00 10 00 " + kind
 
 
 def test_outputs_in_an_object_of_the_maker():
-    it = bench("maker-object")
+    it = rig("maker-object")
     assert it.sdo("40 00 62 00").endswith(NO_OBJECT)
     assert it.sdo("40 00 16 01") == "43 00 16 01 08 01 01 22"
     assert it.sdo("2f 01 22 01 02") == "60 01 22 01 00 00 00 00"
@@ -179,7 +179,7 @@ def test_outputs_in_an_object_of_the_maker():
     ("name", "driven"), [("no-error-mode", [1, 1]), ("no-error-mode-off", [0, 0]), ("canopennode", [0, 0])]
 )
 def test_without_error_modes_the_device_decides(name, driven):
-    it = bench(name)
+    it = rig(name)
     for request in ("2f 06 62 01 ff", "2f 07 62 01 00"):
         assert it.sdo(request).endswith(NO_OBJECT)
     lose_master(it)
@@ -193,28 +193,28 @@ def test_without_error_modes_the_device_decides(name, driven):
     [("standard", NO_OBJECT), ("absent-unsupported", "00 00 01 06"), ("absent-general", "00 00 00 08")],
 )
 def test_the_answer_for_an_absent_object(name, abort):
-    it = bench(name)
+    it = rig(name)
     assert it.sdo("40 19 10 00") == "80 19 10 00 " + abort
     assert it.sdo("2f 19 10 00 00") == "80 19 10 00 " + abort
     assert it.sdo("40 00 62 09") == "80 00 62 09 11 00 09 06"
 
 
 def test_without_error_behaviour_it_goes_pre_operational():
-    it = bench("no-error-behaviour")
+    it = rig("no-error-behaviour")
     assert it.sdo("2f 29 10 01 01").endswith(NO_OBJECT)
     lose_master(it)
     assert it.board.state is State.PRE_OPERATIONAL
 
 
 def test_deaf_error_modes_are_confirmed_and_stay():
-    it = bench("deaf-error-mode")
+    it = rig("deaf-error-mode")
     assert it.sdo("2f 06 62 01 00") == "60 06 62 01 00 00 00 00"
     assert it.sdo("40 06 62 01") == "4f 06 62 01 ff 00 00 00"
 
 
 @pytest.mark.parametrize(("name", "shown"), [("standard", "03"), ("shows-error-state", "00")])
 def test_what_6200h_shows_in_the_error_state_is_not_what_a_start_applies(name, shown):
-    it = bench(name)
+    it = rig(name)
     lose_master(it)
     assert it.driven() == [0, 0]
     assert it.sdo("40 00 62 01") == f"4f 00 62 01 {shown} 00 00 00"
@@ -224,7 +224,7 @@ def test_what_6200h_shows_in_the_error_state_is_not_what_a_start_applies(name, s
 
 
 def test_outputs_that_are_off_in_each_state_but_operational():
-    it = bench("off-in-preoperational")
+    it = rig("off-in-preoperational")
     assert it.write(0x6200, 1, 1) == 0
     assert it.driven() == [0, 0]
     it.nmt(Command.START)
@@ -239,7 +239,7 @@ def test_outputs_that_are_off_in_each_state_but_operational():
 
 @pytest.mark.parametrize(("name", "driven"), [("standard", [1, 1]), ("resets-outputs", [0, 0])])
 def test_outputs_after_a_reset_of_communication(name, driven):
-    it = bench(name)
+    it = rig(name)
     it.nmt(Command.START)
     it.say(0x205, EXTEND)
     assert it.nmt(Command.RESET_COMMUNICATION) == [BOOTED]
@@ -248,7 +248,7 @@ def test_outputs_after_a_reset_of_communication(name, driven):
 
 
 def test_slow_answers_come_in_order_after_their_time():
-    it = bench("slow-answers")
+    it = rig("slow-answers")
     assert it.say(0x605, "40 00 10 00 00 00 00 00") == []
     assert it.wait(0.3) == []
     assert it.say(0x605, "40 17 10 00 00 00 00 00") == []
@@ -261,7 +261,7 @@ def test_slow_answers_come_in_order_after_their_time():
 
 
 def test_late_boards_boot_late_and_are_deaf_until_then():
-    it = Bench((0, 0), variant=VARIANTS["late-boot"])
+    it = Rig((0, 0), variant=VARIANTS["late-boot"])
     assert it.say(0x605, "40 00 10 00 00 00 00 00") == []
     assert it.wait(4.9) == []
     assert it.board.timer == pytest.approx(5.0)
@@ -273,7 +273,7 @@ def test_late_boards_boot_late_and_are_deaf_until_then():
 
 
 def test_a_foreign_sync_identifier_is_what_it_obeys():
-    it = bench("foreign-sync")
+    it = rig("foreign-sync")
     assert it.sdo("40 05 10 00") == "43 05 10 00 85 00 00 00"
     assert it.write(0x1400, 2, 1) == 0
     it.nmt(Command.START)
@@ -289,7 +289,7 @@ def test_a_foreign_sync_identifier_is_what_it_obeys():
 
 
 def test_with_a_sync_counter_a_sync_without_one_is_an_error():
-    it = bench("sync-counter")
+    it = rig("sync-counter")
     assert it.sdo("40 19 10 00") == "4f 19 10 00 0a 00 00 00"
     assert it.write(0x1400, 2, 1) == 0
     it.nmt(Command.START)
@@ -302,7 +302,7 @@ def test_with_a_sync_counter_a_sync_without_one_is_an_error():
 
 
 def test_with_a_sync_period_the_end_of_syncs_is_an_error():
-    it = bench("sync-period")
+    it = rig("sync-period")
     assert it.sdo("40 06 10 00") == "43 06 10 00 a0 86 01 00"
     assert it.write(0x1400, 2, 1) == 0
     it.nmt(Command.START)
@@ -323,7 +323,7 @@ def test_with_a_sync_period_the_end_of_syncs_is_an_error():
 
 
 def test_inverted_outputs_are_on_while_6200h_is_0():
-    it = bench("inverted-outputs")
+    it = rig("inverted-outputs")
     assert it.sdo("40 02 62 01") == "4f 02 62 01 ff 00 00 00"
     assert it.driven() == [1, 1]
     assert it.write(0x6202, 1, 0) == 0
@@ -331,7 +331,7 @@ def test_inverted_outputs_are_on_while_6200h_is_0():
 
 
 def test_masked_inputs_are_sent_at_the_start_only():
-    it = bench("masked-inputs")
+    it = rig("masked-inputs")
     assert it.nmt(Command.START) == [(0x185, "00" + 7 * " 00")]
     it.say(0x205, EXTEND)
     assert it.wait(0.1) == []

@@ -1,4 +1,7 @@
-"""Each object of a boot is refused with each abort code: the board boots, or the sentence names the object."""
+"""Objects of a boot are refused with abort codes: the board boots, or the sentence names the object.
+
+The codes of absent objects are tried at each object, each other code at every fourth object.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,9 @@ from tests.drivers.canopen.boot.test_pins import boot, extended
 from tests.drivers.canopen.world import World
 
 BOARDS = {"hold": ("standard", "guarding-only", "many-outputs"), "contract": ("standard", "guarding-with-1029h")}
+
+CODES = sorted(objects.WORDS)
+SPECIAL = objects.ABSENT | {objects.READ_ONLY}  # the boot goes on after some of them
 
 
 def lost(on_loss: str, variant: str) -> World:
@@ -30,11 +36,12 @@ def asked(on_loss: str, variant: str) -> tuple[tuple[int, int], ...]:
     return tuple(dict.fromkeys((data[1] | data[2] << 8, data[3]) for data in requests))
 
 
-@pytest.mark.parametrize("code", sorted(objects.WORDS), ids=lambda code: f"{code:08X}h")
+@pytest.mark.parametrize("code", CODES, ids=lambda code: f"{code:08X}h")
 @pytest.mark.parametrize("on_loss", BOARDS)
 def test_an_abort_at_any_object_refuses_the_board_in_words_or_does_no_harm(on_loss, code):
     variant = BOARDS[on_loss][code % len(BOARDS[on_loss])]
-    for index, sub in asked(on_loss, variant):
+    step = 1 if code in SPECIAL else 4
+    for index, sub in asked(on_loss, variant)[CODES.index(code) % step :: step]:
         world = lost(on_loss, variant)
         board = world.boards.board("can0/5")
         pins, before = board.pins, len(board.started)

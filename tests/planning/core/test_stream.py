@@ -1,81 +1,19 @@
-"""The stream of set-points, on a simulated clock; the test plays executor and worker."""
+"""The stream of set-points: its searches and stages."""
 
 from __future__ import annotations
 
-import json
-import logging
-import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 
 from controller.arm.arm import Arm
 from controller.host.process import Log
-from controller.motion.tracking.goal_motion import tracking_of
 from controller.planning.core.events import Abandon, Start
-from controller.planning.core.parts import Ticket
-from controller.planning.core.stream import ALIVE_EVERY, POLL, RETRY, Stream
-from controller.planning.core.tasks import Failed, Followed, FollowSetpoint, Scene
+from controller.planning.core.stream import ALIVE_EVERY, POLL, RETRY
+from controller.planning.core.tasks import Failed, FollowSetpoint, VersionedScene
 from controller.program import Setpoint
-from tests.planning.played_core import PlayedCore
-
-A = (5, 0, 7, 0)
-EVERY = 0.02  # [s] between set-points
-TICK = 0.001  # [s] of the simulated clock
-
-
-class StreamBench(PlayedCore):
-    """A stream whose set-points come 50 times a second while `position` is set."""
-
-    def __init__(self, arm: Arm) -> None:
-        super().__init__(arm)
-        self.bias: tuple[float, ...] | None = None
-        tracking = tracking_of(arm.manipulator.length, arm.tolerance)
-        self.timeout = tracking.timeout
-        self.parts.correction = lambda: self.bias
-        self.stream = Stream(arm, tracking, self.parts)
-        self.position: list[float] | None = None
-        self.first: Ticket | None = None  # of the last stream
-        self.steps, self._next = 0, self.now
-        self.show()
-
-    def put(self, payload: Any) -> None:
-        """Takes a set-point."""
-        ticket = self.admission.arrive()
-        self.first = self.first or ticket
-        self.stream.take(json.dumps(payload).encode(), ticket)
-
-    def step(self) -> None:
-        """Ends a step of the core."""
-        self.steps += 1
-        self.stream.consider()
-
-    def run(self, seconds: float) -> None:
-        """Lets time pass; the core steps when a set-point comes, and when the stream is due."""
-        for _ in range(round(seconds / TICK)):
-            arrived = self.position is not None and self.now >= self._next
-            if arrived:
-                self._next = self.now + EVERY
-                self.put({"position": self.position, "tolerance": {"position": 0.01}})
-            if arrived or self.now >= self.stream.due:
-                self.step()
-            self.advance(TICK)
-
-    def search(self) -> tuple[int, FollowSetpoint]:
-        """Follows a position until its search begins."""
-        self.position = self.position or self.tip(*A)
-        self.run(TICK)
-        return self.task(FollowSetpoint)
-
-    def found(self, number: int, stages: tuple[bytes, ...] = (), note: str = "", found: bool = True) -> None:
-        """Answers a search."""
-        self.answer(number, Followed(stages, note, found, 0.004))
-        self.step()
-
-    def status(self) -> dict[str, Any]:
-        return dict(self.stream.status())
+from tests.planning.core.stream_bench import TICK, A, StreamBench
 
 
 @pytest.fixture
@@ -120,7 +58,7 @@ def changed_outputs(bench: StreamBench) -> None:
 
 
 def changed_scene(bench: StreamBench) -> None:
-    bench.obstacles.scene = Scene(2, free=False)
+    bench.obstacles.scene = VersionedScene(2, free=False)
 
 
 def changed_tables(bench: StreamBench) -> None:
@@ -146,7 +84,7 @@ def test_without_tables_or_scene_nothing_is_searched(bench: StreamBench) -> None
     bench.run(0.1)
     assert not bench.take(Start)
     assert all(command.strict and not command.stages for command in bench.take(Setpoint))
-    bench.obstacles.scene = Scene(2, free=True)
+    bench.obstacles.scene = VersionedScene(2, free=True)
     bench.run(2 * POLL)
     assert bench.take(Start)
 
@@ -176,87 +114,6 @@ def test_new_obstacles_withdraw_stages_at_once(bench: StreamBench) -> None:
     bench.found(number, (bench.states(*A),))
     bench.run(0.1)
     assert all(command.stages == () for command in bench.take(Setpoint))
-
-
-def test_without_a_stream_there_is_nothing_to_withdraw_or_to_wait_for(bench: StreamBench) -> None:
-    bench.stream.park()
-    bench.step()
-    assert (bench.actions, bench.stream.due) == ([], math.inf)
-
-
-def test_a_cancel_ends_the_stream_until_it_pauses(bench: StreamBench) -> None:
-    number, _ = bench.search()
-    (first,) = bench.take(Setpoint)
-    bench.admission.bar(1)
-    bench.run(0.1)
-    assert bench.take(Abandon) == [Abandon(number)]
-    bench.admission.answered(1)
-    bench.show(epoch=2)
-    bench.found(number, (bench.states(*A),))
-    bench.run(1.0)
-    assert not bench.take(Setpoint)
-    assert (bench.status()["streams"], bench.status()["alive"]) == (1, False)
-    assert bench.status()["received"] >= 50
-    bench.position = None
-    bench.run(2 * bench.timeout)
-    assert bench.status()["rate"] == 0
-    bench.position = bench.tip(*A)
-    bench.run(POLL)
-    command = bench.take(Setpoint)[0]
-    assert (command.stream > first.stream, command.epoch) == (True, 2)
-    assert bench.status()["streams"] == 2
-
-
-def test_a_goal_ends_the_stream_before_it_and_waits_for_no_stream(bench: StreamBench) -> None:
-    bench.search()
-    (before,) = bench.take(Setpoint)
-    program = bench.parts.next_number()
-    bench.programs.offered = True
-    bench.run(0.1)
-    assert not bench.take(Setpoint), "a program is offered"
-    assert bench.first is not None
-    bench.admission.end_streams(bench.first)
-    bench.programs.offered, bench.programs.last_accepted = False, program
-    bench.run(0.1)
-    assert not bench.take(Setpoint)
-    assert not bench.status()["alive"]
-    bench.position = None
-    bench.run(2 * bench.timeout)
-    bench.position = bench.tip(*A)
-    bench.run(POLL)
-    assert bench.take(Setpoint)[0].stream > program > before.stream
-
-
-def test_a_declined_goal_does_not_end_the_stream(bench: StreamBench) -> None:
-    bench.search()
-    (before,) = bench.take(Setpoint)
-    bench.parts.next_number()
-    bench.programs.offered = True
-    bench.run(0.1)
-    bench.programs.offered = False
-    bench.run(2 * POLL)
-    assert bench.take(Setpoint)[0].stream == before.stream
-
-
-@pytest.mark.parametrize("mode", ["stopped", "fault", "starting"])
-def test_a_mode_without_motion_ends_the_stream(bench: StreamBench, mode: str) -> None:
-    bench.search()
-    bench.take(Setpoint)
-    bench.show(mode=mode)
-    bench.run(1.0)
-    bench.show(mode="ready")
-    bench.run(1.0)
-    assert not bench.take(Setpoint)
-
-
-def test_a_lost_executor_ends_the_stream(bench: StreamBench) -> None:
-    bench.search()
-    bench.take(Setpoint)
-    bench.view.lost("the executor is gone")
-    bench.admission.lost()
-    bench.run(0.1)
-    assert not bench.take(Setpoint)
-    assert not bench.status()["alive"]
 
 
 def test_a_stream_waits_for_the_epoch_in_which_it_began(bench: StreamBench) -> None:
@@ -305,18 +162,6 @@ def test_a_search_waits_for_the_end_of_the_running_stage(bench: StreamBench) -> 
     assert not bench.take(Start)
     bench.run(0.05)
     assert bench.take(Start), "the next stage is known when this one ends"
-
-
-def test_a_failed_search_ends_the_stream(bench: StreamBench) -> None:
-    number, _ = bench.search()
-    bench.take(Setpoint)
-    bench.answer(number, Failed("a defect"))
-    bench.step()
-    bench.run(1.0)
-    assert not bench.take(Setpoint)
-    assert [line.text for line in bench.take(Log) if line.level == logging.ERROR] == [
-        "following failed, the arm holds: a defect"
-    ]
 
 
 def test_a_failed_search_from_a_state_that_has_passed_is_repeated(bench: StreamBench) -> None:

@@ -28,7 +28,7 @@ class BiasBench(PlayedCore):
     def measure(self, age: float = 0.01, **fields: Any) -> None:
         """Takes a measured tip of some age [s]."""
         measured = {"position": (self.tip(0, 0, 0, 0) + OFFSET).tolist(), "stamp": self.wall - age}
-        self.estimator.take(json.dumps({**measured, **fields}).encode())
+        self.estimator.receive_tip(json.dumps({**measured, **fields}).encode())
 
     def refusal(self) -> str:
         """Returns the refusal of the only measured tip."""

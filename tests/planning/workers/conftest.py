@@ -12,7 +12,7 @@ from controller.arm.arm import Arm
 from controller.motion.decoding.goal import GoalMessage, parse
 from controller.motion.decoding.requests import decode_obstacles
 from controller.motion.stages.program import unpack_states
-from controller.planning.core.tasks import ArmStart, Basis, BuildScene, BuildTables, PlanGoal, Scene, Tables
+from controller.planning.core.tasks import ArmStart, Basis, BuildScene, BuildTables, PlanGoal, Tables, VersionedScene
 from controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
@@ -43,7 +43,7 @@ class Bench:
         self._generations = count()
         self.free = self.scene()
 
-    def scene(self, *discs: Disc) -> Scene:
+    def scene(self, *discs: Disc) -> VersionedScene:
         """The scene of discs, each with its centre and radius, of the next generation."""
         regions = [{"disc": {"centre": centre, "radius": radius}} for centre, radius in discs]
         obstacles = decode_obstacles(json.dumps({"regions": regions}).encode(), 2)

@@ -3,7 +3,7 @@
 import { showActuators } from "./actuators.js";
 import { showBoards } from "./boards.js";
 import { showCurves, showWear } from "./charts.js";
-import { Connection, inWords } from "./connection.js";
+import { Connection } from "./connection.js";
 import { showControl } from "./control.js";
 import { el, fill, show } from "./dom.js";
 import { Editor } from "./editor.js";
@@ -11,8 +11,10 @@ import { showFaults } from "./faults.js";
 import { showGoal } from "./goal.js";
 import { showHeader } from "./header.js";
 import { showGoals, showLog } from "./history.js";
+import { notifier } from "./notice.js";
 import { showObstacles, sketcher } from "./obstacles.js";
 import { PlaneView } from "./plane.js";
+import { showPlay } from "./play.js";
 import { showTimeline } from "./timeline.js";
 
 const MODES = {
@@ -31,6 +33,7 @@ export function showArm(name, onLogin) {
   showActuators(connection, notify);
   const append = showObstacles(connection, notify);
   showControl(connection, notify);
+  showPlay(connection, notify);
   showGoals(connection);
   showCurves(connection);
   showWear(connection);
@@ -108,20 +111,10 @@ function showTools(view, editor) {
     mark("measured", "measured"),
     mark("commanded", "commanded"),
     mark("ghost", "planned"),
+    mark("deviation", "deviation on the way"),
     mark("goal", "goal"),
+    mark("waypoints", "waypoints"),
+    mark("obstacle", "obstacle"),
+    view.arm.density ? mark("density", "density of reachable tips") : null,
   );
-}
-
-// Shows the answer to a request for some seconds.
-function notifier() {
-  const box = el("div", { class: "notice", role: "status", hidden: true });
-  document.body.append(box);
-  let timer;
-  return (answer, what) => {
-    box.textContent = `${what}: ${inWords(answer)}`;
-    box.classList.toggle("bad", !answer.accepted);
-    box.hidden = false;
-    clearTimeout(timer);
-    timer = setTimeout(() => (box.hidden = true), answer.accepted ? 4000 : 9000);
-  };
 }

@@ -7,6 +7,7 @@ export function showBoards(connection) {
   const body = el("div", { class: "health" });
   card.append(body);
   connection.on("diagnostics", (diagnostics) => {
+    body.replaceChildren(el("p", { class: "bad" }, "The daemon's diagnostics cannot be read."));
     fill(
       body,
       ...diagnostics.buses.map((bus) =>

@@ -68,12 +68,18 @@ export function showWear(connection) {
     axes: [{ ...axis, values: (_, ticks) => ticks.map((k) => (Number.isInteger(k) ? labels()[k]?.split(".")[0] ?? "" : "")) }, { ...axis, size: 58 }],
   }), "nothing yet");
   let before = "";
-  connection.on("diagnostics", ({ counts }) => {
-    if (!counts?.length || String(counts) === before) return;
-    before = String(counts);
+  const describe = () => {
+    const counts = connection.latest.diagnostics?.counts;
+    if (!Array.isArray(counts) || counts.length === 0) return;
+    const now = JSON.stringify([counts, labels()]);
+    if (now === before) return;
+    before = now;
     bars([counts.map((_, k) => k), counts]);
     const most = counts.indexOf(Math.max(...counts));
     const total = counts.reduce((sum, count) => sum + count, 0);
-    words.textContent = `${total} switches in all; most: ${labels()[most] ?? "?"} with ${counts[most]}.`;
-  });
+    const busiest = labels()[most] === undefined ? "" : `; most: ${labels()[most]} with ${counts[most]}`;
+    words.textContent = `${total} switches in all${busiest}.`;
+  };
+  connection.on("diagnostics", describe);
+  connection.on("arm", describe); // the labels may come after the counts
 }

@@ -2,6 +2,7 @@
 
 const SILENT_AFTER = 1.5; // [s] without a state until values count as old
 const NO_LOGIN = 4401; // close code of the server: log in first
+const REFUSED = 4429; // close code of the server, with a reason
 
 export class Connection {
   constructor(path, { onLogin }) {
@@ -14,6 +15,7 @@ export class Connection {
     this.heardAt = -Infinity; // latest state of the arm [ms]
     this.serverAt = performance.now();
     this.pause = 250;
+    this.refusal = ""; // why the server closed the WebSocket
     this.connect();
     addEventListener("pagehide", () => this.socket.close()); // the browser may keep the page: it gives control up
   }
@@ -29,6 +31,7 @@ export class Connection {
     this.socket.onclose = (event) => {
       for (const answer of this.waiting.values()) answer({ accepted: false, message: "the connection was lost" });
       this.waiting.clear();
+      this.refusal = event.code === REFUSED ? event.reason : "";
       if (event.code === NO_LOGIN) this.onLogin();
       else setTimeout(() => this.connect(), (this.pause = Math.min(this.pause * 2, 5000)));
     };
@@ -45,13 +48,13 @@ export class Connection {
       this.heardAt = performance.now() - message.age * 1000; // an unchanged state is not sent again
     }
     this.latest[message.section] = message;
-    for (const listener of this.listeners.get(message.section) ?? []) listener(message);
+    for (const listener of this.listeners.get(message.section) ?? []) tell(listener, message);
   }
 
   on(section, listener) {
     if (!this.listeners.has(section)) this.listeners.set(section, []);
     this.listeners.get(section).push(listener);
-    if (this.latest[section]) listener(this.latest[section]);
+    if (this.latest[section]) tell(listener, this.latest[section]);
   }
 
   get open() {
@@ -77,6 +80,15 @@ export class Connection {
     if (seconds > SILENT_AFTER) return { seconds, who: "the arm" };
     if (this.latest.presence && !this.latest.presence.alive) return { seconds, who: "the daemon" };
     return null;
+  }
+}
+
+// Calls one listener. A message that it cannot read harms no other part of the page.
+function tell(listener, message) {
+  try {
+    listener(message);
+  } catch (error) {
+    console.warn(`a message of the section ${message.section} cannot be read:`, error);
   }
 }
 

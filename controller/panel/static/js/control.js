@@ -10,7 +10,9 @@ export function showControl(connection, notify) {
   const take = el("button", { type: "button", id: "take" }, "Take control");
   const release = el("button", { type: "button" }, "Release control");
   const out = el("button", { type: "button", onclick: leave }, "Log out");
-  card.append(holder, who, el("div", { class: "buttons" }, take, release, out));
+  const others = el("p", { class: "hint others" },
+    "Control orders the pages of this panel only: programs that send goals over Zenoh move the arm whoever has control.");
+  card.append(holder, who, others, el("div", { class: "buttons" }, take, release, out));
   take.addEventListener("click", async () => notify(await connection.ask({ do: "take" }), "Control"));
   release.addEventListener("click", async () => notify(await connection.ask({ do: "release" }), "Control"));
   connection.on("presence", ({ control, pages, you }) => {

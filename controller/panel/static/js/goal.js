@@ -70,6 +70,7 @@ export function showGoal(connection, editor, notify) {
     upload.value = "";
   });
   editor.on(describe);
+  connection.on("you", describe);
 
   function describe() {
     if (arm === null) return;
@@ -121,7 +122,10 @@ function inputs(editor, arm) {
 
 function planInWords(editor) {
   const { plan } = editor;
-  if (editor.goal === null && plan === null) return [el("p", { class: "hint" }, hints[editor.mode])];
+  if (editor.goal === null && plan === null) {
+    const viewer = document.body.classList.contains("viewer");
+    return [el("p", { class: "hint" }, viewer ? "A viewer sees goals and sends none." : hints[editor.mode])];
+  }
   if (plan === null) return [el("p", {}, "planning …")];
   if (!plan.accepted) return [el("p", { class: "bad" }, `✗ ${inWords(plan)}`)];
   const waypoints = plan.waypoints.filter((waypoint) => !waypoint.between);

@@ -10,6 +10,10 @@ export function modeMark(mode) {
   return el("span", { class: "mode", data: { mode } }, `${MARKS[mode] ?? "?"} ${mode}`);
 }
 
+export function simulatedBadge() {
+  return el("span", { class: "badge" }, "simulated");
+}
+
 export function showHeader(name, connection, notify) {
   const part = (id) => document.getElementById(id);
   part("name").textContent = name;
@@ -17,6 +21,7 @@ export function showHeader(name, connection, notify) {
     part("mode").dataset.mode = state.mode;
     part("mode").textContent = `${MARKS[state.mode] ?? "?"} ${state.mode}`;
     part("reason").textContent = state.reason;
+    part("simulated").hidden = !state.simulated;
     document.title = `${MARKS[state.mode] ?? "?"} ${name}: ${state.mode}`;
     part("reset").classList.toggle("wanted", state.mode === "fault" || state.mode === "stopped");
   });
@@ -25,7 +30,8 @@ export function showHeader(name, connection, notify) {
     part("stop").disabled = part("reset").disabled = viewer;
     document.body.classList.toggle("viewer", viewer);
   });
-  pressToStop(part("stop"), name, connection, notify);
+  pressToStop(part("stop"), async () =>
+    notify(connection.open ? await connection.ask({ do: "stop" }) : await stopOverHttp(name), "Stop"));
   onHold(part("reset"), async () => notify(await connection.ask({ do: "reset" }), "Reset"));
   const watch = setInterval(() => {
     if (!part("silence")) return clearInterval(watch); // the login form is shown
@@ -33,24 +39,23 @@ export function showHeader(name, connection, notify) {
     part("silence").hidden = silent === null;
     if (silent !== null) {
       const heard = Number.isFinite(connection.heardAt) ? `nothing heard for ${Math.floor(silent.seconds)} s` : "nothing heard yet";
-      part("silence").textContent = { "the daemon": `the daemon is gone, ${heard}`, "the server": `no connection to the server, ${heard}` }[silent.who] ?? heard;
+      part("silence").textContent = { "the daemon": `the daemon is gone, ${heard}`, "the server": `${connection.refusal || "no connection to the server"}, ${heard}` }[silent.who] ?? heard;
     }
     document.body.classList.toggle("old", silent !== null);
   }, 200);
 }
 
 // Stops when the button is pressed, without confirmation.
-function pressToStop(button, name, connection, notify) {
-  const stop = async () => {
+export function pressToStop(button, stop) {
+  const press = async () => {
     button.classList.add("pressed");
-    const answer = connection.open ? await connection.ask({ do: "stop" }) : await stopOverHttp(name);
-    notify(answer, "Stop");
+    await stop();
     button.classList.remove("pressed");
   };
   button.addEventListener("pointerdown", (event) => {
-    if (event.button === 0) stop();
+    if (event.button === 0) press();
   });
   button.addEventListener("click", (event) => {
-    if (event.detail === 0) stop(); // by keyboard
+    if (event.detail === 0) press(); // by keyboard
   });
 }

@@ -26,6 +26,11 @@ export function showLog(connection) {
   document.getElementById("log").append(list);
   connection.on("log", ({ lines }) => {
     fill(list, ...lines.toReversed().map((line) =>
-      el("li", { data: { kind: line.kind } }, el("time", {}, clock(line.at)), ` ${line.kind === "note" ? "" : `${line.kind}: `}${line.text}`)));
+      el("li", { data: { kind: line.kind } }, el("time", {}, clock(line.at)), ` ${inKind(line)}`)));
   });
+}
+
+// A line of the log that begins with its kind, said once; notes have none.
+function inKind({ kind, text }) {
+  return kind === "note" || text.startsWith(`${kind}:`) ? text : `${kind}: ${text}`;
 }

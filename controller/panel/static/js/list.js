@@ -1,8 +1,9 @@
 // The list of all arms that are alive on the network.
 
-import { Connection } from "./connection.js";
+import { Connection, stopOverHttp } from "./connection.js";
 import { el, fill, show } from "./dom.js";
-import { modeMark } from "./header.js";
+import { modeMark, pressToStop, simulatedBadge } from "./header.js";
+import { notifier } from "./notice.js";
 
 export function showList(onLogin) {
   show("list");
@@ -11,7 +12,7 @@ export function showList(onLogin) {
   const list = document.querySelector(".arms");
   const none = document.querySelector(".none");
   const silence = document.querySelector("main .silence");
-  connection.on("you", (you) => (document.querySelector(".who").textContent = `${you.name}, ${you.role}`));
+  showStopAll(connection);
   const entries = new Map();
   connection.on("arms", ({ arms }) => {
     none.hidden = arms.length > 0;
@@ -25,9 +26,27 @@ export function showList(onLogin) {
   setInterval(() => {
     const silent = connection.silence();
     silence.hidden = silent?.who !== "the server";
-    silence.textContent = `Nothing heard from the server for ${Math.round(silent?.seconds ?? 0)} s.`;
+    const refused = connection.refusal ? ` The reason: ${connection.refusal}.` : "";
+    silence.textContent = `Nothing heard from the server for ${Math.round(silent?.seconds ?? 0)} s.${refused}`;
     list.classList.toggle("old", !silence.hidden);
   }, 250);
+}
+
+// The person of the page, and the button that stops all arms, for operators.
+function showStopAll(connection) {
+  const stop = document.getElementById("stop-all");
+  const notify = notifier();
+  connection.on("you", (you) => {
+    document.querySelector(".who").textContent = `${you.name}, ${you.role}`;
+    stop.disabled = you.role !== "operator";
+  });
+  pressToStop(stop, async () => {
+    const names = (connection.latest.arms?.arms ?? []).filter((arm) => arm.alive).map((arm) => arm.name);
+    const answers = await Promise.all(names.map(stopOverHttp));
+    const refused = answers.flatMap((answer, k) => (answer.accepted ? [] : [`${names[k]}: ${answer.message}`]));
+    const done = names.length ? `sent to ${names.join(", ")}` : "no arm is there";
+    notify({ accepted: refused.length === 0, message: refused.length ? refused.join("; ") : done }, "Stop all");
+  });
 }
 
 // An arm's entry stays the same element: a press on it, or the focus, outlasts the next message.
@@ -35,13 +54,15 @@ function entry(name) {
   const mode = el("span", {});
   const reason = el("span", { class: "reason" });
   const silence = el("span", { class: "silence" });
-  const item = el("li", {}, el("a", { href: `/arms/${name}` }, el("b", {}, name), mode, reason, silence));
+  const badge = simulatedBadge();
+  const item = el("li", {}, el("a", { href: `/arms/${name}` }, el("b", {}, name), badge, mode, reason, silence));
   const set = (arm) => {
     const old = !arm.alive || arm.age === null || arm.age > 1.5;
     const heard = arm.age === null ? "nothing heard yet" : `nothing heard for ${Math.round(arm.age)} s`;
     item.classList.toggle("old", old);
     fill(mode, modeMark(arm.mode ?? "unknown"));
     reason.textContent = arm.reason ?? "";
+    badge.hidden = !arm.simulated;
     silence.hidden = !old;
     silence.textContent = arm.alive ? heard : `the daemon is gone, ${heard}`;
   };

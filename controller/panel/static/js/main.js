@@ -4,7 +4,8 @@ import { showArm } from "./arm.js";
 import { showList } from "./list.js";
 import { enterByAddress, showLogin } from "./login.js";
 
-await enterByAddress().catch(() => undefined);
+const refusal = await enterByAddress();
 const arm = location.pathname.match(/^\/arms\/([A-Za-z0-9_-]+)$/)?.[1];
-if (arm) showArm(arm, showLogin);
+if (refusal) showLogin(refusal);
+else if (arm) showArm(arm, showLogin);
 else showList(showLogin);

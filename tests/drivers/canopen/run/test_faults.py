@@ -61,10 +61,10 @@ def test_a_master_that_was_halted_knows_no_states_until_boot():
     world.run(0.1)
     world.stalled = True
     world.run(0.5)
-    fault = world.master.halted(world.now)
+    fault = world.master.find_pause(world.now)
     assert (fault.code, fault.source) == ("halted", "executor")
     assert "0.5" in fault.message
-    assert world.master.halted(world.now) is None
+    assert world.master.find_pause(world.now) is None
     assert world.measured() == [-1, -1]
     with pytest.raises(Busy, match="can0/5"):
         world.master.commit(2, world.now)

@@ -1,0 +1,49 @@
+"""A summary of an arm: what it consists of, and how far it reaches."""
+
+import math
+from collections import Counter
+from typing import Any
+
+from controller.arm.arm import Arm
+from controller.armfile.terminals import named_boards
+from controller.workspace.hull import build_hull
+
+
+def summarize(arm: Arm) -> dict[str, Any]:
+    """Returns the fields of `hyperbit check --json` that say what an arm is.
+
+    `modules` has the number of modules by type, `boards` the number of boards by bus. `log2_configurations` is the
+    binary logarithm of the number of configurations. Lengths are in the arm's unit, times in seconds.
+    """
+    settings, manipulator = arm.settings, arm.manipulator
+    modules = Counter[str]()
+    for group in settings.modules:
+        modules[str(type(group).__struct_config__.tag)] += group.count
+    boards = Counter(bus for bus, _ in named_boards(settings))
+    return {
+        "name": settings.name,
+        "dimension": manipulator.dimension,
+        "modules": dict(modules),
+        "actuators": len(manipulator.actuators),
+        "log2_configurations": math.fsum(math.log2(states) for states in manipulator.states.tolist()),
+        "boards": {bus.name: boards[bus.name] for bus in settings.buses},
+        "length": manipulator.length,
+        "reach": min(build_hull(manipulator).reach, manipulator.length),
+        "travel_time": arm.travel_time,
+    }
+
+
+def summary_lines(fields: dict[str, Any]) -> list[tuple[str, str]]:
+    """Returns a summary in words: what, and its value."""
+    modules = ", ".join(f"{count} {kind}" for kind, count in fields["modules"].items())
+    buses = ", ".join(f"{count} on {bus}" for bus, count in fields["boards"].items())
+    digits = fields["log2_configurations"]
+    return [
+        ("modules", modules),
+        ("actuators", str(fields["actuators"])),
+        ("configurations", f"2^{digits:.0f}" if digits == round(digits) else f"2^{digits:.1f}"),
+        ("boards", buses or "none"),
+        ("length", f"{fields['length']:.4g}"),
+        ("reach", f"{fields['reach']:.4g} from the base"),
+        ("travel time", f"{fields['travel_time']:g} s"),
+    ]

@@ -1,0 +1,115 @@
+"""Hints in faults: the nearest of several names, the values that a field may have, and numbers with their units."""
+
+import difflib
+import math
+import re
+from collections.abc import Iterable, Sequence
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
+
+from msgspec import Struct
+
+NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*([a-zA-Zµ°/]*)")
+UNITS = {  # factor of a unit, and what the field expects
+    "us": (1e-6, "seconds"),
+    "µs": (1e-6, "seconds"),
+    "ms": (1e-3, "seconds"),
+    "s": (1.0, "seconds"),
+    "sec": (1.0, "seconds"),
+    "min": (60.0, "seconds"),
+    "deg": (math.pi / 180, "radians"),
+    "°": (math.pi / 180, "radians"),
+    "rad": (1.0, "radians"),
+    "kbit/s": (1e3, "bit/s"),
+    "Mbit/s": (1e6, "bit/s"),
+}
+LENGTHS = ("um", "µm", "mm", "cm", "dm", "m", "in", "ft")
+
+
+def nearest(name: object, names: Iterable[object]) -> str | None:
+    """Returns the name most like another one; None if none is alike."""
+    found = difflib.get_close_matches(str(name)[:80], [str(each) for each in names], n=1)
+    return found[0] if found else None
+
+
+def must_be(values: Iterable[object]) -> str:
+    """Returns which values a field may have, e.g. "it must be one of hold, contract"."""
+    known = ["null" if value is None else str(value) for value in values]
+    return f"it must be {'one of ' * (len(known) > 1)}{', '.join(known)}"
+
+
+def wrong_choice(value: object, shown: str, values: Sequence[object]) -> str:
+    """Returns the fault of a value that is none of those which its field may have.
+
+    Args:
+        value: the value.
+        shown: the value as text.
+        values: what the field may have.
+    """
+    choices = must_be(values)
+    if isinstance(value, bool):
+        plain, words = ("true", "on, yes and true") if value else ("false", "off, no and false")
+        return f"{plain}, but {choices}; YAML reads {words} without quotes as {plain}"
+    like = nearest(value, values) if isinstance(value, str) else None
+    return f"{shown} is unknown; " + (f"did you mean {like!r}? I{choices[1:]}" if like else choices)
+
+
+def unknown_field(name: object, known: Iterable[str]) -> str:
+    """Returns the fault of a field that does not exist."""
+    names = sorted(known)
+    like = nearest(name, names)
+    return f"unknown field; {f'did you mean {like!r}? Known' if like else 'known'} are {', '.join(names)}"
+
+
+def values_of(kind: Any) -> list[object]:
+    """Returns the values that the literals of a type name; other members of a union add none."""
+    if hasattr(kind, "__metadata__"):
+        kind = kind.__origin__
+    if get_origin(kind) is Literal:
+        return list(get_args(kind))
+    if get_origin(kind) in (Union, UnionType):
+        return list(dict.fromkeys(value for member in get_args(kind) for value in values_of(member)))
+    return []
+
+
+def tags_of(kind: Any) -> tuple[str, list[object]] | None:
+    """Returns the tag field of a union of tagged structs, and its values; None if the type is none."""
+    if get_origin(kind) not in (Union, UnionType):
+        return None
+    configs = [m.__struct_config__ for m in get_args(kind) if isinstance(m, type) and issubclass(m, Struct)]
+    tagged = [config for config in configs if config.tag_field is not None]
+    if not tagged or len(tagged) < len(configs):
+        return None
+    return str(tagged[0].tag_field), [config.tag for config in tagged]
+
+
+def number_hint(value: object, kind: Any) -> str:
+    """Returns what to write in place of a number that is given as text, e.g. "; write 0.1 (seconds)"; else ""."""
+    match = NUMBER.fullmatch(value.strip()) if isinstance(value, str) and takes_number(kind) else None
+    if match is None:
+        return ""
+    number, unit = float(match[1]), match[2]
+    if unit in LENGTHS:
+        return "; write a number without a unit: all lengths of a file have the same one"
+    if not unit:
+        return f"; YAML reads it as text: write {plain(number)}"
+    if unit not in UNITS:
+        return "; write a number without a unit"
+    factor, name = UNITS[unit]
+    return f"; write {plain(number * factor)} ({name})"
+
+
+def takes_number(kind: Any) -> bool:
+    """Returns whether a type, or a member of a union, is a number."""
+    if hasattr(kind, "__metadata__"):
+        kind = kind.__origin__
+    if get_origin(kind) in (Union, UnionType):
+        return any(takes_number(member) for member in get_args(kind))
+    return kind in (int, float)
+
+
+def plain(number: float) -> str:
+    """Returns a number in a form that YAML 1.1 reads as a number: with an exponent it needs a point and a sign."""
+    text = f"{number:.10g}"
+    mantissa, e, exponent = text.partition("e")
+    return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{exponent}" if e else text

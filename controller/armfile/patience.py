@@ -1,0 +1,44 @@
+"""A copy of an arm's file with long time-outs, for simulated arms on a computer that stands still at times."""
+
+from pathlib import Path
+
+import yaml
+
+from controller.armfile.places import placed_faults
+from controller.armfile.settings import read_settings
+from controller.armfile.strict import InputFaults
+
+SILENCE_TIMEOUT = 10.0  # [s] of silence until boards, executor or planner count as lost
+
+
+def patient_copy(file: Path, folder: Path) -> Path:
+    """Writes a copy of an arm's file with long time-outs between boards, executor and planner; returns its path.
+
+    Longer time-outs of the file remain. A demo and a replay ask for this copy: they shall end on a busy computer, too.
+
+    Args:
+        file: the arm's file.
+        folder: of the copy; not the folder of the file.
+
+    Raises:
+        InputFaults: the file is wrong.
+    """
+    with placed_faults(file):
+        _, faults = read_settings(file)
+        if faults:
+            raise InputFaults(file, faults)
+    document = yaml.safe_load(file.read_text())
+    boards = document.get("boards") or {}
+    document["boards"] = {**boards, "heartbeat_timeout": lengthened(boards.get("heartbeat_timeout"))}
+    document["planner_timeout"] = lengthened(document.get("planner_timeout"))
+    for module in document["modules"]:
+        if "table" in module:
+            module["table"] = str(file.resolve().parent / module["table"])
+    copy = folder / file.name
+    copy.write_text(yaml.safe_dump(document))
+    return copy
+
+
+def lengthened(timeout: float | None) -> float:
+    """Returns a time-out, or SILENCE_TIMEOUT if that is longer [s]."""
+    return max(timeout or 0.0, SILENCE_TIMEOUT)

@@ -1,0 +1,58 @@
+"""Limits of open pages: for all viewers, for each person, and for each address. Some places are for operators only."""
+
+from collections import Counter
+from typing import NamedTuple
+
+from controller.panel.people import Person, Role
+
+MOST_PAGES, MOST_VIEWERS = 100, 60  # open pages in all, and of viewers; the other places are the operators'
+MOST_OF_PERSON = 30
+MOST_OF_ADDRESS = 50  # of each role, because a viewer at the operator's address must not take the operator's places
+
+
+class Place(NamedTuple):
+    """The place of one open page."""
+
+    person: Person
+    address: str
+
+
+class Places:
+    """The places of open pages. Used only on the event loop of the pages."""
+
+    def __init__(self) -> None:
+        self._roles = Counter[Role]()
+        self._people = Counter[str]()
+        self._addresses = Counter[tuple[Role, str]]()
+
+    @property
+    def taken(self) -> int:
+        """Number of open pages."""
+        return self._roles.total()
+
+    def refusal(self, place: Place) -> str | None:
+        """Returns why a page may not open, or None."""
+        person, address = place
+        if self.taken >= MOST_PAGES or (person.role == "viewer" and self._roles["viewer"] >= MOST_VIEWERS):
+            return "too many pages are open"
+        if self._people[person.name] >= MOST_OF_PERSON:
+            return f"{person.name} has too many open pages: close some"
+        if self._addresses[person.role, address] >= MOST_OF_ADDRESS:
+            return "too many pages are open at this address: close some"
+        return None
+
+    def take_place(self, place: Place) -> None:
+        """Counts a page that opens."""
+        self._count(place, 1)
+
+    def free_place(self, place: Place) -> None:
+        """Counts a page that closes."""
+        self._count(place, -1)
+
+    def _count(self, place: Place, change: int) -> None:
+        person, address = place
+        self._roles[person.role] += change
+        self._people[person.name] += change
+        self._addresses[person.role, address] += change
+        if not self._addresses[person.role, address]:
+            del self._addresses[person.role, address]

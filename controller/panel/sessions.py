@@ -1,0 +1,107 @@
+"""Sessions of people who logged in. The server ends a session at log-out, so that a copied cookie is invalid then."""
+
+import logging
+import os
+import secrets
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import msgspec
+
+from controller.panel.people import PersonEntry, digest_of
+
+log = logging.getLogger(__name__)
+
+LASTS = 12 * 3600.0  # [s] lifetime of a session
+MOST_OF_PERSON = 100  # sessions; a further log-in ends the person's oldest session
+
+
+class Session(msgspec.Struct, frozen=True):
+    """One session.
+
+    Attributes:
+        name: of the person.
+        until: UNIX time at which it ends [s].
+        entry: digest of the person's role and token: a change of either ends the session.
+    """
+
+    name: str
+    until: float
+    entry: str
+
+
+class Sessions:
+    """The sessions. A cookie is a random text; only its SHA-256 is kept. Not thread-safe.
+
+    Args:
+        people: people who may open the page, by name.
+        file: keeps the sessions over a restart; None: they end with the process.
+        clock: returns UNIX time [s].
+    """
+
+    def __init__(
+        self, people: Mapping[str, PersonEntry], file: Path | None = None, clock: Callable[[], float] = time.time
+    ) -> None:
+        self._people, self._file, self._clock = people, file, clock
+        self._sessions = {} if file is None else read_sessions(file)
+
+    def begin(self, entry: PersonEntry) -> str:
+        """Begins a session of a person; returns its cookie."""
+        cookie, now = secrets.token_urlsafe(32), self._clock()
+        for key in [key for key, session in self._sessions.items() if session.until <= now]:
+            del self._sessions[key]
+        own = [key for key, session in self._sessions.items() if session.name == entry.name]
+        for key in own[: max(len(own) - MOST_OF_PERSON + 1, 0)]:  # in the order of their begin
+            del self._sessions[key]
+        self._sessions[digest_of(cookie)] = Session(entry.name, now + LASTS, entry_digest(entry))
+        self._write()
+        return cookie
+
+    def entry(self, cookie: str | None) -> PersonEntry | None:
+        """Returns the entry of the person of a cookie; None if its session has ended or never began."""
+        session = self._sessions.get(digest_of(cookie or ""))
+        entry = None if session is None else self._people.get(session.name)
+        if session is None or entry is None or session.until <= self._clock() or session.entry != entry_digest(entry):
+            return None
+        return entry
+
+    def end(self, cookie: str | None) -> None:
+        """Ends the session of a cookie."""
+        if self._sessions.pop(digest_of(cookie or ""), None) is not None:
+            self._write()
+
+    def _write(self) -> None:
+        """Writes the file of sessions; the page works without it."""
+        if self._file is None:
+            return
+        beside = self._file.with_suffix(".new")
+        try:
+            descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(msgspec.json.encode(self._sessions))
+            beside.replace(self._file)
+        except OSError as error:
+            log.warning("sessions cannot be written, a restart ends them: %s", error)
+
+
+def read_sessions(file: Path) -> dict[str, Session]:
+    """Returns the sessions of a file; none if it is missing or damaged."""
+    try:
+        return msgspec.json.decode(file.read_bytes(), type=dict[str, Session])
+    except FileNotFoundError:
+        return {}
+    except (OSError, msgspec.MsgspecError, UnicodeError) as error:
+        log.warning("sessions cannot be read, all people must log in: %s", error)
+        return {}
+
+
+def sessions_file() -> Path | None:
+    """Returns the file of sessions in systemd's StateDirectory; None if there is no such directory."""
+    folder = os.environ.get("STATE_DIRECTORY")
+    return None if folder is None else Path(folder) / "sessions.json"
+
+
+def entry_digest(entry: PersonEntry) -> str:
+    """Returns a digest of a person's role and token."""
+    return digest_of(f"{entry.role} {entry.token}")

@@ -1,0 +1,125 @@
+"""The locked actuators, and whether the planner's tables are those for them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.armfile.locks import lock_warning, locks_in_words
+from controller.host.process import Log
+from controller.manipulator.locked import require_states
+from controller.planning.core.arm import ArmState
+from controller.planning.core.events import LockMessage
+from controller.planning.core.parts import Parts
+from controller.planning.core.tasks import Answer, BuildTables, Failed, Tables
+from controller.program import Fault, Mode
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal, no_actuator
+
+
+class Locks:
+    """The locked actuators of one arm, and the tables for them.
+
+    The executor owns which actuators are locked. The planner owns the tables, and knows which locks leave each module
+    a state.
+
+    Attributes:
+        problem: why the tables could not be rebuilt; None if they could.
+    """
+
+    def __init__(self, parts: Parts, tables: Tables) -> None:
+        self._view, self._jobs, self._act = parts.view, parts.jobs, parts.act
+        self._built, self._building = tables, False
+        self._locked = tables.locked
+        self.problem: str | None = None
+
+    @property
+    def states(self) -> NDArray[np.int8]:
+        """Locked state of each actuator, 0 or 1; -1 if it is free; shape (A,)."""
+        return np.frombuffer(self._locked, np.int8)
+
+    @property
+    def tables(self) -> Tables | None:
+        """The tables for the present locks; None while they are rebuilt."""
+        return self._built if self._built.locked == self._locked else None
+
+    def mode(self) -> tuple[Mode, str]:
+        """Returns the mode as users see it: the executor's, unless the tables do not allow goals."""
+        mode, reason = self._view.mode()
+        if mode == "ready" and self.problem is not None:
+            return "fault", self.problem
+        if mode == "ready" and self.tables is None:
+            return "starting", f"the planner's tables are being rebuilt; {self.sentence()}"
+        return mode, reason
+
+    def update(self, state: ArmState) -> None:
+        """Takes the locked actuators of a snapshot."""
+        if state.known and not state.snapshot.moving and (locked := state.locked_states) != self._locked:
+            self._locked, self.problem = locked, None
+            self._act(Log(logging.WARNING, self.sentence()))
+        self._rebuild()
+
+    def retry(self) -> None:
+        """Starts another attempt to rebuild the tables."""
+        self.problem = None
+        self._rebuild()
+
+    def actuator(self, message: LockMessage, state: ArmState) -> int:
+        """Returns the index of the actuator of a request; the executor decides on the rest.
+
+        Raises:
+            Refusal: it is no actuator of this arm, or a lock would leave a module no state.
+        """
+        labels = self._view.manipulator.actuators
+        if message.actuator not in labels:
+            raise no_actuator("actuator", message.actuator, labels)
+        k, states = labels.index(message.actuator), self.states.copy()
+        if message.state is None:
+            return k  # also in states that are no configuration: a jog leaves them only with unlocked actuators
+        states[k] = message.state
+        if state.sensed[k] and state.measured[k] not in (-1, message.state):
+            return k  # the executor refuses it, because the end-stop reads the other state
+        try:
+            require_states(self._view.manipulator, states)
+            if (state.measured >= 0).all():
+                held = np.where((states >= 0) & ~state.sensed, states, state.measured)
+                self._view.manipulator.configuration(held)
+        except ValueError as error:
+            raise Refusal(Reason.MODULE_WITHOUT_STATE, error=str(error)) from None
+        return k
+
+    def faults(self) -> Iterator[Fault]:
+        """Yields the faults for `state`: each locked actuator, and tables that could not be rebuilt."""
+        for label, state in self._locks():
+            yield Fault("degraded", label, lock_warning(label, state))
+        if self.problem is not None:
+            yield Fault("internal-error", "daemon", self.problem)
+
+    def sentence(self) -> str:
+        """Returns the locked actuators in words, e.g. "locked: 5.left (contracted)"."""
+        return locks_in_words(self._locks())
+
+    def _locks(self) -> Iterator[tuple[str, int]]:
+        """Yields label and state of each locked actuator."""
+        labels, states = self._view.manipulator.actuators, self.states
+        return ((labels[k], int(states[k])) for k in np.flatnonzero(states >= 0))
+
+    def _rebuild(self) -> None:
+        """Starts a rebuild if one is needed and none runs."""
+        if self.tables is None and not self._building and self.problem is None:
+            self._building = True
+            task = BuildTables(self._built.generation + 1, self._locked)
+            self._jobs.start(task, partial(self._answered, task.locked))
+
+    def _answered(self, locked: bytes, answer: Answer) -> None:
+        self._building = False
+        if isinstance(answer, Tables):
+            self._built = answer
+        elif isinstance(answer, Failed) and locked == self._locked:
+            reason = f"{answer.reason}; reset to try again"
+            self.problem = f"the tables for the locked actuators cannot be rebuilt: {reason}"
+        self._rebuild()

@@ -1,0 +1,101 @@
+"""The harness of all benchmarks: command line, times, percentiles, and figures as text and JSON."""
+
+import argparse
+import gc
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+PAPER_ARM = DEPLOY / "planar16.yaml"
+PERCENTILES = {"p50": 0.5, "p75": 0.75, "p95": 0.95, "p99": 0.99, "p999": 0.999, "worst": 1.0}
+
+T = TypeVar("T")
+Times = Sequence[float] | NDArray[np.float64]  # [s]
+
+
+class CommandLine(argparse.ArgumentParser):
+    """The options of a benchmark. Each benchmark has `--json`.
+
+    Args:
+        description: docstring of the benchmark.
+        goals: default of the option `--goals`; None: no such option.
+        busy: whether there is the option `--busy`.
+    """
+
+    def __init__(self, description: str | None, goals: int | None = None, busy: bool = False) -> None:
+        super().__init__(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+        self.add_argument("--json", type=Path, help="also write the figures there")
+        if goals is not None:
+            self.add_argument("--goals", type=int, default=goals, help=f"number of goals (default: {goals})")
+        if busy:
+            self.add_argument("--busy", action="store_true", help="count the thread's own time, on a busy machine")
+
+    def parse(self) -> argparse.Namespace:
+        """Returns the options. With `--busy` all times and deadlines of this process are those of its thread."""
+        given = self.parse_args()
+        if getattr(given, "goals", 1) < 1:
+            self.error(f"--goals: at least 1, got {given.goals}")
+        if getattr(given, "busy", False):
+            time.perf_counter = time.thread_time
+        return given
+
+
+def timed(call: Callable[[], T], clock: Callable[[], float] | None = None) -> tuple[T, float]:
+    """Returns the result of a call, and its time [s], by default by `time.perf_counter`."""
+    clock = clock or time.perf_counter  # which --busy replaces
+    began = clock()
+    return call(), clock() - began
+
+
+@contextmanager
+def no_collection() -> Iterator[None]:
+    """Collects garbage, then not again inside the context."""
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
+def percentiles(times: Times, *names: str) -> dict[str, float]:
+    """Returns percentiles of times in milliseconds.
+
+    Args:
+        times: in seconds.
+        names: of `PERCENTILES`; by default median, 99 %, 99.9 % and worst.
+    """
+    names = names or ("p50", "p99", "p999", "worst")
+    return {name: round(1e3 * float(np.quantile(times, PERCENTILES[name])), 4) for name in names}
+
+
+def median_and_99(times: Times) -> str:
+    """Returns median and 99 % of times [s] as text, in milliseconds."""
+    median, nearly_all = 1e3 * np.quantile(times, (0.5, 0.99))
+    return f"{median:.2f} / {nearly_all:.1f}"
+
+
+def write_figures(path: Path | None, figures: Any) -> None:
+    """Writes figures as JSON, if there is a path: numbers, texts, arrays and data classes."""
+    if path is not None:
+        path.write_text(json.dumps(figures, indent=1, default=_plain) + "\n")
+
+
+def report(figures: dict[str, Any], bars: dict[str, bool], path: Path | None) -> None:
+    """Prints figures and whether each bar is met, and writes both."""
+    whole = figures | {"bars": bars, "met": all(bars.values())}
+    print(json.dumps(whole, indent=1, default=_plain))
+    write_figures(path, whole)
+
+
+def _plain(value: Any) -> Any:
+    """Returns a value as JSON has it."""
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else np.asarray(value).tolist()

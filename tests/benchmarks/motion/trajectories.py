@@ -1,0 +1,114 @@
+"""Whole trajectories of the paper's arm: switches and proven bounds: python -m tests.benchmarks.motion.trajectories
+
+Random curves with 30 waypoints, each from the arm's present configuration. In the same run: the search over the whole
+trajectory, the cheapest configuration for each waypoint (greedy), and the look-ahead of a running goal.
+"""
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from controller.arm.arm import load
+from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.motion.plans.label_setting import LabelSetting
+from controller.motion.plans.lookahead import LookAhead
+from controller.motion.plans.points import TrajectoryPoints
+from controller.motion.trajectory import Trajectory, through
+from controller.search.solver import Solver
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
+from tests.benchmarks.solving import ready_solver
+
+WAYPOINTS = 30
+SPACINGS = (0.0005, 0.001, 0.02, 0.1)  # between waypoints
+GAP = 0.05
+
+
+def curve(manipulator: Manipulator, spacing: float, rng: np.random.Generator) -> tuple[Configuration, Trajectory]:
+    """Returns a random configuration, and a smooth random curve from its tip on that stays where the arm is dense."""
+    while True:
+        start = rng.integers(0, manipulator.states)
+        heading = rng.uniform(0, 2 * np.pi)
+        bend, wave = rng.uniform(-1, 1, 2) * min(spacing / 0.2, 0.5)
+        headings = heading + np.cumsum(bend + wave * np.sin(np.arange(WAYPOINTS) / 5))
+        steps = spacing * np.column_stack((np.cos(headings), np.sin(headings)))
+        points = manipulator.tip(start)[:2, 3] + np.cumsum(steps, axis=0)
+        if np.abs(points[:, 0]).max() < 1.0 and points[:, 1].min() > 1.8 and np.linalg.norm(points, axis=1).max() < 2.9:
+            return start, through(np.arange(float(WAYPOINTS)), points, 0.002)
+
+
+def greedy(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDArray[np.int64]:
+    """Returns the cheapest configuration for each point in turn, after the start, shape (n + 1, B)."""
+    rows = [start]
+    for k, tolerance in enumerate(trajectory.tolerances.tolist()):
+        rows.append(solver.solve(solver.target(trajectory.goal(k), tolerance), rows[-1]).configuration)
+    return np.array(rows)
+
+
+def ahead(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDArray[np.int64]:
+    """Returns the configurations of the look-ahead of a running goal with enough time, see greedy."""
+    search = LookAhead(TrajectoryPoints(solver, trajectory), start)
+    for _ in trajectory.times:
+        search.extend()
+    return np.array([start, *search.decide(len(trajectory.times))])
+
+
+def measured(solver: Solver, start: Configuration, trajectory: Trajectory, seconds: float) -> dict[str, float]:
+    """Returns the costs and times of one curve."""
+    times, costs, search = (
+        [time.perf_counter()],
+        list[float](),
+        LabelSetting(TrajectoryPoints(solver, trajectory), start),
+    )
+    for method in (ahead, greedy):
+        rows = method(solver, start, trajectory)
+        costs.append(float(solver.cost(rows[1:], rows[:-1]).sum()))
+        times.append(time.perf_counter())
+    search.offer(rows[1:], costs[-1])  # as the product does
+    found = search.run(seconds)
+    times.append(time.perf_counter())
+    spent: NDArray[np.float64] = np.diff(times)
+    return {
+        **dict(zip(("ahead", "greedy", "plan", "bound"), [*costs, found.cost, found.bound], strict=True)),
+        **dict(zip(("ahead_seconds", "greedy_seconds", "seconds"), spent.tolist(), strict=True)),
+    }
+
+
+def main() -> None:
+    """Prints the table."""
+    parser = CommandLine(__doc__)
+    parser.add_argument("--curves", type=int, default=20)
+    parser.add_argument("--seconds", type=float, default=4.0, help="for each curve, a fifth of it for the proof")
+    parser.add_argument("--spacing", type=float, action="append", help="between waypoints; may be given again")
+    given = parser.parse()
+    solver = ready_solver(load(PAPER_ARM))
+    m = solver.manipulator
+    measured(solver, *curve(m, 0.001, np.random.default_rng(1)), 0.1)  # kernels are loaded
+    table = Table(
+        *("spacing", "switches: greedy", "ahead", "plan", "proven bound", "mean gap", f"gap at most {GAP:.0%}"),
+        *("optimal", "time [s]: greedy", "ahead", "plan and proof"),
+        title=f"{given.curves} curves of {WAYPOINTS} waypoints, means",
+    )
+    rows = []
+    for spacing in given.spacing or SPACINGS:
+        rng = np.random.default_rng(7)
+        own = [measured(solver, *curve(m, spacing, rng), given.seconds) for _ in range(given.curves)]
+        mean = {key: float(np.mean([row[key] for row in own])) for key in own[0]}
+        gaps = np.array([row["plan"] / row["bound"] - 1 for row in own])
+        table.add_row(
+            f"{spacing:g}",
+            *(f"{mean[key]:.1f}" for key in ("greedy", "ahead", "plan", "bound")),
+            f"{gaps.mean():.0%}",
+            str(int((gaps <= GAP + 1e-9).sum())),
+            str(int((gaps <= 1e-9).sum())),
+            *(f"{mean[key]:.2f}" for key in ("greedy_seconds", "ahead_seconds", "seconds")),
+        )
+        rows += [{"spacing": spacing, **row} for row in own]
+    Console(width=140).print(table)
+    write_figures(given.json, rows)
+
+
+if __name__ == "__main__":
+    main()

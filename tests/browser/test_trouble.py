@@ -1,0 +1,141 @@
+"""The page in a browser, with a fake daemon that sends malformed and late messages, and people without access."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from selenium.webdriver.common.keys import Keys
+
+from controller.panel.people import digest_of
+from tests.browser.conftest import OPERATOR, VIEWER, Shown, eventually, free_endpoint, started
+from tests.panel.conftest import PlayedDaemon
+
+pytestmark = pytest.mark.timeout(600)
+
+DIAGNOSTICS = {
+    "buses": [
+        {"name": "can0", "state": "connected", "frames_per_second": 9, "tx_errors": 0, "rx_errors": 0, "load": 0.1}
+    ],
+    "boards": [{"bus": "can0", "node": 1, "state": "operational", "heartbeat_age": 0.1}],
+    "loop": {"late_worst": 0.001},
+    "counts": [7, *[0] * 47],
+    "dropped": 0,
+}
+
+
+class Trouble:
+    """A fake daemon and a panel in its own process."""
+
+    def __init__(self, folder: Path, closing: ExitStack) -> None:
+        endpoint = free_endpoint()
+        self.daemon = PlayedDaemon(endpoint)
+        closing.callback(self.daemon.close)
+        people = folder / "people.yaml"
+        listed = (("anna", "operator", OPERATOR), ("hall", "viewer", VIEWER))
+        entries = [f"{{name: {name}, role: {role}, token: {digest_of(token)}}}" for name, role, token in listed]
+        people.write_text(f"people: [{', '.join(entries)}]\n")
+        started(["panel", "--listen", "127.0.0.1:0", "--people", str(people), "--connect", endpoint], folder, closing)
+        begin, log = "hyperbit panel, ", folder / "log"
+        line = eventually(lambda: [x for x in log.read_text().splitlines() if x.startswith(begin)])[0]
+        self.url = line.removeprefix(begin).rstrip("/")
+
+
+@pytest.fixture(scope="module")
+def trouble(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trouble]:
+    with ExitStack() as closing:
+        yield Trouble(tmp_path_factory.mktemp("trouble"), closing)
+
+
+def test_one_malformed_message_harms_one_section(trouble: Trouble, driver: object) -> None:
+    shown = Shown(driver, trouble.url)
+    shown.visit("/arms/planar16", OPERATOR)
+    shown.one("#boards .health")
+
+    def says(css: str, *words: str) -> bool:
+        trouble.daemon.state(reason="still shown")
+        return all(word in shown.text(css) for word in words)
+
+    def malformed() -> bool:
+        trouble.daemon.put("diagnostics", {"buses": 3, "counts": [1, 2]})
+        return says("#boards", "cannot be read") and says("#reason", "still shown") and says("#wear", "3 switches")
+
+    def repaired() -> bool:
+        trouble.daemon.put("diagnostics", DIAGNOSTICS)
+        return says("#boards", "can0", "connected") and says("#wear", "7 switches in all; most: 1.left with 7")
+
+    eventually(malformed, lambda: shown.text("body"))
+    eventually(repaired, lambda: shown.text("body"))
+
+
+def test_counts_that_come_before_the_labels_name_no_actuator(trouble: Trouble, driver: object) -> None:
+    shown = Shown(driver, trouble.url)
+    shown.visit("/arms/planar16", OPERATOR)
+    words = shown.driver.execute_async_script(  # type: ignore[attr-defined]
+        """
+        const done = arguments[0];
+        document.body.innerHTML = '<section id="wear"></section>';
+        import('/static/js/charts.js').then(({ showWear }) => {
+          const latest = {}, listeners = {};
+          showWear({ latest, on: (section, listener) => (listeners[section] = listener) });
+          const tell = (section, message) => { latest[section] = message; listeners[section](message); };
+          const said = [];
+          tell('diagnostics', { counts: [0, 3] });
+          said.push(document.querySelector('#wear .hint').textContent);
+          tell('arm', { actuators: ['1.left', '1.right'] });
+          said.push(document.querySelector('#wear .hint').textContent);
+          done(said);
+        });"""
+    )
+    assert words == ["3 switches in all.", "3 switches in all; most: 1.right with 3."]
+
+
+def test_a_wrong_token_in_the_address_is_named(trouble: Trouble, driver: object) -> None:
+    shown = Shown(driver, trouble.url)
+    shown.visit("/arms/planar16", "wrong")
+    shown.says(".message", "The token in the address was refused", "nobody's")
+    shown.one("form input").send_keys(OPERATOR, Keys.ENTER)
+    shown.says("#control", "You are anna, operator")
+
+
+def test_log_out_closes_the_other_pages_of_the_session(trouble: Trouble, driver: object) -> None:
+    shown = Shown(driver, trouble.url)
+    shown.visit("/arms/planar16", OPERATOR)
+    shown.says("#control", "You are anna, operator")
+    shown.run("fetch('/session', { method: 'DELETE' })")
+    shown.one("form input")
+
+
+def test_the_log_says_a_fault_once(trouble: Trouble, driver: object) -> None:
+    shown = Shown(driver, trouble.url)
+    shown.visit("/arms/planar16", OPERATOR)
+    trouble.daemon.state(mode="fault", reason="the interlock is open")
+    shown.says("#log", "fault: the interlock is open")
+    assert "fault: fault:" not in shown.text("#log")
+
+
+def test_a_viewer_is_not_told_to_press_go(trouble: Trouble, driver: object) -> None:
+    shown = Shown(driver, trouble.url)
+    shown.visit("/arms/planar16", VIEWER)
+    shown.says("#goal", "A viewer sees goals and sends none")
+    assert "Nothing moves before Go" not in shown.text("#goal")
+
+
+def test_all_arms_are_stopped_from_the_list(trouble: Trouble, driver: object) -> None:
+    shown = Shown(driver, trouble.url)
+    shown.visit("/", VIEWER)
+    shown.says(".who", "viewer")
+    assert not shown.one("#stop-all").is_enabled()
+    shown.visit("/", OPERATOR)
+    shown.says(".who", "operator")
+    shown.says(".arms", "planar16")
+    shown.press("#stop-all")
+    eventually(lambda: "stop" in trouble.daemon.commands())
+    shown.says(".notice", "Stop all: sent to planar16")
+
+
+def test_the_legend_names_all_that_is_drawn(trouble: Trouble, driver: object) -> None:
+    shown = Shown(driver, trouble.url)
+    shown.visit("/arms/planar16", VIEWER)
+    shown.says(".legend", "measured", "commanded", "planned", "deviation", "goal", "waypoints", "obstacle")
+    shown.picture("panel-legend.png")

@@ -1,0 +1,135 @@
+"""The commands send, watch, run and demo with a daemon in its own process and simulated boards."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from controller.commands.connection import connected
+from controller.commands.operate import demo
+from controller.commands.use.send import cancel_goal
+
+ARM = Path(__file__).parents[3] / "deploy" / "planar16.yaml"
+
+
+def test_send_follows_a_goal_to_its_result(hyperbit, endpoint):
+    code, out, err = hyperbit("send", str(ARM), "--to", "0.55,2.9", "--connect", endpoint)
+    assert (code, err) == (0, "")
+    assert "reached (0.5" in out
+
+
+def test_send_takes_an_angle_and_reports_its_error(hyperbit, endpoint):
+    code, out, err = hyperbit("send", "planar16", "--to", "0.55,2.9,0.3", "--connect", endpoint, "--json")
+    *_, result = [json.loads(line) for line in out.splitlines()]
+    assert (code, err) == (0, "")
+    assert result["orientation"] == pytest.approx(0.3, abs=0.05)
+    assert result["orientation_error"] == pytest.approx(abs(result["orientation"] - 0.3))
+    code, _, err = hyperbit("send", "planar16", "--to", "0.55,2.9,1,0,0,0,1", "--connect", endpoint)
+    assert code == 1
+    assert "waypoints[0].position: 3 coordinates, this arm's positions have 2" in err
+
+
+def test_send_of_a_file_prints_json_lines_with_the_result_last(hyperbit, endpoint, tmp_path):
+    file = tmp_path / "goal.yaml"
+    file.write_text("id: two\nwaypoints:\n- {position: [0.5, 2.8]}\n- {position: [0.4, 2.8], t: 0.2}\n")
+    code, out, _ = hyperbit("send", "planar16", str(file), "--connect", endpoint, "--json")
+    answer, *feedback, result = [json.loads(line) for line in out.splitlines()]
+    assert code == 0
+    assert (answer["id"], answer["accepted"]) == ("two", True)
+    assert [message["waypoint"] for message in feedback] == [0, 1]
+    assert (result["id"], result["status"], result["code"]) == ("two", "succeeded", 0)
+    assert result["position"] == pytest.approx([0.4, 2.8], abs=0.002)
+
+
+def test_send_follows_lines_within_a_path_tolerance(hyperbit, endpoint, tmp_path):
+    file = tmp_path / "goal.yaml"
+    file.write_text("id: line\nwaypoints:\n- {position: [0.5, 2.8]}\n- {position: [0.4, 2.8], t: 1.0}\n")
+    words = ("send", "planar16", str(file), "--connect", endpoint)
+    code, out, err = hyperbit(*words, "--path-tolerance", "0.05")
+    assert (code, err) == (0, "")
+    assert "waypoint 2 of 2" in out
+    code, _, err = hyperbit(*words, "--path-tolerance", "0.001")
+    assert code == 1
+    assert "waypoints[0] to waypoints[1]: 1 s for a line of 0.1 within path_tolerance 0.001" in err
+
+
+def test_a_refused_goal_fails_with_code_and_sentence(hyperbit, endpoint):
+    code, out, err = hyperbit("send", "planar16", "--to", "9,9", "--connect", endpoint)
+    assert (code, out) == (1, "")
+    assert "code -5" in err
+    assert "out of reach" in err
+
+
+def test_a_goal_that_cannot_be_written_in_json_is_unusable_input(hyperbit, endpoint, tmp_path):
+    file = tmp_path / "goal.yaml"
+    file.write_text('{id: "\\ud800", waypoints: [{position: [0.5, 2.8]}]}')
+    code, out, err = hyperbit("send", "planar16", str(file), "--connect", endpoint)
+    assert (code, out) == (2, "")
+    assert "no goal: " in err
+    assert "surrogates not allowed" in err
+
+
+def test_watch_streams_states_until_interrupted(endpoint):
+    command = [sys.executable, "-m", "controller.cli", "watch", "planar16", "--connect", endpoint, "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ, text=True) as watching:
+        assert watching.stdout is not None
+        states = [json.loads(watching.stdout.readline()) for _ in range(3)]
+        watching.send_signal(signal.SIGINT)
+        assert watching.wait(20) == 0
+    assert {state["mode"] for state in states} == {"ready"}
+    assert len(states[0]["measured"]) == 48
+
+
+def test_an_interrupt_cancels_the_goal_that_was_sent(endpoint, tmp_path):
+    file = tmp_path / "goal.yaml"
+    points = [f"- {{position: [0.5, 2.8], t: {t}}}" for t in (0, 300)]
+    file.write_text("\n".join(["id: long", "waypoints:", *points]))
+    words = ["send", "planar16", str(file), "--connect", endpoint]
+    with subprocess.Popen(
+        [sys.executable, "-m", "controller.cli", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        text=True,
+    ) as sending:
+        assert sending.stdout is not None
+        assert sending.stdout.readline()  # the daemon's answer: the goal is accepted
+        sending.send_signal(signal.SIGINT)
+        out, err = sending.communicate(timeout=60)
+    assert (sending.returncode, err) == (130, "interrupted: canceling goal long\n")
+    assert out.endswith("goal long: canceled\n")
+    with connected("planar16", endpoint, None) as client:
+        demo.wait_until_ready(client)
+
+
+def test_an_interrupt_cancels_no_goal_of_others(capsys):
+    class Answering:
+        def request(self, key, payload):
+            self.asked = (key, payload)
+            return {"accepted": False, "message": "goal long has ended"}
+
+    client = Answering()
+    cancel_goal(client, "long", False)
+    assert client.asked == ("cancel", {"id": "long"})
+    assert capsys.readouterr().out == "goal long: goal long has ended\n"
+
+
+def test_a_second_daemon_at_the_same_endpoint_fails_with_a_message(hyperbit, endpoint, tmp_path):
+    book = str(tmp_path / "ledger.sqlite")
+    code, _, err = hyperbit("run", str(ARM), "--simulate", "--listen", endpoint, "--ledger", book)
+    assert code == 1
+    assert endpoint in err
+
+
+def test_the_demo_runs_and_draws(hyperbit, tmp_path):
+    picture = tmp_path / "demo.png"
+    code, out, err = hyperbit("demo", "--picture", str(picture))
+    assert (code, err) == (0, "")
+    assert f"closed curve, {demo.CURVE_WAYPOINTS} waypoints" in out
+    assert picture.read_bytes().startswith(b"\x89PNG")

@@ -1,0 +1,136 @@
+"""Whole trajectories: the optimum compared with brute force on small arms, and valid bounds."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.manipulator.frame_kernels import angle_between
+from controller.motion.plans.label_setting import LabelSetting, least_remaining_cost
+from controller.motion.plans.points import TrajectoryPoints
+from controller.motion.trajectory import Trajectory, through
+from controller.obstacles.clearance import BodyClearance
+from controller.search.solver import Solver
+from controller.workspace.mapping import map_densities
+from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
+from tests.obstacles.dense import Disc, obstacles_of
+
+LONG = 3600.0  # [s], far more than small arms take on any machine; a proof ends the search before
+
+
+def brute_force(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear: np.ndarray | None = None) -> float:
+    """Returns the least cost by dynamic programming over all configurations; infinite if there is no sequence."""
+    m, every = solver.manipulator, every_configuration(solver.manipulator)
+    tips, costs = m.tips(every), solver.cost(every, start)
+    steps = np.array([solver.cost(every, row) for row in every])
+    for k in range(len(trajectory.times)):
+        frame = np.eye(4)
+        frame[: m.dimension, 3], frame[:3, :3] = trajectory.positions[k], trajectory.rotations[k]
+        served = np.linalg.norm(tips[:, : m.dimension, 3] - trajectory.positions[k], axis=1) <= trajectory.tolerances[k]
+        if trajectory.turns[k] < np.inf:
+            served &= np.array([angle_between(tip, frame) <= trajectory.turns[k] for tip in tips])
+        if k in trajectory.fixed:
+            served = (every == m.configuration(trajectory.fixed[k])).all(axis=1)
+        if clear is not None:
+            served &= clear
+        costs = costs if k == 0 else (costs[None] + steps).min(axis=1)
+        costs = np.where(served, costs, np.inf)
+    return float(costs.min())
+
+
+def check(solver: Solver, trajectory: Trajectory, start: np.ndarray, clear: np.ndarray | None = None) -> None:
+    """Checks that the search proves the optimum, and that its earlier bounds are valid."""
+    least = brute_force(solver, trajectory, start, clear)
+    search = LabelSetting(TrajectoryPoints(solver, trajectory), start)
+    assert search.best.bound <= least + 1e-9
+    found = search.run(LONG)
+    assert search.optimal
+    assert found.cost == pytest.approx(least, rel=1e-9)
+    assert found.bound == pytest.approx(least, rel=1e-9)
+    assert found.configurations is not None
+    rows = np.vstack([start, found.configurations])
+    assert sum(solver.cost(a, b) for a, b in pairwise(rows)) == pytest.approx(found.cost)
+    for k, row in enumerate(found.configurations):
+        if k not in trajectory.fixed:
+            tolerance, turn = float(trajectory.tolerances[k]), float(trajectory.turns[k])
+            assert solver.described(row, solver.target(trajectory.goal(k), tolerance, turn), row).within_tolerance
+
+
+@pytest.mark.timeout(600)
+@settings(max_examples=20, deadline=None)
+@given(arm=short_arms(most=3), seed=st.integers(0, 2**32 - 1), weighted=st.sampled_from([0, 1, 2]))
+def test_the_optimum_of_small_arms_is_found_and_proven(arm, seed, weighted):
+    rng = np.random.default_rng(seed)
+    weights = [None, rng.uniform(0.5, 3.0, len(arm.actuators)), rng.integers(1, 4, len(arm.actuators))][weighted]
+    solver = Solver(arm, map_densities(arm, 0.1, 1 << 16), weights)
+    path = np.array([rng.integers(0, arm.states) for _ in range(5)])
+    tips = arm.tips(path)
+    noise = rng.normal(size=(5, arm.dimension)) * 0.01
+    turns = np.where(rng.random(5) < 0.3, 0.3, np.inf)
+    trajectory = through(np.arange(5.0), tips[:, : arm.dimension, 3] + noise, 0.1, None, tips[:, :3, :3], turns)
+    check(solver, trajectory, path[0])
+
+
+@pytest.mark.parametrize("arm", [paper_arm(3), spatial_arm(3)], ids=["planar", "spatial"])
+def test_arms_that_hold_a_configuration_for_several_points(arm):
+    rng = np.random.default_rng(4)
+    solver = Solver(arm, map_densities(arm, 0.05, 1 << 16))
+    ends = arm.tips([rng.integers(0, arm.states) for _ in range(2)])[:, : arm.dimension, 3]
+    points = ends[0] + np.linspace(0, 1, 12)[:, None] * (ends[1] - ends[0])
+    check(solver, through(np.arange(12.0), points, 0.15), np.zeros(3, dtype=np.int64))
+
+
+def test_points_that_are_configurations_are_kept():
+    arm, rng = paper_arm(3), np.random.default_rng(7)
+    solver = Solver(arm, map_densities(arm, 0.05, 1 << 16))
+    path = np.array([rng.integers(0, arm.states) for _ in range(4)])
+    positions = arm.tips(path)[:, :2, 3]
+    given_states = {1: arm.actuator_states(path[1]), 3: arm.actuator_states(path[3])}
+    plain = through(np.arange(4.0), positions, 0.02)
+    trajectory = Trajectory(**{**vars(plain), "fixed": given_states})
+    check(solver, trajectory, path[0])
+
+
+def test_configurations_keep_clear_of_obstacles():
+    arm = paper_arm(4)
+    every = every_configuration(arm)
+    clearance = BodyClearance(arm, obstacles_of([Disc((0.1, 0.75), 0.1)]), 0.01)
+    clear = ~clearance.blocked(every)
+    solver = Solver(arm, map_densities(arm, 0.05, 1 << 16), None, clearance)
+    rng = np.random.default_rng(3)
+    path = every[rng.choice(np.flatnonzero(clear), 2)]
+    trajectory = through(np.arange(2.0), arm.tips(path)[:, :2, 3], 0.02)
+    least = brute_force_pair(solver, trajectory, path[0], every, clear)
+    found = LabelSetting(TrajectoryPoints(solver, trajectory), path[0]).run(LONG)
+    assert (found.cost, found.bound) == (least, least)
+
+
+def brute_force_pair(solver, trajectory, start, every, clear) -> float:
+    tips = solver.manipulator.tips(every)[:, :2, 3]
+    near = [clear & (np.linalg.norm(tips - p, axis=1) <= 0.02) for p in trajectory.positions]
+    return min(float(solver.cost(a, start) + solver.cost(every[near[1]], a).min()) for a in every[near[0]])
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_what_the_rest_costs_at_least_never_rises(seed):
+    rng = np.random.default_rng(seed)
+    trajectory = through(np.arange(9.0), rng.normal(size=(9, 2)) * 0.01, 0.005)
+    rest = least_remaining_cost(trajectory, 2.0)
+    assert rest[-1] == 0
+    assert (np.diff(rest) <= 0).all()
+    apart = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
+    assert rest[0] <= 2.0 * 8
+    assert rest[0] >= 2.0 * (apart.max() > 0.01)
+
+
+def test_without_time_nothing_wrong_is_claimed(arm, densities):
+    solver = Solver(arm.manipulator, densities)
+    points = np.array([[0.3, 2.6], [0.32, 2.6], [0.34, 2.6]])
+    found = LabelSetting(
+        TrajectoryPoints(solver, through(np.arange(3.0), points, 0.002)), np.zeros(16, dtype=np.int64)
+    ).run(0.0)
+    assert found.configurations is None
+    assert found.bound == 2.0

@@ -1,0 +1,74 @@
+"""Arms that come and go."""
+
+from typing import Any
+
+import pytest
+import zenoh
+
+from controller.panel import arm_view, arms
+from tests.panel.conftest import ARM, VIEWER, Site
+from tests.waiting import eventually
+
+
+def come(site: Site, *names: str) -> list[Any]:
+    """Declares the liveliness tokens of arms."""
+    liveliness = site.daemon._session.liveliness()
+    tokens = [liveliness.declare_token(f"hyperbit/{name}/alive") for name in names]
+    views = site.panel.arms.views
+    eventually(lambda: all(name in views and views[name].alive for name in names))
+    return tokens
+
+
+def go(site: Site, tokens: list[zenoh.LivelinessToken]) -> None:
+    """Removes the liveliness tokens."""
+    for token in tokens:
+        token.undeclare()
+    eventually(lambda: sum(view.alive for view in site.panel.arms.views.values()) == 1)
+
+
+def test_an_arm_takes_the_place_of_one_that_is_gone(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(arms, "MOST_ARMS", 4)
+    monkeypatch.setattr(arm_view, "SILENT", 0.0)
+    go(site, come(site, "a1", "a2", "a3"))
+    page = site.open(VIEWER, "/arms/a1/live")  # an arm that a page shows keeps its place
+    page.until("presence")
+    go(site, come(site, "b1", "b2"))
+    late = come(site, "late")
+    assert {ARM, "a1", "late"} <= set(site.panel.arms.views)
+    go(site, late)
+    assert len(site.panel.arms.views) == 4
+
+
+def test_arms_that_are_there_keep_their_places(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(arms, "MOST_ARMS", 3)
+    monkeypatch.setattr(arm_view, "SILENT", 0.0)
+    tokens = come(site, "a1", "a2")
+    site.daemon._session.put("hyperbit/made-up/state", b"{}")
+    site.daemon.state()
+    eventually(lambda: site.panel.arms.views[ARM].state)
+    assert set(site.panel.arms.views) == {ARM, "a1", "a2"}
+    go(site, tokens)
+
+
+def test_an_arm_that_found_no_place_gets_the_next_free_one(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(arms, "MOST_ARMS", 2)
+    monkeypatch.setattr(arm_view, "SILENT", 0.0)
+    first = come(site, "a1")
+    late = site.daemon._session.liveliness().declare_token("hyperbit/late/alive")
+    eventually(lambda: "late" in site.panel.arms._alive)
+    go(site, first)
+
+    def seen() -> bool:
+        site.daemon._session.put("hyperbit/late/state", b"{}")
+        return "late" in site.panel.arms.views and site.panel.arms.views["late"].alive
+
+    eventually(seen)
+    go(site, [late])
+
+
+def test_an_arm_that_is_gone_leaves_the_list_after_a_while(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(arm_view, "SILENT", 0.0)
+    go(site, come(site, "a1"))
+    assert "a1" in [view.name for view in site.panel.arms.known()]
+    monkeypatch.setattr(arms, "GONE_SHOWN", 0.0)
+    eventually(lambda: set(site.panel.arms.views) == {ARM})

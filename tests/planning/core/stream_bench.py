@@ -1,0 +1,69 @@
+"""The planner's stream of set-points on a simulated clock; the test plays executor and worker."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from controller.arm.arm import Arm
+from controller.motion.tracking.goal_motion import tracking_of
+from controller.planning.core.parts import Ticket
+from controller.planning.core.stream import Stream
+from controller.planning.core.tasks import Followed, FollowSetpoint
+from tests.planning.played_core import PlayedCore
+
+A = (5, 0, 7, 0)
+EVERY = 0.02  # [s] between set-points
+TICK = 0.001  # [s] of the simulated clock
+
+
+class StreamBench(PlayedCore):
+    """A stream whose set-points come 50 times a second while `position` is set."""
+
+    def __init__(self, arm: Arm) -> None:
+        super().__init__(arm)
+        self.bias: tuple[float, ...] | None = None
+        tracking = tracking_of(arm.manipulator.length, arm.tolerance)
+        self.timeout = tracking.timeout
+        self.parts.correction = lambda: self.bias
+        self.stream = Stream(arm, tracking, self.parts)
+        self.position: list[float] | None = None
+        self.first: Ticket | None = None  # of the last stream
+        self.steps, self._next = 0, self.now
+        self.show()
+
+    def put(self, payload: Any) -> None:
+        """Takes a set-point."""
+        ticket = self.admission.arrive()
+        self.first = self.first or ticket
+        self.stream.receive_setpoint(json.dumps(payload).encode(), ticket)
+
+    def step(self) -> None:
+        """Ends a step of the core."""
+        self.steps += 1
+        self.stream.consider()
+
+    def run(self, seconds: float) -> None:
+        """Lets time pass; the core steps when a set-point comes, and when the stream is due."""
+        for _ in range(round(seconds / TICK)):
+            arrived = self.position is not None and self.now >= self._next
+            if arrived:
+                self._next = self.now + EVERY
+                self.put({"position": self.position, "tolerance": {"position": 0.01}})
+            if arrived or self.now >= self.stream.due:
+                self.step()
+            self.advance(TICK)
+
+    def search(self) -> tuple[int, FollowSetpoint]:
+        """Follows a position until its search begins."""
+        self.position = self.position or self.tip(*A)
+        self.run(TICK)
+        return self.task(FollowSetpoint)
+
+    def found(self, number: int, stages: tuple[bytes, ...] = (), note: str = "", found: bool = True) -> None:
+        """Answers a search."""
+        self.answer(number, Followed(stages, note, found, 0.004))
+        self.step()
+
+    def status(self) -> dict[str, Any]:
+        return dict(self.stream.status())
