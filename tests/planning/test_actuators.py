@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from controller.arm.arm import Arm
+from controller.planning.core.goals import TABLES_TIMEOUT
 from controller.planning.core.tasks import BuildTables
 from controller.program import (
     Acknowledge,
@@ -44,15 +45,35 @@ def test_a_locked_actuator_is_planned_around(desk: Desk) -> None:
     assert not unpack(program.stages[-1].states) & 1
 
 
-def test_while_the_tables_are_rebuilt_goals_are_refused(desk: Desk) -> None:
+def test_while_the_tables_are_rebuilt_goals_wait(desk: Desk) -> None:
     desk.held.add(BuildTables)
     desk.show(locked=b"\x01\x00", locks=1)
     assert desk.state()["mode"] == "starting"
     assert desk.state()["reason"] == "the planner's tables are being rebuilt; locked: 1.left (contracted)"
-    desk.goal(A)
-    assert desk.inbox.next("reply")["message"].startswith("the arm is starting: the planner's tables are being rebuilt")
+    desk.goal((0, 1, 0, 0))
+    assert desk.inbox.empty
     desk.release(BuildTables)
     assert desk.state()["mode"] == "ready"
+    program = desk.executor.expect(Program)
+    assert not unpack(program.stages[-1].states) & 1
+    desk.executor.accept(program)
+    assert desk.inbox.next("reply")["accepted"]
+
+
+def test_goals_do_not_wait_for_tables_for_ever(desk: Desk) -> None:
+    desk.held.add(BuildTables)
+    desk.show(locked=b"\x01\x00", locks=1)
+    desk.goal(A)
+    desk.pass_time(TABLES_TIMEOUT)
+    assert desk.inbox.next("reply")["message"].startswith("the arm is starting: the planner's tables are being rebuilt")
+
+
+def test_a_stop_refuses_goals_that_wait_for_tables(desk: Desk) -> None:
+    desk.held.add(BuildTables)
+    desk.show(locked=b"\x01\x00", locks=1)
+    desk.goal(A)
+    desk.ask("stop")
+    assert Reason.OVERTAKEN.value in [payload.get("reason") for _, payload in desk.inbox.payloads]
 
 
 def test_tables_that_cannot_be_rebuilt_are_a_fault_until_reset(desk: Desk) -> None:

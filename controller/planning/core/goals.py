@@ -24,6 +24,7 @@ MOST_WAITING, MOST_TRIES = 16, 10  # requests; plans, and programs sent, of one 
 EXECUTOR_TIMEOUT = 2.0  # [s] for the executor's answer; it answers within milliseconds
 NEWER_WITHIN = 0.2  # [s]; a snapshot comes 20 times a second
 LONGEST_PLANNING = 60.0  # [s]
+TABLES_TIMEOUT = 8.0  # [s] for tables that are rebuilt; less than the 10 s after which Zenoh's queries end
 MOVED = (Reason.MOVED_SINCE_PLANNED, Reason.SWITCH_NOT_CONFIRMED)  # the goal is planned again from the new state
 MOST_LINES = 5  # refusals logged in one second
 IDLE = 0.02  # [s] without a request before the next search is prepared
@@ -204,6 +205,8 @@ class Goals:
             if self._waits(motion, EXECUTOR_TIMEOUT):
                 return
             raise Refusal(Reason.EXECUTOR_BEHIND)
+        if self._locks.rebuilding and self._waits(motion, TABLES_TIMEOUT):
+            return
         state, (mode, reason) = self._view.state, self._locks.mode()
         if state is None or mode not in ("ready", "executing"):
             raise no_motion(mode, reason)

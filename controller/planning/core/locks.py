@@ -47,6 +47,11 @@ class Locks:
         """The tables for the present locks; None while they are rebuilt."""
         return self._built if self._built.locked == self._locked else None
 
+    @property
+    def rebuilding(self) -> bool:
+        """Whether goals can run as soon as the tables are rebuilt."""
+        return self.tables is None and self.problem is None and self._view.mode()[0] == "ready"
+
     def mode(self) -> tuple[Mode, str]:
         """Returns the mode as users see it: the executor's, unless the tables do not allow goals."""
         mode, reason = self._view.mode()
