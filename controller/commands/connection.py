@@ -21,14 +21,51 @@ if TYPE_CHECKING:
 START = "start it by: hyperbit run ARM.yaml (--simulate without hardware), or name its endpoint by --connect"
 
 
+def client_config(connect: str, zenoh_file: Path | None) -> zenoh.Config:
+    """Returns the configuration of a client's Zenoh session.
+
+    Raises:
+        InputFaults: the configuration file is wrong.
+    """
+    from controller.network import session
+
+    try:
+        return session.from_file(zenoh_file) if zenoh_file else session.configuration("client", connect=connect)
+    except ValueError as error:
+        raise InputFaults(Path("--zenoh"), [str(error)]) from None
+
+
+def open_session(connect: str, zenoh_file: Path | None) -> zenoh.Session:
+    """Opens a Zenoh session as a client.
+
+    Args:
+        connect: Zenoh endpoint of the daemon.
+        zenoh_file: Zenoh configuration, instead of the endpoint.
+
+    Raises:
+        CommandFailed: nobody listens there.
+        InputFaults: the configuration file is wrong.
+    """
+    import zenoh
+
+    from controller.network import session
+
+    zenoh.init_log_from_env_or("error")
+    try:
+        return zenoh.open(client_config(connect, zenoh_file))
+    except zenoh.ZError as error:
+        raise CommandFailed(f"no daemon at {zenoh_file or connect}: {session.reason(error)}", START) from None
+
+
 @contextlib.contextmanager
-def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Client]:
+def connected(arm: str, connect: str, zenoh_file: Path | None, *, find: bool = True) -> Iterator[Client]:
     """Opens a Zenoh session with an arm's daemon.
 
     Args:
         arm: file or name of the arm.
         connect: Zenoh endpoint of the daemon.
         zenoh_file: Zenoh configuration, instead of the endpoint.
+        find: fail at once if other arms have a daemon, and this arm has none.
 
     Raises:
         CommandFailed: no daemon is there, or the daemon does not answer a request inside the context.
@@ -36,30 +73,29 @@ def connected(arm: str, connect: str, zenoh_file: Path | None) -> Iterator[Clien
     """
     import zenoh
 
-    from controller.network import session
     from controller.network.client import Client, Unanswered
 
     name = arm_name(arm)
-    zenoh.init_log_from_env_or("error")
-    try:
-        config = session.from_file(zenoh_file) if zenoh_file else session.configuration("client", connect=connect)
-    except ValueError as error:
-        raise InputFaults(Path("--zenoh"), [str(error)]) from None
-    try:
-        opened = zenoh.open(config)
-    except zenoh.ZError as error:
-        raise CommandFailed(f"no daemon at {zenoh_file or connect}: {session.reason(error)}", START) from None
-    with opened as live, contextlib.closing(Client(live, name, lambda: zenoh.open(config))) as client:
+    with (
+        open_session(connect, zenoh_file) as session,
+        contextlib.closing(Client(session, name, lambda: zenoh.open(client_config(connect, zenoh_file)))) as client,
+    ):
+        if find and (names := arms_alive(session)) and name not in names:
+            raise CommandFailed(f"no daemon for arm {name!r} at {zenoh_file or connect}", step_after(name, names))
         try:
             yield client
         except Unanswered as error:
-            raise CommandFailed(str(error), after_silence(live, name)) from None
+            raise CommandFailed(str(error), step_after(name, arms_alive(session))) from None
 
 
-def after_silence(session: zenoh.Session, arm: str) -> str:
-    """Returns the next step after a daemon did not answer; it names the arms that have a daemon."""
+def arms_alive(session: zenoh.Session) -> list[str]:
+    """Returns the names of the arms that have a daemon, sorted; none if this client may not ask."""
     tokens = session.liveliness().get("hyperbit/*/alive", timeout=1.0)
-    names = sorted({str(token.ok.key_expr).split("/")[1] for token in tokens if token.ok is not None})
+    return sorted({str(token.ok.key_expr).split("/")[1] for token in tokens if token.ok is not None})
+
+
+def step_after(arm: str, names: list[str]) -> str:
+    """Returns the next step after a daemon did not answer, given the arms that have a daemon."""
     if arm in names:
         return "allow this client its key, or wait and ask again"
     return f"name an arm that is there: {', '.join(names)}" if names else START

@@ -34,8 +34,14 @@ GROUPS = {
         "watch": CommandEntry(
             "use.watch",
             "watch",
-            "Show a running arm until Ctrl-C; with --json, print each state as a line.",
+            "Show a running arm until Ctrl-C; print changes as lines in a pipe, and states with --json.",
             "hyperbit watch planar16",
+        ),
+        "list": CommandEntry(
+            "use.list",
+            "list_",
+            "List the arms that have a daemon, each with its mode, goal and faults.",
+            "hyperbit list",
         ),
         "cancel": CommandEntry(
             "use.requests",
@@ -59,27 +65,27 @@ GROUPS = {
             "use.requests", "reset", "Leave a stop or a fault. Nothing moves.", "hyperbit reset planar16"
         ),
         "jog": CommandEntry(
-            "use.requests",
+            "use.actuators",
             "jog",
             "Switch single actuators, even if their states form no configuration. The arm moves.",
             "hyperbit jog planar16 5.left=extended",
         ),
         "degrade": CommandEntry(
-            "use.requests",
+            "use.actuators",
             "degrade",
             "Lock actuators that are stuck, or unlock them. Nothing moves.",
             "hyperbit degrade planar16 5.left=contracted",
         ),
         "lock": CommandEntry(
-            "use.requests",
+            "use.actuators",
             "lock",
             "Lock actuators in a state, or unlock them with `free`; the same as `degrade`. Nothing moves.",
             "hyperbit lock planar16 5.left=contracted 7.right=free",
         ),
         "obstacles": CommandEntry(
-            "use.requests",
+            "use.obstacles",
             "obstacles",
-            "Replace the obstacles that were sent before; those of the arm's file remain. Nothing moves.",
+            "List the obstacles, or replace those that were sent before; the file's remain. Nothing moves.",
             "hyperbit obstacles planar16 --none",
         ),
         "fault": CommandEntry(

@@ -18,7 +18,7 @@ from controller import cli
 from controller.armfile.strict import InputFaults
 from controller.commands.common import arm_name
 from controller.commands.table import GROUPS
-from controller.commands.use import requests
+from controller.commands.use import actuators
 from controller.manipulator import locked
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
@@ -168,7 +168,7 @@ def test_a_file_without_a_name_is_unusable_input(tmp_path, text, fault):
 
 
 def test_states_have_the_names_of_the_arm():
-    assert requests.STATES == locked.STATES
+    assert actuators.STATES == locked.STATES
 
 
 def test_a_command_that_finds_no_folder_says_what_to_do(hyperbit, monkeypatch):

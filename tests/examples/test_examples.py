@@ -18,7 +18,7 @@ EXAMPLES: dict[str, tuple[tuple[str, ...], str | None]] = {
     "02_trajectory": (("12 points", "farthest from a goal: 0.00"), "trajectory.png"),
     "03_own_arm": (("6 modules with [4, 8, 8, 8, 8, 2] states, 15 actuators",), None),
     "04_spatial_arm": (("position only", "with orientation"), "spatial.png"),
-    "05_obstacles": (("switches; module 14 is in disc 'crate'", "switches; clear", "path of"), "obstacles.png"),
+    "05_obstacles": ((" is in disc 'crate'", "switches; clear", "path of"), "obstacles.png"),
     "06_locked_actuators": (("whole", "with locked actuators", "5.left is 1"), None),
     "07_methods": (("minimum-switch", "pop", "25/25"), None),
     "08_density": (("pixels", "densest at"), "density.png"),

@@ -5,7 +5,9 @@ from typing import Any
 
 import pytest
 
+from controller.motion.stages.feed import PlanProof
 from controller.planning.core.events import Identity, OpenGoal, ResultEntry
+from controller.planning.core.results import why_not_as_planned
 from controller.program import Acknowledge, Cancel, Program, Replacement
 from controller.workspace.densities import Densities
 from tests.planning.desk import Desk
@@ -220,3 +222,21 @@ def test_a_cancel_of_a_waiting_goal_lets_the_running_one_go_on(desk: Desk) -> No
     assert desk.inbox.next("canceled")["accepted"]
     desk.executor.accept(program)
     assert desk.inbox.next("reply")["accepted"]
+
+
+@pytest.mark.parametrize(
+    ("planned", "improved", "switches", "sentence"),
+    [
+        (10, 10, 10, ""),
+        (None, None, 3, ""),
+        (10, 9, 9, "9 switches instead of 10: the plan was improved while the arm moved"),
+        (10, None, 9, "9 switches instead of 10: the plan was improved while the arm moved"),
+        (10, 10, 8, "8 switches instead of 10: stages that were late were joined"),
+        (10, 10, 12, "12 switches instead of 10: actuators of unknown state were switched, too"),
+    ],
+)
+def test_a_result_tells_why_its_switches_are_not_those_of_the_answer(
+    planned: int | None, improved: int | None, switches: int, sentence: str
+) -> None:
+    first, last = (None if n is None else PlanProof(n, float(n), 0.0, "unknown") for n in (planned, improved))
+    assert why_not_as_planned(first, last, switches) == sentence

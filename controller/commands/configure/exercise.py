@@ -24,7 +24,7 @@ from controller.commands.common import (
     results_table,
 )
 from controller.commands.connection import connected
-from controller.commands.use.requests import STATES
+from controller.commands.use.actuators import STATES
 
 if TYPE_CHECKING:
     from controller.network.client import Client

@@ -18,7 +18,8 @@ from controller.commands.common import (
     results_table,
     shown,
 )
-from controller.commands.study.plan_goals import Orientation, PlanOptions, PlanTask, read_task
+from controller.commands.goal_rows import Orientation
+from controller.commands.study.plan_goals import PlanOptions, PlanTask, read_task
 from controller.commands.study.plan_search import (
     GoalSearch,
     PointSolution,

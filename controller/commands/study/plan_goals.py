@@ -8,15 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.arm.arm import Arm
-from controller.armfile.csv_files import read_csv
 from controller.armfile.strict import InputFaults
 from controller.commands.common import configuration, parse_goal
+from controller.commands.goal_rows import Orientation, read_goal_rows
 from controller.manipulator import frames
 from controller.manipulator.locked import transferred
 from controller.manipulator.manipulator import Configuration
 from controller.search.method import Method
-
-Orientation = float | list[float] | None
 
 
 class PlanOptions(NamedTuple):
@@ -125,27 +123,16 @@ def read_goals(arm: Arm, path: Path) -> list[WantedGoal]:
     Raises:
         InputFaults: the file is missing or wrong; each fault names its line.
     """
-    dimension = arm.manipulator.dimension
-    columns = ["x", "y", "z"][:dimension]
-    turns = ["th"] if arm.manipulator.planar else ["qx", "qy", "qz", "qw"]
-    file = read_csv(path)
-    if set(turns) <= set(file.columns):
-        columns += turns
-    if not set(columns) <= set(file.columns) <= {*columns, "previous"}:
-        needed = f"columns {','.join(columns)} are needed, {','.join(turns)} and previous are optional"
-        raise InputFaults(path, [f"{needed}; got {file.columns}"])
     goals: list[WantedGoal] = []
     faults: list[str] = []
-    for line, record in file.records():
-        where = f"line {line}"
+    for row in read_goal_rows(path, ("previous",), arm.manipulator.dimension):
         try:
-            wanted = parse_goal(",".join(record[name] for name in columns).rstrip(","), dimension, where)
-            previous = unlocked(arm, record["previous"], where) if record.get("previous") else None
-            goals.append(WantedGoal(*wanted, previous))
+            previous = unlocked(arm, row.more["previous"], row.where) if row.more["previous"] else None
+            goals.append(WantedGoal(row.position, row.orientation, previous))
         except InputFaults as error:
-            faults += [f"{where}: {fault}" for fault in error.faults]
-    if faults or not goals:
-        raise InputFaults(path, faults or ["no goals"])
+            faults += [f"{row.where}: {fault}" for fault in error.faults]
+    if faults:
+        raise InputFaults(path, faults)
     return goals
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from controller.arm.arm import Arm
 from controller.commands.common import CommandFailed, densities_of, errors
-from controller.commands.study.plan_goals import Orientation, PlanOptions, PlanTask, WantedGoal
+from controller.commands.goal_rows import Orientation
+from controller.commands.study.plan_goals import PlanOptions, PlanTask, WantedGoal
 from controller.manipulator.manipulator import Configuration
 from controller.refusals.refusal import Refusal
 from controller.search.method import Method

@@ -21,18 +21,18 @@ from controller.commands.common import (
     refusal,
 )
 from controller.commands.connection import connected, read_payload
+from controller.commands.goal_rows import read_goal_rows
 
 if TYPE_CHECKING:
     from controller.network.client import Client
 
+FILE = "File of a goal: YAML or JSON with `waypoints`, or CSV with a waypoint in each row (x, y[, z][, th], t)."
 ONE_GOAL = "Position to go to, optionally with an orientation; spatial arms: X,Y,Z[,QX,QY,QZ,QW]."
 
 
 def send(
     arm: ArmName,
-    file: Annotated[
-        Path | None, typer.Argument(metavar="GOAL.yaml", help="File of a goal with `waypoints`, YAML or JSON.")
-    ] = None,
+    file: Annotated[Path | None, typer.Argument(metavar="GOAL", help=FILE)] = None,
     to: Annotated[str | None, typer.Option(metavar="X,Y[,TH]", help=ONE_GOAL)] = None,
     configuration: Annotated[
         str | None, typer.Option(help="Configuration to go to: module states, base first.")
@@ -47,7 +47,7 @@ def send(
     """Send a goal and follow it to its result; Ctrl-C cancels the goal."""
     if [file, to, configuration].count(None) != 2:
         raise InputFaults(Path("send"), ["give one of a goal's file, --to and --configuration"])
-    goal = {} if file is None else read_payload(file, "goal", "waypoints")
+    goal = {} if file is None else read_goal(file)
     if configuration is not None:
         goal["waypoints"] = [{"configuration": configuration}]
     if path_tolerance is not None:
@@ -60,6 +60,30 @@ def send(
             goal["waypoints"] = [waypoint(to, client.request("arm")["dimension"])]
         result = run_goal(client, goal, as_json)
     print_result(result, arm, as_json)
+
+
+def read_goal(file: Path) -> dict[str, Any]:
+    """Returns the payload of a goal's file; its ending `.csv` tells the format.
+
+    Raises:
+        InputFaults: the file is wrong; faults of rows name their lines.
+    """
+    if file.suffix.lower() != ".csv":
+        return read_payload(file, "goal", "waypoints")
+    waypoints = list[dict[str, Any]]()
+    faults = list[str]()
+    for row in read_goal_rows(file, ("t",)):
+        waypoints.append({"position": row.position})
+        if row.orientation is not None:
+            waypoints[-1]["orientation"] = row.orientation
+        if row.more["t"]:
+            try:
+                waypoints[-1]["t"] = float(row.more["t"])
+            except ValueError:
+                faults.append(f"{row.where}: t is a time [s], got {row.more['t']!r}")
+    if faults:
+        raise InputFaults(file, faults)
+    return {"waypoints": waypoints}
 
 
 def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, Any]:
@@ -102,6 +126,8 @@ def print_result(result: dict[str, Any], arm: str, as_json: bool) -> None:
     if not as_json:
         position = ", ".join(f"{x:.4f}" for x in result["position"])
         common.console.print(f"reached ({position}), error {errors_of(result)}, {result['switches']} switches")
+        if (why := result["message"].removeprefix("reached").lstrip("; ")) != "":
+            common.console.print(why, markup=False)
 
 
 def cancel_goal(client: Client, goal: str, as_json: bool) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import queue
+import sys
 import time
 from typing import Any
 
+from rich.box import SIMPLE
 from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.panel import Panel
@@ -35,16 +37,17 @@ def watch(
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show a running arm until Ctrl-C; with --json, print each state as a line."""
+    """Show a running arm until Ctrl-C; print changes as lines in a pipe, and states with --json."""
     news: queue.SimpleQueue[tuple[str, dict[str, Any]]] = queue.SimpleQueue()
     with connected(arm, connect, zenoh_file) as client, contextlib.suppress(KeyboardInterrupt):
         _subscribers = [
             client.subscribe("state", lambda message: news.put(("state", message))),
             client.subscribe("diagnostics", lambda message: news.put(("diagnostics", message))),
         ]
-        view = View(arm_name(arm))
+        view, last = View(arm_name(arm)), ""
+        in_lines = as_json or not common.console.is_terminal
         with contextlib.ExitStack() as stack:
-            live = None if as_json else stack.enter_context(Live(view, console=common.console, auto_refresh=False))
+            live = None if in_lines else stack.enter_context(Live(view, console=common.console, auto_refresh=False))
             while True:
                 try:
                     key, message = news.get(timeout=2.0)
@@ -52,13 +55,27 @@ def watch(
                     if not client.alive():
                         raise CommandFailed(f"arm {arm_name(arm)!r}: its daemon is not running", START) from None
                     continue
+                if as_json and key == "state":
+                    print_json(message)
+                elif live is None and key == "state" and (line := line_of(message)) != last:
+                    moment = time.strftime("%H:%M:%S", time.localtime(message["stamp"]))
+                    sys.stdout.write(f"{moment} {line}\n")
+                    sys.stdout.flush()
+                    last = line
                 if live is None:
-                    if key == "state":
-                        print_json(message)
                     continue
                 view.receive_message(key, message)
                 if news.empty():
                     live.update(view, refresh=True)
+
+
+def line_of(state: dict[str, Any]) -> str:
+    """Returns a state as one line without its time."""
+    tip = state["tip"]
+    where = "unknown" if tip is None else ", ".join(f"{x:.4f}" for x in tip["position"])
+    faults = "".join(f"; {fault['code']}: {fault['message']}" for fault in state["faults"])
+    simulated = " (simulated)" if state.get("simulated") else ""
+    return f"{state['mode']}{simulated}: {state['reason']}; tip ({where}){faults}"
 
 
 class View:
@@ -109,13 +126,13 @@ class View:
         return text
 
     def _hardware(self, diagnostics: dict[str, Any]) -> RenderableType:
-        buses = Table("bus", "state", "load", "worst-case load", "sent", "received", "dropped", "errors tx/rx")
+        names = ("bus", "state", "load (worst)", "sent", "received", "dropped", "errors tx/rx")
+        buses = Table(*names, box=SIMPLE, padding=(0, 1, 0, 0), pad_edge=False)
         for bus in diagnostics["buses"]:
             buses.add_row(
                 bus["name"],
                 bus["state"],
-                f"{bus['load']:.0%}",
-                f"{bus['worst_case']['load']:.0%}",
+                f"{bus['load']:.0%} ({bus['worst_case']['load']:.0%})",
                 str(bus["tx_frames"]),
                 str(bus["rx_frames"]),
                 str(bus["dropped"]),

@@ -133,7 +133,7 @@ def jog_program(
     unchecked = UNCHECKED if not known and not basis.scene.free else ""
     switches = np.count_nonzero(state.commanded != stages[-1])
     named = ", ".join(f"{labels[k]} {STATES[to]}" for k, to in wanted.items())
-    words = f"accepted, {switches} switches: {named}{unchecked}"[:1_000]
+    words = f"accepted, {switches} {'switch' if switches == 1 else 'switches'}: {named}{unchecked}"[:1_000]
     homed = packed(np.isin(np.arange(len(labels)), list(wanted)))
     report, strict = JogReport(motion.id, wanted), known and not basis.scene.free
     program = _in_flight(parts, motion, Draft(route, report, f"jog {motion.id}", words, strict, homed=homed), basis)

@@ -129,11 +129,13 @@ class Results:
         manipulator = view.manipulator
         measured = measured_states(message.measured, message.known, len(manipulator.actuators))
         target = context.target if message.mark == context.last_mark else None
-        outcome = self._told_outcome(identity)
+        outcome, planned = self._told_outcome(identity), context.proof
         if known is not None:
             context = msgspec.structs.replace(context, proof=known.proof)
             target, outcome = known.target, known.outcome
         outcome = outcome or outcome_of(manipulator, message, measured, context)
+        if outcome.status == "succeeded" and (why := why_not_as_planned(planned, context.proof, message.switches)):
+            outcome = outcome._replace(message=f"{outcome.message}; {why}")
         payload = result_of(manipulator, message, measured, context, outcome, target)
         view.ended(outcome.sentence)
         self._tell(Untold(identity, message.result, accepted_of(context), payload), known)
@@ -239,6 +241,25 @@ def last_waypoint_outcome(goal: str, target: GoalTarget, where: Payload) -> Goal
     if reached:
         return GoalOutcome("succeeded", codes.SUCCESSFUL, "reached", f"holding; goal {goal} was reached")
     return GoalOutcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; goal {goal} was missed: {message}")
+
+
+def why_not_as_planned(planned: PlanProof | None, improved: PlanProof | None, switches: int) -> str:
+    """Returns why a goal needed more or fewer switches than its answer said; "" if it needed as many.
+
+    Args:
+        planned: the plan when the goal was accepted; None for a jog.
+        improved: the plan as it was improved; None: nothing is known of it.
+        switches: number of switches that were done.
+    """
+    if planned is None or planned.switches == switches:
+        return ""
+    if improved != planned:
+        why = "the plan was improved while the arm moved"
+    elif switches < planned.switches:
+        why = "stages that were late were joined"
+    else:
+        why = "actuators of unknown state were switched, too"
+    return f"{switches} switches instead of {planned.switches}: {why}"
 
 
 def jog_outcome(manipulator: Manipulator, measured: Measured, context: Context) -> GoalOutcome:

@@ -23,7 +23,7 @@ def gateway(endpoint):  # noqa: F811
 
 def test_jog_sends_all_actuators_in_one_request(hyperbit, gateway):
     words = ("jog", "a", "5.left=extended", "7.right=contracted", "--connect", gateway.endpoint)
-    assert hyperbit(*words) == (0, "jog\n", "")
+    assert hyperbit(*words, "--no-wait") == (0, "jog\n", "")
     assert gateway.planner.heard == [("jog", {"5.left": "extended", "7.right": "contracted"})]
 
 

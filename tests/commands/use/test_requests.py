@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from controller.commands.common import refusal
+from controller.commands.common import CommandFailed, refusal
 from controller.commands.connection import connected
 from controller.commands.operate import demo
 
@@ -30,6 +30,12 @@ def test_cancel_reports_a_missing_goal(hyperbit, endpoint):
         "there was no goal to cancel; the arm holds\n",
         "",
     )
+
+
+def test_an_unknown_arm_is_refused_at_once_with_the_names_of_the_others(endpoint):
+    words = r"no daemon for arm 'planer16' at .*\n.*: planar16"
+    with pytest.raises(CommandFailed, match=words), connected("planer16", endpoint, None):
+        pytest.fail("the context was entered")
 
 
 @pytest.mark.parametrize("command", ["cancel", "stop", "reset"])
@@ -67,6 +73,16 @@ def test_a_refused_change_ends_with_1_and_earlier_changes_remain(hyperbit, endpo
     assert hyperbit(*words, "5.left=free")[1] == "no actuator is locked\n"
 
 
+def test_jog_waits_for_its_result(hyperbit, endpoint):
+    code, out, err = hyperbit("jog", "planar16", "5.left=extended", "--connect", endpoint)
+    answer, result = out.splitlines()
+    assert (code, err, answer) == (0, "", "accepted, 1 switch: 5.left extended")
+    assert result.startswith("switched, 1 switch: 5.left in ")
+    code, out, _ = hyperbit("jog", "planar16", "5.left=contracted", "--connect", endpoint, "--json")
+    answer, result = [json.loads(line) for line in out.splitlines()]
+    assert (code, answer["accepted"], result["status"]) == (0, True, "succeeded")
+
+
 @pytest.mark.parametrize("change", ["5.left", "5.left=", "5.left=1", "5.left=up", "5.left contracted", "5.\udcff=free"])
 def test_a_malformed_change_is_unusable_input(hyperbit, change):
     code, out, err = hyperbit("degrade", "planar16", "5.left=free", change)
@@ -101,7 +117,18 @@ def test_a_fault_in_the_regions_is_refused_by_field(hyperbit, endpoint, tmp_path
     assert err.startswith("refused (code -1): regions[0].disc.radius: ")
 
 
-@pytest.mark.parametrize("words", [(), ("no-such-file.yaml",), ("regions.yaml", "--none")])
+def test_obstacles_without_a_file_are_listed(hyperbit, endpoint, tmp_path):
+    words = ("obstacles", "planar16", "--connect", endpoint)
+    assert hyperbit(*words) == (0, "no obstacles\n", "")
+    file = tmp_path / "regions.yaml"
+    file.write_text("regions:\n- {disc: {centre: [0.55, 2.9], radius: 0.2}, name: crate}\n")
+    assert hyperbit(*words, str(file))[0] == 0
+    assert hyperbit(*words) == (0, "disc 'crate': centre [0.55, 2.9], radius 0.2 (sent)\n", "")
+    assert [entry["name"] for entry in json.loads(hyperbit(*words, "--json")[1])["sent_obstacles"]] == ["crate"]
+    assert hyperbit(*words, "--none")[0] == 0
+
+
+@pytest.mark.parametrize("words", [("no-such-file.yaml",), ("regions.yaml", "--none")])
 def test_unusable_arguments_of_obstacles_end_with_2(hyperbit, words):
     code, out, err = hyperbit("obstacles", "planar16", *words)
     assert (code, out) == (2, "")
@@ -150,3 +177,13 @@ def test_a_halt_without_an_executor_leads_to_its_socket(hyperbit, tmp_path):
     code, _, err = hyperbit("halt", "--local", "--socket", str(tmp_path))
     assert code == 1
     assert "Next: name the executor's socket" in err
+
+
+def test_a_goal_right_after_a_lock_is_planned_around_it(hyperbit, endpoint):
+    words = ("planar16", "--connect", endpoint)
+    assert hyperbit("lock", *words, "5.left=contracted")[0] == 0
+    code, out, err = hyperbit("send", *words, "--to", "0.4,2.8")
+    assert (code, err, "reached (0." in out) == (0, "", True)
+    assert hyperbit("lock", *words, "5.left=free", "--no-wait") == (0, "no actuator is locked\n", "")
+    with connected("planar16", endpoint, None) as client:
+        demo.wait_until_ready(client)

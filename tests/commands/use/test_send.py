@@ -47,6 +47,31 @@ def test_send_of_a_file_prints_json_lines_with_the_result_last(hyperbit, endpoin
     assert result["position"] == pytest.approx([0.4, 2.8], abs=0.002)
 
 
+def test_send_takes_waypoints_in_a_csv_file(hyperbit, endpoint, tmp_path):
+    file = tmp_path / "goal.csv"
+    file.write_text("x,y,t\n0.5,2.8,\n0.4,2.8,0.2\n")
+    code, out, _ = hyperbit("send", "planar16", str(file), "--connect", endpoint, "--json")
+    answer, *_, result = [json.loads(line) for line in out.splitlines()]
+    assert (code, answer["accepted"], result["status"]) == (0, True, "succeeded")
+    assert result["position"] == pytest.approx([0.4, 2.8], abs=0.002)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("x,y,t\n0.5,2.8,soon\n", "line 2: t is a time [s], got 'soon'"),
+        ("x,y\n0.5,far\n", "line 2: '0.5,far' is no goal; X,Y or X,Y,TH is needed, 2 or 3 numbers"),
+        ("x,y,previous\n0.5,2.8,0\n", "columns x,y are needed, th and t are optional"),
+    ],
+)
+def test_a_wrong_csv_file_of_a_goal_is_unusable_input(hyperbit, tmp_path, text, sentence):
+    file = tmp_path / "goal.csv"
+    file.write_text(text)
+    code, out, err = hyperbit("send", "planar16", str(file))
+    assert (code, out) == (2, "")
+    assert sentence in err
+
+
 def test_send_follows_lines_within_a_path_tolerance(hyperbit, endpoint, tmp_path):
     file = tmp_path / "goal.yaml"
     file.write_text("id: line\nwaypoints:\n- {position: [0.5, 2.8]}\n- {position: [0.4, 2.8], t: 1.0}\n")
