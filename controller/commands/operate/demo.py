@@ -27,6 +27,7 @@ from controller.arm.arm import Arm
 from controller.armfile.patience import patient_copy
 from controller.commands.common import CommandFailed, console, densities_of, errors, load_wired, shipped
 from controller.commands.connection import connected
+from controller.commands.operate.endpoints import accepts
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.manipulator.notation import parse_configuration
 from controller.pictures import plots
@@ -192,7 +193,8 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
         CommandFailed: the daemon did not start within DAEMON_TIMEOUT.
     """
     with socket.create_server(("127.0.0.1", 0)) as free:
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        address = "127.0.0.1", free.getsockname()[1]
+    endpoint = f"tcp/127.0.0.1:{address[1]}"
     file = patient_copy(file, folder)
     command = [sys.executable, "-m", "controller.cli", "run", str(file), "--simulate", "--listen", endpoint]
     with (folder / "log").open("w+") as log:
@@ -201,7 +203,7 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
         daemon = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=log, stdout=log, env=environment)
         try:
             until = time.monotonic() + DAEMON_TIMEOUT
-            while not listening(endpoint):
+            while not accepts(address):
                 if daemon.poll() is not None or time.monotonic() > until:
                     log.seek(0)
                     errors.print(log.read(), markup=False)
@@ -211,14 +213,6 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
         finally:
             daemon.terminate()
             daemon.wait(DAEMON_TIMEOUT)
-
-
-def listening(endpoint: str) -> bool:
-    """Returns whether something accepts connections at a tcp endpoint."""
-    host, port = endpoint.removeprefix("tcp/").rsplit(":", 1)
-    with contextlib.suppress(OSError), socket.create_connection((host, int(port)), timeout=0.5):
-        return True
-    return False
 
 
 def wait_until_ready(client: Client, ended: Callable[[], int | None] = lambda: None) -> None:

@@ -11,12 +11,16 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from controller.armfile.strict import InputFaults
 from controller.commands.common import ENDPOINT, ArmFile, CommandFailed, ZenohFile, densities_of, load_wired
+from controller.commands.operate.endpoints import port_taken, wait_for_router
+
+if TYPE_CHECKING:
+    import zenoh
 
 SOCKET = "Socket of a running executor, or its folder. Default: this command starts an executor."
 SIMULATE = (
@@ -26,6 +30,7 @@ SIMULATE = (
 TYPED = "the boards are simulated: type a fault, such as silence can0/5; help names all"
 INPUT = 0  # file descriptor of the standard input
 KIND = "Kind of the simulated boards; see `simulate --help`."
+CONNECT = "Zenoh router to join, such as rmw_zenohd, instead of accepting connections; waits until it is there."
 LEDGER = "File of the ledger, which counts goals and switches; the switch journal is written beside it."
 PANEL = "Also serve the operator's web page at this port of 127.0.0.1, by default 7480, and print its address."
 POLL = 0.2  # [s] between two checks that executor and planner still run
@@ -40,6 +45,7 @@ def run(
     board: Annotated[list[str], typer.Option(metavar="[BOARD=]KIND", help=KIND, show_default=False)] = [],  # noqa: B006  # typer needs a list
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
     listen: Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")] = ENDPOINT,
+    connect: Annotated[str | None, typer.Option(help=CONNECT, show_default=False)] = None,
     zenoh_file: ZenohFile = None,
     ledger: Annotated[Path | None, typer.Option(help=LEDGER)] = None,
     panel: Annotated[
@@ -48,12 +54,14 @@ def run(
 ) -> None:
     """Run the daemon until SIGTERM: it takes goals over Zenoh and moves the arm by an executor."""
     check_options(board, socket, zenoh_file, simulate=simulate, panel=panel is not None)
+    if connect is not None and zenoh_file is not None:
+        raise InputFaults(Path("run"), ["give either --connect or --zenoh, whose file can name the router"])
     prepare_process()
     boards = board if simulate else None
     if simulate and socket is None and os.isatty(INPUT):
         typer.echo(TYPED)
-    with started_executor(file, socket, ledger, boards) as executor, started_page(listen, panel):
-        serve(file, executor, listen, zenoh_file, ledger, simulated=simulate)
+    with started_executor(file, socket, ledger, boards) as executor, started_page(connect or listen, panel):
+        serve(file, executor, Network(listen, connect, zenoh_file), ledger, simulated=simulate)
 
 
 class RunningExecutor(NamedTuple):
@@ -66,6 +74,42 @@ class RunningExecutor(NamedTuple):
 
     path: Path
     ended: Callable[[], int | None]
+
+
+class Network(NamedTuple):
+    """Where the daemon meets its clients.
+
+    Attributes:
+        listen: Zenoh endpoint to accept connections at.
+        connect: Zenoh router to join instead; None: there is none.
+        file: Zenoh configuration instead of both; None: there is none.
+    """
+
+    listen: str
+    connect: str | None
+    file: Path | None
+
+    def config(self) -> zenoh.Config:
+        """Returns the configuration of the session. Peers do not hear each other through a router, clients do.
+
+        Raises:
+            InputFaults: the file is wrong.
+        """
+        from controller.network import session
+
+        if self.connect is not None:
+            return session.configuration("client", connect=self.connect)
+        try:
+            return session.from_file(self.file) if self.file else session.configuration("peer", listen=self.listen)
+        except ValueError as error:
+            raise InputFaults(Path("--zenoh"), [str(error)]) from None
+
+    def failure(self, error: zenoh.ZError) -> str:
+        """Returns why there is no session, and what to do."""
+        from controller.network import session
+
+        taken = port_taken(self.listen) if self.connect is None and self.file is None else None
+        return taken or f"no Zenoh session at {self.file or self.connect or self.listen}: {session.reason(error)}"
 
 
 def check_options(
@@ -127,11 +171,11 @@ def started_executor(
 
 
 @contextlib.contextmanager
-def started_page(listen: str, port: int | None) -> Iterator[None]:
-    """Serves the operator's page for a daemon that listens at a Zenoh endpoint.
+def started_page(endpoint: str, port: int | None) -> Iterator[None]:
+    """Serves the operator's page for a daemon.
 
     Args:
-        listen: Zenoh endpoint.
+        endpoint: Zenoh endpoint at which the daemon listens, or of its router.
         port: of the page; None: there is no page.
     """
     from controller.commands.operate.executor_process import end_child, start_child
@@ -139,7 +183,7 @@ def started_page(listen: str, port: int | None) -> Iterator[None]:
     if port is None:
         yield
         return
-    words = ["panel", "--connect", reachable(listen), "--listen", f"127.0.0.1:{port}"]
+    words = ["panel", "--connect", reachable(endpoint), "--listen", f"127.0.0.1:{port}"]
     page = start_child([sys.executable, "-m", "controller.cli", *words])
     try:
         yield
@@ -167,8 +211,7 @@ def reachable(listen: str) -> str:
 def serve(
     file: Path,
     executor: RunningExecutor,
-    listen: str,
-    zenoh_file: Path | None,
+    network: Network,
     ledger: Path | None,
     *,
     simulated: bool,
@@ -178,8 +221,7 @@ def serve(
     Args:
         file: the arm's file.
         executor: the executor to connect to.
-        listen: Zenoh endpoint.
-        zenoh_file: Zenoh configuration, instead of the endpoint.
+        network: where the daemon meets its clients.
         ledger: path of the ledger; None: the default path.
         simulated: whether the executor simulates the boards.
 
@@ -191,21 +233,21 @@ def serve(
 
     from controller.gateway.claim import AlreadyRunning
     from controller.gateway.daemon import running
-    from controller.network import session
     from controller.planning.ledger import LedgerInUse
     from controller.planning.ledger_file import default_path
 
     arm = load_wired(file)
-    try:
-        config = session.from_file(zenoh_file) if zenoh_file else session.configuration("peer", listen=listen)
-    except ValueError as error:
-        raise InputFaults(Path("--zenoh"), [str(error)]) from None
+    config = network.config()
     densities = densities_of(arm)
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     book, ending = ledger or default_path(arm.settings.name, simulated=simulated), threading.Event()
     try:
         for number in SIGNALS:  # before the first goal, so that an early signal ends goals in order
             signal.signal(number, lambda *_: ending.set())
+        if network.connect is not None:
+            wait_for_router(network.connect, ending)
+            if ending.is_set():
+                return
         with running(arm, densities, config, book, executor.path, digest, simulated=simulated) as daemon:
             while not ending.wait(POLL):
                 if daemon.failure is not None:
@@ -215,4 +257,4 @@ def serve(
     except (AlreadyRunning, LedgerInUse) as error:
         raise CommandFailed(str(error)) from None
     except zenoh.ZError as error:
-        raise CommandFailed(f"no Zenoh session at {zenoh_file or listen}: {session.reason(error)}") from None
+        raise CommandFailed(network.failure(error)) from None

@@ -60,8 +60,9 @@ def test_a_daemon_whose_thread_has_died_ends_the_process_in_words(
     file = tmp_path / "a.yaml"
     file.write_text("")
     executor = run_module.RunningExecutor(tmp_path / "a.sock", lambda: None)
+    network = run_module.Network("tcp/127.0.0.1:0", None, None)
     with pytest.raises(CommandFailed, match="thread for goals has ended: MemoryError\\(\\): the log has details"):
-        run_module.serve(file, executor, "tcp/127.0.0.1:0", None, tmp_path / "l.sqlite", simulated=False)
+        run_module.serve(file, executor, network, tmp_path / "l.sqlite", simulated=False)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +82,7 @@ def test_the_port_of_the_page_may_be_left_out(
     pages = list[int | None]()
 
     @contextlib.contextmanager
-    def started_page(listen: str, panel: int | None) -> Iterator[None]:
+    def started_page(endpoint: str, panel: int | None) -> Iterator[None]:
         pages.append(panel)
         yield
 
