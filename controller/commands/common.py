@@ -16,6 +16,7 @@ import typer
 from msgspec import Meta, Struct
 
 from controller.armfile.strict import UNIT, InputFaults, check, read_yaml
+from controller.commands.completion import complete_arms, complete_files
 from controller.refusals.reasons import advice
 
 if TYPE_CHECKING:
@@ -26,8 +27,16 @@ if TYPE_CHECKING:
     from controller.manipulator.manipulator import Configuration
     from controller.workspace.densities import Densities
 
-ArmFile = Annotated[Path, typer.Argument(metavar="ARM.yaml", help="The arm's file.", show_default=False)]
-ArmName = Annotated[str, typer.Argument(metavar="ARM", help="The arm's file, or its name.", show_default=False)]
+ArmFile = Annotated[
+    Path,
+    typer.Argument(metavar="ARM.yaml", help="The arm's file.", show_default=False, autocompletion=complete_files),
+]
+ArmName = Annotated[
+    str,
+    typer.Argument(
+        metavar="ARM", help="The arm's file, or its name.", show_default=False, autocompletion=complete_arms
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Connect = Annotated[str, typer.Option(help="Zenoh endpoint of the daemon.")]
 ZenohFile = Annotated[Path | None, typer.Option("--zenoh", help="Zenoh configuration file, instead of an endpoint.")]

@@ -88,7 +88,7 @@ class Client:
         if self.alive():
             why = "this client may lack the right, or send too often"
             raise Unanswered(f"the daemon of arm {self._arm!r} did not accept this {key}: {why}")
-        raise Unanswered(f"no daemon for arm {self._arm!r} answered on {self._prefix}/{key} within {timeout:g} s")
+        raise Unanswered(f"no daemon for arm {self._arm!r} answered on {self._prefix}/{key}")
 
     def subscribe(self, key: str, callback: Callable[[Message], None]) -> zenoh.Subscriber[None]:
         """Calls `callback` with each message on `key`: state, feedback, result or diagnostics."""

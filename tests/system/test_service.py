@@ -191,7 +191,7 @@ class Lossy:
 
 def test_nobody_there_is_said_after_the_timeout(client: Observer, system: System, stack: ExitStack) -> None:
     lonely = Client(stack.enter_context(system.session()), "other")
-    with pytest.raises(Unanswered, match="no daemon for arm 'other' answered on hyperbit/other/arm within 1 s"):
+    with pytest.raises(Unanswered, match="no daemon for arm 'other' answered on hyperbit/other/arm"):
         lonely.request("arm", timeout=1.0)
     assert not lonely.alive()
 

@@ -11,6 +11,7 @@ import typer
 
 from controller.armfile.strict import InputFaults
 from controller.commands.common import ENDPOINT, ArmName, AsJson, CommandFailed, Connect, ZenohFile, print_json, refusal
+from controller.commands.completion import complete_changes
 from controller.commands.connection import START, ask, connected
 
 if TYPE_CHECKING:
@@ -22,12 +23,23 @@ SILENCE = 10.0  # [s] without a state, after which the daemon is lost
 LOCKS = "Actuator and state, such as 5.left=contracted: contracted or extended locks it, free unlocks it."
 SWITCHES = "Actuator and the state to switch it to, contracted or extended, such as 5.left=extended."
 
+Switches = Annotated[
+    list[str],
+    typer.Argument(metavar="ACTUATOR=STATE", help=SWITCHES, show_default=False, autocompletion=complete_changes),
+]
+Locks = Annotated[
+    list[str],
+    typer.Argument(metavar="ACTUATOR=STATE", help=LOCKS, show_default=False, autocompletion=complete_changes),
+]
 Wait = Annotated[bool, typer.Option("--wait/--no-wait", help="Wait for the result, or for the answer only.")]
 
 
 def jog(
     arm: ArmName,
-    changes: Annotated[list[str], typer.Argument(metavar="ACTUATOR=STATE", help=SWITCHES, show_default=False)],
+    changes: Annotated[
+        list[str],
+        typer.Argument(metavar="ACTUATOR=STATE", help=SWITCHES, show_default=False, autocompletion=complete_changes),
+    ],
     wait: Wait = True,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
@@ -76,7 +88,10 @@ def follow_jog(client: Client, arm: str, payload: dict[str, Any], as_json: bool)
 
 def degrade(
     arm: ArmName,
-    changes: Annotated[list[str], typer.Argument(metavar="ACTUATOR=STATE", help=LOCKS, show_default=False)],
+    changes: Annotated[
+        list[str],
+        typer.Argument(metavar="ACTUATOR=STATE", help=LOCKS, show_default=False, autocompletion=complete_changes),
+    ],
     wait: Wait = True,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
@@ -118,7 +133,10 @@ def locked_state(states: queue.SimpleQueue[dict[str, Any]], wanted: dict[str, in
 
 def lock(
     arm: ArmName,
-    changes: Annotated[list[str], typer.Argument(metavar="ACTUATOR=STATE", help=LOCKS, show_default=False)],
+    changes: Annotated[
+        list[str],
+        typer.Argument(metavar="ACTUATOR=STATE", help=LOCKS, show_default=False, autocompletion=complete_changes),
+    ],
     wait: Wait = True,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,

@@ -81,7 +81,8 @@ class Status:
         active, act = self._faults(), self._parts.act
         for (code, source), fault in active.items():
             if (code, source) not in self._logged:
-                act(Log(logging.ERROR, f"{code}: {fault.message}", fields_of_fault(code, source)))
+                level = logging.WARNING if code == "degraded" else logging.ERROR  # an operator may have locked it
+                act(Log(level, f"{code}: {fault.message}", fields_of_fault(code, source)))
         for code, source in self._logged.keys() - active.keys():
             fields = {**fields_of_fault(code, source), "MESSAGE_ID": message_id("fault-over")}
             act(Log(logging.INFO, f"{code} at {source} is over", fields))

@@ -243,6 +243,14 @@ def test_faults_are_logged_once_with_their_fields(bench: StatusBench) -> None:
     assert begun.fields["MESSAGE_ID"] != over.fields["MESSAGE_ID"]
 
 
+def test_locks_are_logged_as_warnings_because_an_operator_may_want_them(bench: StatusBench) -> None:
+    bench.locks.states[0] = 1
+    bench.show()
+    bench.run(0.3)
+    (begun,) = bench.take(Log)
+    assert (begun.level, begun.text) == (logging.WARNING, "degraded: locked")
+
+
 def test_systemd_is_told_the_mode_when_it_changes(bench: StatusBench) -> None:
     bench.show()
     bench.run(0.2)
