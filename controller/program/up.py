@@ -20,7 +20,7 @@ class FaultVerb(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fie
     """
 
     verb: Text
-    target: Literal["actuator", "board", "interlock"]
+    target: Literal["actuator", "board", "bus", "interlock"]
     argument: Text
     text: Text
 
@@ -30,6 +30,7 @@ class PlayableFaults(msgspec.Struct, frozen=True, array_like=True, forbid_unknow
 
     faults: tuple[FaultVerb, ...]
     boards: tuple[Text, ...]
+    buses: tuple[Text, ...]
     interlocks: tuple[Text, ...]
 
 

@@ -28,6 +28,7 @@ class SimulatedBuses:
         timing: gives the travel time; simulated actuators take half of it.
         send: takes the name of a bus and a frame that a board sends on it.
         variants: variants of boards by name, e.g. "can0/5"; the other boards are standard boards.
+        report: takes the name of a bus and the new state of the computer's CAN controller, "bus-off" or "active".
 
     Raises:
         KeyError: `variants` names an unknown board.
@@ -39,9 +40,11 @@ class SimulatedBuses:
         timing: Timing,
         send: Callable[[str, Frame], None],
         variants: Mapping[str, Variant] | None = None,
+        report: Callable[[str, str], None] = lambda bus, state: None,
     ) -> None:
         self._now = 0.0
-        self._take = send
+        self._take, self._report = send, report
+        self._off = set[str]()  # buses on which no frame passes
         self._booted = False
         self._actuators = {c.actuator: build_actuator(c, timing) for c in wiring.channels}
         self._interlocks = {lock.name: lock for lock in wiring.interlocks}
@@ -60,6 +63,8 @@ class SimulatedBuses:
     def receive(self, bus: str, frame: Frame, now: float) -> None:
         """Passes a data or remote frame with an 11 bit identifier to the boards of a bus; `now` in [s]."""
         self._now = now
+        if bus in self._off:
+            return
         boards = self._boards[bus]
         if frame.id & ~0x7F == cia301.SDO_REQUEST:  # for one board only, as most frames of a boot
             node = frame.id & 0x7F
@@ -124,6 +129,11 @@ class SimulatedBuses:
         return list(self._by_name)
 
     @property
+    def buses(self) -> list[str]:
+        """Names of the buses."""
+        return list(self._boards)
+
+    @property
     def interlocks(self) -> list[str]:
         """Names of the interlocks."""
         return list(self._interlocks)
@@ -139,6 +149,20 @@ class SimulatedBuses:
         return self._by_name[name]
 
     # --- faults, and their ends
+
+    def bus_off(self, bus: str) -> None:
+        """Lets the computer's CAN controller go bus-off: no frame passes, in either direction."""
+        self._off.add(bus)
+        self._report(bus, "bus-off")
+
+    def bus_on(self, bus: str) -> None:
+        """Restarts the computer's CAN controller after bus-off."""
+        self._off.discard(bus)
+        self._report(bus, "active")
+
+    def passes(self, bus: str) -> bool:
+        """Returns whether frames pass on a bus."""
+        return bus not in self._off
 
     def silence(self, board: str) -> None:
         """Disconnects a board, e.g. "can0/5", from the bus."""
@@ -204,7 +228,8 @@ class SimulatedBuses:
             self._due[board] = board.timer
 
     def _send(self, bus: str, cob_id: int, data: bytes) -> None:
-        self._take(bus, Frame(cob_id, data))
+        if bus not in self._off:
+            self._take(bus, Frame(cob_id, data))
 
 
 def build_actuator(channel: Channel, timing: Timing) -> Actuator:

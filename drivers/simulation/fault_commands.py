@@ -22,7 +22,7 @@ class Verb(NamedTuple):
         text: one line for people.
     """
 
-    target: Literal["actuator", "board", "interlock"]
+    target: Literal["actuator", "board", "bus", "interlock"]
     argument: str
     text: str
 
@@ -43,6 +43,8 @@ VERBS = {
     "cut_wires": Verb("actuator", "", "its end-stops read 0"),
     "short_wires": Verb("actuator", "", "its end-stops read 1"),
     "restore_sensor": Verb("actuator", "", "its end-stops read correctly again"),
+    "bus_off": Verb("bus", "", "the computer's CAN controller goes bus-off: no frame passes"),
+    "bus_on": Verb("bus", "", "the CAN controller restarts"),
     "open": Verb("interlock", "", "open the interlock"),
     "close": Verb("interlock", "", "close the interlock"),
 }
@@ -86,11 +88,17 @@ def perform(boards: SimulatedBuses, *words: str | float) -> None:
         raise ValueError(f"{' '.join(map(str, words))!r}: needed is {usage(verb)}: {VERBS[verb].text}")
     known = names(boards, target)
     if name not in known:
-        choices = f"{target.capitalize()}s: {named(known)}" if known else f"This arm has no {target}"
+        choices = (
+            f"{target.capitalize()}{'es' if target == 'bus' else 's'}: {named(known)}"
+            if known
+            else f"This arm has no {target}"
+        )
         raise ValueError(f"{name!r} is no {target}{nearest(name, known)} {choices}")
     match target:
         case "board":
             _of_board(boards, verb, name, *arguments)
+        case "bus":
+            getattr(boards, verb)(name)
         case "interlock":
             getattr(boards, f"{verb}_interlock")(name)
         case "actuator":
@@ -98,8 +106,9 @@ def perform(boards: SimulatedBuses, *words: str | float) -> None:
 
 
 def names(boards: SimulatedBuses, target: str) -> list[str]:
-    """Returns the names of all boards, actuators or interlocks."""
-    return {"board": boards.names, "actuator": boards.labels, "interlock": boards.interlocks}[target]
+    """Returns the names of all boards, buses, actuators or interlocks."""
+    known = {"board": boards.names, "bus": boards.buses, "actuator": boards.labels, "interlock": boards.interlocks}
+    return known[target]
 
 
 def _of_board(boards: SimulatedBuses, verb: str, name: str, *arguments: str | float) -> None:

@@ -12,7 +12,7 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.wire.cia301 import REMOTE, Frame
+from drivers.canopen.wire.cia301 import BUS_OFF, REMOTE, RESTARTED, Frame
 from drivers.canopen.wiring import BusWiring, Timing, Wiring
 from drivers.simulation import fault_commands
 from drivers.simulation.buses import SimulatedBuses
@@ -54,6 +54,13 @@ class Port:
             except (can.CanError, OSError) as error:
                 self._failed |= getattr(error, "error_code", None) in _GONE
 
+    def send_error(self, state: str) -> None:
+        """Sends the error frame with which SocketCAN reports a state of the controller, "bus-off" or "active"."""
+        if (bus := self._bus) is not None:
+            number = BUS_OFF if state == "bus-off" else RESTARTED
+            with contextlib.suppress(can.CanError, OSError):
+                bus.send(can.Message(arbitration_id=number, data=bytes(8), is_error_frame=True, is_extended_id=False))
+
     def close(self) -> None:
         """Closes the bus."""
         if self._bus is not None:
@@ -85,7 +92,13 @@ class Simulation:
         clock: Callable[[], float] = time.monotonic,
         variants: Mapping[str, Variant] | None = None,
     ) -> None:
-        self._boards = SimulatedBuses(wiring, timing, lambda bus, frame: self._ports[bus].send_frame(frame), variants)
+        self._boards = SimulatedBuses(
+            wiring,
+            timing,
+            lambda bus, frame: self._ports[bus].send_frame(frame),
+            variants,
+            lambda bus, state: self._ports[bus].send_error(state),
+        )
         self._ports = {settings.name: Port(settings) for settings in wiring.buses}
         self._lock = threading.RLock()  # for each access to the boards
         self._clock = clock

@@ -72,7 +72,7 @@ def test_the_list_shows_all_arms(site: Site) -> None:
 
 def test_faults_of_a_simulated_arm_are_offered_and_played(site: Site) -> None:
     page = site.open()
-    simulation = {"faults": [], "boards": ["can0/1"], "interlocks": []}
+    simulation = {"faults": [], "boards": ["can0/1"], "buses": ["can0"], "interlocks": []}
     site.daemon.told |= {"simulated": True, "simulation": simulation}  # the daemon has met its executor
     site.daemon.state(mode="starting", simulated=True)
     site.daemon.state(simulated=True)

@@ -117,7 +117,7 @@ def deaf(line: Line) -> Iterator[Deaf]:
 
 def test_a_daemon_of_a_real_arm_drives_no_simulated_boards_and_the_reverse(tmp_path: Path) -> None:
     line, executor = Line(tmp_path / "small.sock"), ScriptedExecutor(tmp_path / "small.sock", 12)
-    executor.simulation = PlayableFaults((), (), ())
+    executor.simulation = PlayableFaults((), (), (), ())
     line.until(lambda: line.reasons)
     assert line.reasons == ["the executor simulates its boards: start this daemon with --simulate, too"]
     assert line.messages == []

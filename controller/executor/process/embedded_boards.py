@@ -52,7 +52,11 @@ class EmbeddedBoards:
         """Takes wiring and times of the arm, and the variant of each board by the board's name."""
         self._events: deque[Event] = deque(BusChanged(bus.name, "active", "", None) for bus in wiring.buses)
         self._boards = SimulatedBuses(
-            wiring, timing, lambda bus, frame: self._events.append(FrameReceived(bus, frame, self._at)), variants
+            wiring,
+            timing,
+            lambda bus, frame: self._events.append(FrameReceived(bus, frame, self._at)),
+            variants,
+            lambda bus, state: self._events.append(BusChanged(bus, state, "", None)),
         )
         self._lines = FaultLines(self.play_fault)
         self._at = -math.inf  # time of the boards [s]
@@ -60,7 +64,9 @@ class EmbeddedBoards:
     def simulation(self) -> PlayableFaults:
         """Returns the description of these boards for clients."""
         verbs = tuple(FaultVerb(verb, *described) for verb, described in VERBS.items())
-        return PlayableFaults(verbs, tuple(self._boards.names), tuple(self._boards.interlocks))
+        return PlayableFaults(
+            verbs, tuple(self._boards.names), tuple(self._boards.buses), tuple(self._boards.interlocks)
+        )
 
     def play_fault(self, text: str) -> str:
         """Causes or ends a fault, such as "silence can0/5"; returns the answer.
@@ -89,7 +95,8 @@ class EmbeddedBoards:
     def send_frame(self, bus: str, frame: Frame, now: float) -> None:
         """See `Buses`."""
         self._advance(now)  # what the boards did before this frame
-        self._events.append(FrameEchoed(bus, frame, now))
+        if self._boards.passes(bus):
+            self._events.append(FrameEchoed(bus, frame, now))
         self._boards.receive(bus, frame, now)
 
     def close(self) -> None:

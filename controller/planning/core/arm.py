@@ -231,7 +231,8 @@ class ExecutorView:
 def described(simulation: PlayableFaults) -> Payload:
     """Returns simulated boards as the field `simulation` of `arm`."""
     faults = [{name: getattr(verb, name) for name in verb.__struct_fields__} for verb in simulation.faults]
-    return {"faults": faults, "boards": list(simulation.boards), "interlocks": list(simulation.interlocks)}
+    names = {kind: list(getattr(simulation, kind)) for kind in ("boards", "buses", "interlocks")}
+    return {"faults": faults, **names}
 
 
 def obstruction(state: ArmState, mode: Mode, reason: str) -> Refusal | None:

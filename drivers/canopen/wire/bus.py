@@ -11,7 +11,7 @@ from typing import NamedTuple
 import can
 
 from drivers.canopen.faults import BusError
-from drivers.canopen.wire.cia301 import REMOTE, Frame, wire_bits
+from drivers.canopen.wire.cia301 import BUS_OFF, REMOTE, RESTARTED, Frame, wire_bits
 from drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
 from drivers.canopen.wiring import BusWiring
 
@@ -22,7 +22,7 @@ _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # the interface is down or 
 _NOTHING = (errno.EAGAIN, errno.EINTR)  # no frame waits
 
 # Error frames of SocketCAN, from linux/can/error.h.
-_CONTROLLER, _BUS_OFF, _RESTARTED = 0x04, 0x40, 0x100  # classes, in the identifier
+_CONTROLLER = 0x04  # a class, in the identifier
 _OVERRUN = 0x01  # a detail: the receive buffer of the controller ran over
 _WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40  # details, in data[1]
 
@@ -48,9 +48,9 @@ def read_error(identifier: int, data: bytes) -> ErrorFrame:
     if identifier & _CONTROLLER:
         details = ((_PASSIVE, "passive"), (_WARNING, "warning"), (_ACTIVE, "active"))
         state = next((name for detail, name in details if data[1] & detail), None)
-    if identifier & _RESTARTED:
+    if identifier & RESTARTED:
         state = "active"
-    if identifier & _BUS_OFF:
+    if identifier & BUS_OFF:
         state = "bus-off"
     controller = bool(identifier & _CONTROLLER)
     return ErrorFrame(state, (data[6], data[7]) if controller else None, controller and bool(data[1] & _OVERRUN))

@@ -17,6 +17,7 @@ HEARTBEAT = 0x700
 
 INVALID = 1 << 31  # of a PDO's COB-ID: the PDO is disabled (CiA 301, 7.5.2.35)
 NO_REMOTE = 1 << 30  # of a TPDO's COB-ID: no answer to remote frames
+BUS_OFF, RESTARTED = 0x40, 0x100  # classes of error frames, in the identifier, as in SocketCAN
 REMOTE = 1 << 30  # of a frame's id: a remote frame, as in SocketCAN
 DUMMY_BYTE = 0x0005_0008  # mapping of a byte for another board (CiA 301, 7.4.7)
 

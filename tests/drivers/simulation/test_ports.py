@@ -7,6 +7,7 @@ from pathlib import Path
 import can
 import pytest
 
+from drivers.canopen.wire.bus import read_error
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wiring import BusWiring
 from drivers.simulation.simulation import Port
@@ -36,4 +37,17 @@ def test_a_port_whose_board_speaks_first_when_its_interface_is_gone_is_opened_ag
             return port.receive_frame(0.1) is not None
 
         eventually(heard)
+    port.close()
+
+
+def test_bus_off_is_reported_as_socketcan_does_it(interface: Interface) -> None:
+    port = Port(BusWiring("can0", "emulated", interface.channel))
+    with can.Bus(interface="emulated", channel=interface.channel, ignore_config=True) as other:
+        told = list[str | None]()
+        for state in ("bus-off", "active"):
+            port.send_error(state)
+            message = eventually(lambda: other.recv(0.1))
+            assert message.is_error_frame
+            told.append(read_error(message.arbitration_id, bytes(message.data)).state)
+    assert told == ["bus-off", "active"]
     port.close()

@@ -86,3 +86,14 @@ def test_boards_lose_a_master_that_stands_still_but_the_master_loses_no_board(st
     assert loop.snapshots[-1].mode == "fault"
     assert "halted" in loop.faults
     assert "board-lost" not in loop.faults
+
+
+def test_after_bus_off_the_arm_recovers_by_itself() -> None:
+    loop = Loop()
+    loop.boards.play_fault("bus_off can0")
+    loop.run(5.0)
+    assert loop.snapshots[-1].mode == "fault"
+    assert "bus-off" in loop.faults
+    loop.boards.play_fault("bus_on can0")
+    loop.run(20.0)
+    assert loop.snapshots[-1].mode == "ready", loop.snapshots[-1].reason

@@ -11,7 +11,7 @@ from controller.refusals.refusal import Refusal
 from controller.workspace.densities import Densities
 from tests.planning.desk import Desk
 
-SIMULATION = PlayableFaults((FaultVerb("silence", "board", "", "disconnect it"),), ("can0/1",), ())
+SIMULATION = PlayableFaults((FaultVerb("silence", "board", "", "disconnect it"),), ("can0/1",), ("can0",), ())
 SILENCE = {"fault": "silence can0/1"}
 
 
@@ -22,7 +22,7 @@ def test_a_simulated_arm_says_so(make_desk: Callable[..., Desk], small: Arm, sma
     described = desk.inbox.next("reply")
     assert described["simulated"] is True
     verb = {"verb": "silence", "target": "board", "argument": "", "text": "disconnect it"}
-    assert described["simulation"] == {"faults": [verb], "boards": ["can0/1"], "interlocks": []}
+    assert described["simulation"] == {"faults": [verb], "boards": ["can0/1"], "buses": ["can0"], "interlocks": []}
     desk.drop()
     assert desk.state()["simulated"] is True
     desk.ask("arm")

@@ -17,7 +17,7 @@ export function showPlay(connection, notify) {
   const chosen = () => faults.find((fault) => fault.verb === verb.value);
   const names = (kind) => {
     const { simulation, actuators } = connection.latest.arm ?? {};
-    return { board: simulation?.boards, interlock: simulation?.interlocks, actuator: actuators }[kind] ?? [];
+    return { board: simulation?.boards, bus: simulation?.buses, interlock: simulation?.interlocks, actuator: actuators }[kind] ?? [];
   };
   const describe = () => {
     const fault = chosen();
