@@ -18,12 +18,12 @@ import zenoh
 from controller.armfile.strict import InputFaults
 from controller.host.notify import Notifier
 from controller.network import session
-from controller.panel.access import Access
+from controller.panel.access.access import Access
+from controller.panel.access.people import PersonEntry, digest_of, new_token, read_people
+from controller.panel.access.sessions import sessions_file
 from controller.panel.app import PanelServer
 from controller.panel.http import CertifiedWebSocket, GuardedHttp
-from controller.panel.people import PersonEntry, digest_of, new_token, read_people
 from controller.panel.requests import MOST_BYTES
-from controller.panel.sessions import sessions_file
 from controller.panel.shield import LOCAL
 
 MOST_CONNECTIONS = 500

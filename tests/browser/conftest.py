@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import pytest
 from PIL import Image
 
-from controller.panel.people import digest_of
+from controller.panel.access.people import digest_of
 from tests import waiting
 from tests.system import arms
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-from controller.panel.people import digest_of
+from controller.panel.access.people import digest_of
 from tests.browser.conftest import OPERATOR, VIEWER, Shown, eventually, free_endpoint, started
 from tests.panel.conftest import PlayedDaemon
 

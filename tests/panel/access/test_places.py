@@ -2,9 +2,9 @@
 
 import pytest
 
-from controller.panel import places
-from controller.panel.people import Person
-from controller.panel.places import MOST_OF_ADDRESS, MOST_OF_PERSON, MOST_PAGES, MOST_VIEWERS, Place, Places
+from controller.panel.access import places
+from controller.panel.access.people import Person
+from controller.panel.access.places import MOST_OF_ADDRESS, MOST_OF_PERSON, MOST_PAGES, MOST_VIEWERS, Place, Places
 from tests.panel.conftest import OPERATOR, OTHER, VIEWER, Site
 
 

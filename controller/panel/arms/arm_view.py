@@ -9,10 +9,10 @@ from typing import Any
 import msgspec
 
 from controller.network.client import Client, Unanswered
-from controller.panel.arm_history import ArmHistory
-from controller.panel.drawing import Drawing, cloud, picture
-from controller.panel.faults import advice
-from controller.panel.pages import Control, Page
+from controller.panel.arms.arm_history import ArmHistory
+from controller.panel.arms.drawing import Drawing, cloud, picture
+from controller.panel.arms.faults import advice
+from controller.panel.arms.pages import Control, Page
 
 log = logging.getLogger(__name__)
 
