@@ -23,7 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from controller.panel import requests
 from controller.panel.access.access import Access
 from controller.panel.access.people import Person
-from controller.panel.access.places import Place, Places
+from controller.panel.access.places import PagePlace, Places
 from controller.panel.access.sessions import LASTS
 from controller.panel.access.wrong_tokens import WrongTokens
 from controller.panel.arm_page import ArmPage, Flood, RequestThreads, encoded
@@ -185,7 +185,7 @@ class PanelServer:
         if person is None:
             await socket.close(NO_LOGIN, "log in first")
             return
-        page, place = Page(person), Place(person, address_of(socket))
+        page, place = Page(person), PagePlace(person, address_of(socket))
         if (refusal := self._places.refusal(place)) is not None:
             await socket.close(TOO_MANY, refusal)
             return

@@ -188,8 +188,7 @@ async def _announce(server: uvicorn.Server, address: Address, secure: bool, toke
     port = server.servers[0].sockets[0].getsockname()[1]
     url = address.written(port, secure=secure)
     lines = [f"{name}: {url}#{token}" for name, token in tokens.items()] or [url]
-    for line in lines:
-        sys.stdout.write(f"hyperbit panel, {line}\n")
+    sys.stdout.write("".join(f"hyperbit panel, {line}\n" for line in lines))  # at once, also without a buffer
     sys.stdout.flush()
     notifier.notify("READY=1")
     notifier.notify(f"STATUS=serving at {url}")
