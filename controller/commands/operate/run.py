@@ -190,7 +190,7 @@ def serve(
     import zenoh
 
     from controller.gateway.claim import AlreadyRunning
-    from controller.gateway.daemon import running
+    from controller.gateway.daemon import ServedArm, running
     from controller.network import session
     from controller.planning.ledger import LedgerInUse
     from controller.planning.ledger_file import default_path
@@ -200,13 +200,13 @@ def serve(
         config = session.from_file(zenoh_file) if zenoh_file else session.configuration("peer", listen=listen)
     except ValueError as error:
         raise InputFaults(Path("--zenoh"), [str(error)]) from None
-    densities = densities_of(arm)
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    served = ServedArm(arm, densities_of(arm), digest, simulated)
     book, ending = ledger or default_path(arm.settings.name, simulated=simulated), threading.Event()
     try:
         for number in SIGNALS:  # before the first goal, so that an early signal ends goals in order
             signal.signal(number, lambda *_: ending.set())
-        with running(arm, densities, config, book, executor.path, digest, simulated=simulated) as daemon:
+        with running(served, config, book, executor.path) as daemon:
             while not ending.wait(POLL):
                 if daemon.failure is not None:
                     raise CommandFailed(f"{daemon.failure}: the log has details")
