@@ -56,6 +56,7 @@ class ArmView:
         self._sections: dict[str, bytes] = {}
         self._arm: Message = {}
         self._positions: tuple[Any, ...] = ()
+        self._last_states: list[int | None] = []  # the last known state of each actuator
         self._asking: asyncio.Task[None] | None = None
         self._wanted, self._again = set[str](), False
 
@@ -176,17 +177,26 @@ class ArmView:
         self.publish_history()
 
     def _draw(self, state: Message) -> None:
-        """Publishes the commanded and the measured shape of the arm, if either has changed."""
+        """Publishes the commanded and the measured shape of the arm, if either has changed.
+
+        Modules of unknown position are drawn as they were last known.
+        """
         positions = state.get("commanded"), state.get("measured")
         if self.drawing is None or positions == self._positions:
             return
-        commanded, measured = positions
-        drawn = [
-            None if commanded is None else self.drawing.of_actuators(commanded),
-            None if measured is None else self.drawing.of_actuators(measured, commanded or ()),
-        ]
+        count = len(self.drawing.manipulator.actuators)
+        commanded, measured = (it if it and len(it) == count else [None] * count for it in positions)
+        if len(self._last_states) != count:
+            self._last_states = list(commanded)
+        self._last_states = [a if b is None else b for a, b in zip(self._last_states, measured, strict=True)]
+        bodies = {
+            "commanded": self.drawing.of_actuators(commanded),
+            "measured": self.drawing.of_actuators(measured, self._last_states),
+            "unknown": self.drawing.unknown_modules(measured),
+            "last": self._last_states,
+        }
         self._positions = positions
-        self.publish("bodies", {"commanded": drawn[0], "measured": drawn[1]})
+        self.publish("bodies", bodies)
 
     # --- requests to the daemon
 

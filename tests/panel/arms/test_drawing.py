@@ -30,6 +30,10 @@ def test_arms_are_drawn_as_the_daemon_knows_them(name: str) -> None:
     assert drawn.of_text("9" * 3) is None
     assert drawn.of_actuators([None] * len(states)) is None
     assert drawn.of_actuators([None] * len(states), states) == text
+    assert drawn.unknown_modules(states) == []
+    first = [None if m.actuators[k].startswith("1.") else state for k, state in enumerate(states)]
+    assert drawn.of_actuators(first, states) == text
+    assert drawn.unknown_modules(first) == [0]
 
 
 def test_densities_are_pictures_in_the_plane_and_clouds_in_space() -> None:

@@ -69,6 +69,22 @@ export function handle(view, point) {
   return [x + 46 * Math.cos(angle), y - 46 * Math.sin(angle)];
 }
 
+// A question mark at a module of unknown position.
+export function drawQuestion(view, middle) {
+  const { context } = view;
+  const [x, y] = view.toScreen(middle);
+  context.save();
+  context.font = "bold 15px system-ui, sans-serif";
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.lineWidth = 4;
+  context.strokeStyle = view.colour("card");
+  context.fillStyle = view.colour("unknown");
+  context.strokeText("?", x, y);
+  context.fillText("?", x, y);
+  context.restore();
+}
+
 export function drawTip(view, tip) {
   const { context } = view;
   const [x, y] = view.toScreen(tip.position);
