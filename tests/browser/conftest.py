@@ -221,6 +221,7 @@ class Shown:
         """Clicks on an element."""
 
         def press() -> None:
+            eventually(lambda: self.one(css).is_enabled(), lambda: css)
             self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
             self.one(css).click()
 

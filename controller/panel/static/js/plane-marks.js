@@ -2,7 +2,7 @@
 
 // The planned configurations, and the deviation of the tip on the way to the first.
 export function drawGhost(view) {
-  const plan = view.editor.plan;
+  const plan = view.editor.validPlan;
   if (!plan?.accepted) return;
   const points = plan.waypoints.filter((waypoint) => waypoint.body);
   const { context } = view;

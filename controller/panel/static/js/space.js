@@ -110,7 +110,7 @@ export class SpaceView extends View {
 
   // The planned configurations, and a sphere of the tip's deviation on the way to the first.
   paintGhosts(colour) {
-    const { plan } = this.editor;
+    const plan = this.editor.validPlan;
     const points = plan?.accepted ? plan.waypoints.filter((waypoint) => waypoint.body).slice(0, 20) : [];
     while (this.bars.ghosts.length < points.length) this.bars.ghosts.push(new Bars(this.scene, this.arm.length / 300, 0.45));
     this.bars.ghosts.forEach((bars, k) => bars.set(points[k]?.body ?? [], colour));
