@@ -13,6 +13,7 @@ from controller.panel.arms.arm_history import ArmHistory
 from controller.panel.arms.drawing import Drawing, cloud, picture
 from controller.panel.arms.faults import advice
 from controller.panel.arms.pages import Control, Page
+from controller.panel.arms.replay_clock import ReplayClock
 
 log = logging.getLogger(__name__)
 
@@ -55,6 +56,7 @@ class ArmView:
         self._loop, self._heard, self._liveliness = loop, -math.inf, time.monotonic()
         self._sections: dict[str, bytes] = {}
         self._arm: Message = {}
+        self._replay: ReplayClock | None = None  # of a replayed recording
         self._positions: tuple[Any, ...] = ()
         self._last_states: list[int | None] = []  # the last known state of each actuator
         self._asking: asyncio.Task[None] | None = None
@@ -172,7 +174,20 @@ class ArmView:
             self.history.diagnostics(payload)
         elif key == "timeline":
             self._heard = time.monotonic()  # a paused replay publishes no state
+            self._hear_timeline(payload)
             self.publish("timeline", payload)
+            return
+        self.publish_history()
+
+    def _hear_timeline(self, payload: Message) -> None:
+        """Sets the history's clock to the time of a replay."""
+        if self._replay is None:
+            self._replay = ReplayClock()
+            self._replay.hear(payload)
+            self.history.set_clock(self._replay)
+        elif self._replay.hear(payload):
+            self.history.rewind()
+        else:
             return
         self.publish_history()
 

@@ -38,6 +38,7 @@ export function showActuators(connection, notify) {
   });
   connection.on("state", describe);
   connection.on("bodies", describe);
+  connection.on("you", describe);
   connection.on("diagnostics", () => describe());
   grid.addEventListener("keydown", (event) => {
     const step = { ArrowRight: 1, ArrowLeft: -1, ArrowDown: 1, ArrowUp: -1 }[event.key];
@@ -58,7 +59,7 @@ export function showActuators(connection, notify) {
     if (!state || !cells.length) return;
     const locked = new Map(state.degraded.map((entry) => [entry.actuator, entry.state]));
     const count = chosen === null ? 0 : connection.latest.diagnostics?.counts?.[chosen];
-    const viewer = connection.latest.you?.role !== "operator";
+    const viewer = !connection.mayCommand;
     const last = connection.latest.bodies?.last;
     const now = JSON.stringify([state.commanded, state.measured, last, state.degraded, chosen, count, viewer]);
     if (now !== shown) {

@@ -40,7 +40,7 @@ export function showArm(name, onLogin) {
   showWear(connection);
   showBoards(connection);
   showLog(connection);
-  showTimeline(connection, notify);
+  showTimeline(connection, editor, notify);
   showPicture(connection, editor, append);
 }
 

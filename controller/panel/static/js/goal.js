@@ -148,8 +148,10 @@ function goObstacle(editor, sent) {
 function planInWords(editor) {
   const plan = editor.goal === null ? editor.plan : editor.validPlan;
   if (editor.goal === null && plan === null) {
-    const viewer = document.body.classList.contains("viewer");
-    return [el("p", { class: "hint" }, viewer ? "A viewer sees goals and sends none." : hints[editor.mode])];
+    const { classList } = document.body;
+    const hint = classList.contains("replay") ? "A replay shows the goals of the recording and sends none."
+      : classList.contains("viewer") ? "A viewer sees goals and sends none." : hints[editor.mode];
+    return [el("p", { class: "hint" }, hint)];
   }
   if (plan === null) return [];
   if (!plan.accepted) return [el("p", { class: "bad" }, `✗ ${inWords(plan)}`)];
