@@ -11,7 +11,7 @@ import msgspec
 from controller.network.client import Client, Unanswered
 from controller.panel.arms.arm_history import ArmHistory
 from controller.panel.arms.drawing import Drawing, cloud, picture
-from controller.panel.arms.faults import advice
+from controller.panel.arms.faults import advised
 from controller.panel.arms.pages import Control, Page
 from controller.panel.arms.replay_clock import ReplayClock
 
@@ -148,7 +148,7 @@ class ArmView:
     def hear_state(self, data: bytes, at: float) -> None:
         """Accepts a payload of `state` that arrived at time `at` [s]."""
         state: Message = msgspec.json.decode(data, type=dict[str, Any])
-        faults = [{**fault, "advice": advice(str(fault.get("code")))} for fault in state.get("faults", ())]
+        faults = advised(state.get("faults", ()))
         changed = self.history.state(state)
         before, self.state, self._heard, self.known = self.state, state, at, True  # the state can be read
         described = ("goal", "obstacles", "mode")  # on a change of these, the description has changed as well
