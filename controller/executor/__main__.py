@@ -93,9 +93,8 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         recorder = closing.enter_context(FlightRecorder(label, path.parent, batch=MOST_PENDING))
         core.reports.real_time = enter_real_time(arm.real_time)
         buses: Buses = boards or CanBuses(arm.wiring.buses)
-        play_fault = boards.play_fault if boards else None
         log.info("the boards of %s are %s", arm.name, "simulated in this process" if boards else "on CAN buses")
-        EventLoop(core, buses, server, notifier, recorder=recorder, play_fault=play_fault).run_until_signal()
+        EventLoop(core, buses, server, notifier, recorder=recorder).run_until_signal()
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import NamedTuple
 
 import zenoh
 
@@ -60,36 +61,41 @@ class Daemon:
         self.failure = self.failure or message
 
 
+class ServedArm(NamedTuple):
+    """The arm that a daemon serves.
+
+    Attributes:
+        arm: with wiring.
+        densities: of the arm reduced by locked actuators.
+        digest: SHA-256 of the arm's file, in hexadecimal.
+        simulated: whether the executor simulates the boards.
+    """
+
+    arm: Arm
+    densities: Densities
+    digest: str
+    simulated: bool = False
+
+
 @contextlib.contextmanager
-def running(
-    arm: Arm,
-    densities: Densities,
-    config: zenoh.Config,
-    ledger: Path,
-    socket: Path,
-    digest: str,
-    *,
-    simulated: bool,
-) -> Iterator[Daemon]:
+def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path) -> Iterator[Daemon]:
     """Serves an arm while the context lasts.
 
     At the end the server closes its keys first, so that no more requests come. Then goals end, and their results and
     the last state are published. The connection to the executor closes last.
 
     Args:
-        arm: with wiring.
-        densities: of the arm reduced by locked actuators.
+        served: the arm.
         config: of the Zenoh session.
         ledger: path of the ledger.
         socket: path of the executor's socket.
-        digest: SHA-256 of the arm's file, in hexadecimal.
-        simulated: whether the executor simulates the boards.
 
     Raises:
         zenoh.ZError: the session cannot be opened.
         AlreadyRunning: another daemon of this arm is in the network.
         LedgerInUse: another process writes the ledger.
     """
+    arm, densities, digest, simulated = served
     name, daemon, inbox = arm.settings.name, Daemon(), Inbox()
     with ExitStack() as closing:
         os.environ.setdefault("ZENOH_RUNTIME", RECEIVERS)

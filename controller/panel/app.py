@@ -21,17 +21,17 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from controller.panel import requests
-from controller.panel.access import Access
+from controller.panel.access.access import Access
+from controller.panel.access.people import Person
+from controller.panel.access.places import PagePlace, Places
+from controller.panel.access.sessions import LASTS
+from controller.panel.access.wrong_tokens import WrongTokens
 from controller.panel.arm_page import ArmPage, Flood, RequestThreads, encoded
-from controller.panel.arm_view import ArmView
-from controller.panel.arms import Arms, valid
-from controller.panel.metrics import endpoint
-from controller.panel.pages import Page
-from controller.panel.people import Person
-from controller.panel.places import Place, Places
-from controller.panel.sessions import LASTS
+from controller.panel.arms.arm_view import ArmView
+from controller.panel.arms.arms import Arms, valid
+from controller.panel.arms.metrics import endpoint
+from controller.panel.arms.pages import Page
 from controller.panel.shield import LOCAL, Shield, TooLarge, policy
-from controller.panel.wrong_tokens import WrongTokens
 
 STATIC = Path(__file__).parent / "static"
 SESSION_EVERY = 1.0  # [s] between two checks that the session of an open page goes on
@@ -185,7 +185,7 @@ class PanelServer:
         if person is None:
             await socket.close(NO_LOGIN, "log in first")
             return
-        page, place = Page(person), Place(person, address_of(socket))
+        page, place = Page(person), PagePlace(person, address_of(socket))
         if (refusal := self._places.refusal(place)) is not None:
             await socket.close(TOO_MANY, refusal)
             return

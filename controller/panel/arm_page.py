@@ -12,8 +12,8 @@ import msgspec
 
 from controller.armfile.strict import InputFaults, parse_yaml
 from controller.network.client import Unanswered
-from controller.panel.arm_view import ArmView
-from controller.panel.pages import Page, RateLimit
+from controller.panel.arms.arm_view import ArmView
+from controller.panel.arms.pages import Page, RateLimit
 from controller.panel.requests import (
     CancelRequest,
     FaultRequest,

@@ -18,12 +18,12 @@ import zenoh
 from controller.armfile.strict import InputFaults
 from controller.host.notify import Notifier
 from controller.network import session
-from controller.panel.access import Access
+from controller.panel.access.access import Access
+from controller.panel.access.people import PersonEntry, digest_of, new_token, read_people
+from controller.panel.access.sessions import sessions_file
 from controller.panel.app import PanelServer
 from controller.panel.http import CertifiedWebSocket, GuardedHttp
-from controller.panel.people import PersonEntry, digest_of, new_token, read_people
 from controller.panel.requests import MOST_BYTES
-from controller.panel.sessions import sessions_file
 from controller.panel.shield import LOCAL
 
 MOST_CONNECTIONS = 500
@@ -188,8 +188,7 @@ async def _announce(server: uvicorn.Server, address: Address, secure: bool, toke
     port = server.servers[0].sockets[0].getsockname()[1]
     url = address.written(port, secure=secure)
     lines = [f"{name}: {url}#{token}" for name, token in tokens.items()] or [url]
-    for line in lines:
-        sys.stdout.write(f"hyperbit panel, {line}\n")
+    sys.stdout.write("".join(f"hyperbit panel, {line}\n" for line in lines))  # at once, also without a buffer
     sys.stdout.flush()
     notifier.notify("READY=1")
     notifier.notify(f"STATUS=serving at {url}")

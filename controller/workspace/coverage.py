@@ -56,7 +56,7 @@ class Coverage(NamedTuple):
     densest: Array
 
 
-class Surroundings(NamedTuple):
+class WorkspaceCells(NamedTuple):
     """Cells that contain the workspace, each no smaller than the radius.
 
     Attributes:
@@ -104,7 +104,7 @@ def coverage_of(
     """
     random, size = np.random.default_rng(seed), manipulator.dimension
     counts = NearbyCounts(manipulator, densities, radius, random)
-    around = surroundings(densities, radius, size)
+    around = workspace_cells(densities, radius, size)
     half = (positions or affordable(manipulator, counts, radius, random) + 1) // 2
     points = np.concatenate((around.draw(half, random), near_tips(manipulator, radius, half, random)))
     logs = counts.logs(points)
@@ -149,7 +149,7 @@ def mean(weights: Array, errors: float = 0.0) -> float:
     return float(weights.mean()) + errors * error
 
 
-def surroundings(densities: Densities, radius: float, dimension: int) -> Surroundings:
+def workspace_cells(densities: Densities, radius: float, dimension: int) -> WorkspaceCells:
     """Returns cells of whole pixels around the workspace."""
     from scipy.ndimage import binary_dilation  # imported here: a planner with cached densities saves 5 MiB
 
@@ -162,7 +162,7 @@ def surroundings(densities: Densities, radius: float, dimension: int) -> Surroun
     near = binary_dilation(np.isfinite(logs), np.ones(1 + 2 * margin))
     side = together * pixel * margin[::-1].astype(float) if dimension == 2 else np.full(3, together * pixel)
     corner = densities.references[0] - np.where(side > 0, pixel / 2, 0.0) - side * margin[::-1]
-    return Surroundings(logs, near, corner, side, float(near.sum() * (together * pixel) ** dimension))
+    return WorkspaceCells(logs, near, corner, side, float(near.sum() * (together * pixel) ** dimension))
 
 
 def affordable(manipulator: Manipulator, counts: NearbyCounts, radius: float, random: np.random.Generator) -> int:

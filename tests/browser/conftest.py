@@ -16,8 +16,9 @@ from typing import Any, TypeVar
 import pytest
 from PIL import Image
 
-from controller.panel.people import digest_of
+from controller.panel.access.people import digest_of
 from tests import waiting
+from tests.panel.conftest import PlayedDaemon
 from tests.system import arms
 
 T = TypeVar("T")
@@ -88,6 +89,29 @@ class World:
         begin = "hyperbit panel, "
         line = eventually(lambda: [x for x in (folder / "log").read_text().splitlines() if x.startswith(begin)])[0]
         return line.removeprefix(begin).rstrip("/")
+
+
+class Trouble:
+    """A fake daemon and a panel in its own process."""
+
+    def __init__(self, folder: Path, closing: ExitStack) -> None:
+        endpoint = free_endpoint()
+        self.daemon = PlayedDaemon(endpoint)
+        closing.callback(self.daemon.close)
+        people = folder / "people.yaml"
+        listed = (("anna", "operator", OPERATOR), ("hall", "viewer", VIEWER))
+        entries = [f"{{name: {name}, role: {role}, token: {digest_of(token)}}}" for name, role, token in listed]
+        people.write_text(f"people: [{', '.join(entries)}]\n")
+        started(["panel", "--listen", "127.0.0.1:0", "--people", str(people), "--connect", endpoint], folder, closing)
+        begin, log = "hyperbit panel, ", folder / "log"
+        line = eventually(lambda: [x for x in log.read_text().splitlines() if x.startswith(begin)])[0]
+        self.url = line.removeprefix(begin).rstrip("/")
+
+
+@pytest.fixture(scope="module")
+def trouble(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trouble]:
+    with ExitStack() as closing:
+        yield Trouble(tmp_path_factory.mktemp("trouble"), closing)
 
 
 def free_endpoint() -> str:
@@ -197,6 +221,7 @@ class Shown:
         """Clicks on an element."""
 
         def press() -> None:
+            eventually(lambda: self.one(css).is_enabled(), lambda: css)
             self.run("arguments[0].scrollIntoView({block: 'center'})", self.one(css))
             self.one(css).click()
 

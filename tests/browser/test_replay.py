@@ -95,13 +95,21 @@ def test_a_recording_is_shown_and_its_time_line_moved(replayed: Replayed, driver
     assert shown.run("return document.querySelector('.timeline select').value") == "20"
     eventually(lambda: not shown.run("return document.body.classList.contains('old')"))
     shown.says("#mode", "ready")
+    looks_like_the_past(shown, replayed.file)
     shown.picture("panel-replay.png")
     shown.press("#pause")
     shown.says("#pause", "Pause")
     eventually(lambda: shown.run(EXTENDED) == [True] * 3 and len(set(times(shown)[1::2])) == 1)
     assert shown.text("#goals li").startswith("✓ succeeded")
-    shown.one("#stop").click()
-    shown.says(".notice", "this is the past")
+
+
+def looks_like_the_past(shown: Shown, file: Path) -> None:
+    """Checks that the page says it is a replay, commands nothing."""
+    shown.says("#replay", f"Replay of {file.name}", "Nothing here moves an arm")
+    assert not shown.one("#stop").is_enabled()
+    assert not shown.one("#reset").is_enabled()
+    for css in ("#go", "#cancel", "#jog", "#take", "#play", "#obstacles details"):
+        assert not any(element.is_displayed() for element in shown.all(css)), css
 
 
 def times(shown: Shown) -> tuple[str, ...]:

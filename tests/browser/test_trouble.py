@@ -1,15 +1,9 @@
 """The page in a browser, with a fake daemon that sends malformed and late messages, and people without access."""
 
-from collections.abc import Iterator
-from contextlib import ExitStack
-from pathlib import Path
-
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-from controller.panel.people import digest_of
-from tests.browser.conftest import OPERATOR, VIEWER, Shown, eventually, free_endpoint, started
-from tests.panel.conftest import PlayedDaemon
+from tests.browser.conftest import OPERATOR, VIEWER, Shown, Trouble, eventually
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -22,29 +16,6 @@ DIAGNOSTICS = {
     "counts": [7, *[0] * 47],
     "dropped": 0,
 }
-
-
-class Trouble:
-    """A fake daemon and a panel in its own process."""
-
-    def __init__(self, folder: Path, closing: ExitStack) -> None:
-        endpoint = free_endpoint()
-        self.daemon = PlayedDaemon(endpoint)
-        closing.callback(self.daemon.close)
-        people = folder / "people.yaml"
-        listed = (("anna", "operator", OPERATOR), ("hall", "viewer", VIEWER))
-        entries = [f"{{name: {name}, role: {role}, token: {digest_of(token)}}}" for name, role, token in listed]
-        people.write_text(f"people: [{', '.join(entries)}]\n")
-        started(["panel", "--listen", "127.0.0.1:0", "--people", str(people), "--connect", endpoint], folder, closing)
-        begin, log = "hyperbit panel, ", folder / "log"
-        line = eventually(lambda: [x for x in log.read_text().splitlines() if x.startswith(begin)])[0]
-        self.url = line.removeprefix(begin).rstrip("/")
-
-
-@pytest.fixture(scope="module")
-def trouble(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trouble]:
-    with ExitStack() as closing:
-        yield Trouble(tmp_path_factory.mktemp("trouble"), closing)
 
 
 def test_one_malformed_message_harms_one_section(trouble: Trouble, driver: object) -> None:

@@ -1,7 +1,7 @@
 """Writes deploy/hyperbit.catalog, the explanations for `journalctl -x`. python -m tests.deploy.catalog"""
 
 from controller.host.journal import message_id
-from controller.panel.faults import ADVICE
+from controller.panel.arms.faults import ADVICE
 from controller.refusals.reasons import Reason
 from tests.keys import DEPLOY
 

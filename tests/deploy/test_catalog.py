@@ -9,7 +9,7 @@ import pytest
 
 from controller.executor.core import modes
 from controller.host.journal import message_id
-from controller.panel.faults import ADVICE
+from controller.panel.arms.faults import ADVICE
 from controller.refusals.reasons import Reason
 from tests.deploy.catalog import OTHERS, PATH, text
 from tests.keys import DEPLOY

@@ -51,7 +51,7 @@ def keys() -> set[str]:
 
 def faults() -> set[str]:
     """Returns the codes of faults and warnings."""
-    from controller.panel.faults import ADVICE
+    from controller.panel.arms.faults import ADVICE
 
     return set(ADVICE)
 

@@ -16,9 +16,9 @@ from controller.arm.arm import load
 from controller.arm.description import description, drawing
 from controller.manipulator.notation import format_configuration, pose
 from controller.network import session
-from controller.panel.access import Access
+from controller.panel.access.access import Access
+from controller.panel.access.people import PersonEntry, digest_of
 from controller.panel.app import PanelServer
-from controller.panel.people import PersonEntry, digest_of
 from controller.panel.serve import zenoh_configuration
 from tests.keys import DEPLOY
 from tests.waiting import eventually

@@ -15,7 +15,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from controller.panel.people import digest_of
+from controller.panel.access.people import digest_of
 from tests.keys import certificates, made
 from tests.waiting import PATIENCE, eventually
 

@@ -232,14 +232,14 @@ def serve(
     import zenoh
 
     from controller.gateway.claim import AlreadyRunning
-    from controller.gateway.daemon import running
+    from controller.gateway.daemon import ServedArm, running
     from controller.planning.ledger import LedgerInUse
     from controller.planning.ledger_file import default_path
 
     arm = load_wired(file)
     config = network.config()
-    densities = densities_of(arm)
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    served = ServedArm(arm, densities_of(arm), digest, simulated)
     book, ending = ledger or default_path(arm.settings.name, simulated=simulated), threading.Event()
     try:
         for number in SIGNALS:  # before the first goal, so that an early signal ends goals in order
@@ -248,7 +248,7 @@ def serve(
             wait_for_router(network.connect, ending)
             if ending.is_set():
                 return
-        with running(arm, densities, config, book, executor.path, digest, simulated=simulated) as daemon:
+        with running(served, config, book, executor.path) as daemon:
             while not ending.wait(POLL):
                 if daemon.failure is not None:
                     raise CommandFailed(f"{daemon.failure}: the log has details")

@@ -73,8 +73,8 @@ def zenoh_config(connect: list[str], file: Path | None) -> zenoh.Config:
 
 def print_token(name: str) -> None:
     """Prints a new token for a person, and the entry for the file of people, which holds only the token's digest."""
-    from controller.panel.people import digest_of
-    from controller.panel.people import new_token as make
+    from controller.panel.access.people import digest_of
+    from controller.panel.access.people import new_token as make
 
     token = make()
     sys.stdout.write(

@@ -23,6 +23,7 @@ from controller.executor.core.events import (
 )
 from controller.executor.core.locked import LockedActuators
 from controller.executor.core.modes import Modes
+from controller.executor.core.parts import ExecutorParts
 from controller.executor.core.reports import Reports
 from controller.executor.core.requests import ClientRequests
 from controller.executor.core.results import ProgramResults
@@ -81,10 +82,9 @@ class Executor:
         self.motion = motion = ArmMotion(arm, master, journal, locked, self._results, clients.to_planner)
         self.reports = Reports(arm, master, motion, locked, journal)
         self.modes = Modes(master, motion, locked, self.reports, self._act)
-        self._requests = ClientRequests(
-            arm, motion, locked, self.modes, clients, self._act, simulated=simulation is not None
-        )
-        self.ending = Ending(arm, motion, locked, self.modes, self._act)
+        parts = ExecutorParts(arm, motion, locked, self.modes, self._act)
+        self._requests = ClientRequests(parts, clients, simulated=simulation is not None)
+        self.ending = Ending(parts)
         self._last_tick: float | None = None
         self._awake = 0.0  # until the last tick [s]
         self._next_beat = 0.0

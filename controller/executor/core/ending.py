@@ -1,14 +1,9 @@
 """The end of the executor: contracts the arm first if `on_stop` says so, and warns of what the boards do after it."""
 
 import logging
-from collections.abc import Callable
 
-from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.bits import first
-from controller.executor.core.events import Action
-from controller.executor.core.locked import LockedActuators
-from controller.executor.core.modes import Modes
-from controller.executor.motion.motion import ArmMotion
+from controller.executor.core.parts import ExecutorParts
 from controller.executor.motion.setpoint_stream import SetpointStream
 from controller.host.process import Log, Notify
 from controller.program import Setpoint, pack
@@ -22,23 +17,13 @@ class Ending:
         timeout: longest time of the contraction [s].
 
     Args:
-        arm: the arm.
-        motion: switches and supervises the actuators.
-        locked: the locked actuators.
-        modes: of the executor.
-        act: takes actions.
+        parts: of the executor.
     """
 
-    def __init__(
-        self,
-        arm: ExecutedArm,
-        motion: ArmMotion,
-        locked: LockedActuators,
-        modes: Modes,
-        act: Callable[[Action], None],
-    ) -> None:
+    def __init__(self, parts: ExecutorParts) -> None:
         self.begun, self.timeout = False, 0.0
-        self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
+        self._arm, self._motion, self._locked, self._modes, self._act = parts
+        arm = parts.arm
         self._contracting = self._pulsing = False
         self._stream: SetpointStream | None = None  # that contracts the arm, once it has begun
         levels, pairs = arm.wiring.loss_levels, dict(enumerate(arm.wiring.paired, len(arm.actuators)))

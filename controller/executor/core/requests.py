@@ -1,14 +1,10 @@
 """Requests of clients: programs, set-points, cancel, stop, reset, lock, faults to play."""
 
 import logging
-from collections.abc import Callable
 from typing import NamedTuple
 
-from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import Action, ClientId, FaultPlayed, ToClient, ToSimulation
-from controller.executor.core.locked import LockedActuators
-from controller.executor.core.modes import Modes
-from controller.executor.motion.motion import ArmMotion
+from controller.executor.core.events import ClientId, FaultPlayed, ToClient, ToSimulation
+from controller.executor.core.parts import ExecutorParts
 from controller.executor.motion.program_execution import ProgramExecution, StageMisfit, check_stages, checked_states
 from controller.executor.motion.setpoint_stream import SetpointStream
 from controller.executor.process.clients import Clients
@@ -62,34 +58,19 @@ class ClientRequests:
         quitting: the executor is ending; it accepts no more programs and set-points.
 
     Args:
-        arm: the arm.
-        motion: switches and supervises the actuators.
-        locked: the locked actuators.
-        modes: of the executor.
+        parts: of the executor.
         clients: of the executor.
-        act: takes actions.
         simulated: whether the boards are simulated in this process.
     """
 
-    def __init__(
-        self,
-        arm: ExecutedArm,
-        motion: ArmMotion,
-        locked: LockedActuators,
-        modes: Modes,
-        clients: Clients,
-        act: Callable[[Action], None],
-        *,
-        simulated: bool,
-    ) -> None:
-        self.quitting, self._simulated = False, simulated
-        self._arm, self._motion, self._locked = arm, motion, locked
-        self._modes, self._clients, self._act = modes, clients, act
-        self._size = len(arm.actuators)
+    def __init__(self, parts: ExecutorParts, clients: Clients, *, simulated: bool) -> None:
+        self.quitting, self._simulated, self._clients = False, simulated, clients
+        self._arm, self._motion, self._locked, self._modes, self._act = parts
+        self._size = len(self._arm.actuators)
         self._program = self._stream = 0  # greatest numbers so far
         self._held: list[HeldAnswer] = []
         self._longest = (
-            arm.timing.heartbeat_timeout / 2 - 2 * TICK
+            self._arm.timing.heartbeat_timeout / 2 - 2 * TICK
         )  # [s] for which an answer waits, until a tick at the latest
 
     @property

@@ -33,6 +33,13 @@ class Buses(Protocol):
     def send_frame(self, bus: str, frame: Frame, now: float) -> None:
         """Sends a frame; an event tells whether it was sent."""
 
+    def play_fault(self, text: str) -> str:
+        """Plays a fault in the boards; returns what happened.
+
+        Raises:
+            ValueError: the boards are real, or know no such fault.
+        """
+
     def close(self) -> None:
         """Closes all buses and sends nothing: the boards lose the master and do what `on_loss` says."""
 
@@ -73,6 +80,10 @@ class CanBuses:
         why = self._buses[bus].send_frame(frame)
         if why is not None:
             self._failed.append(SendFailed(bus, frame, why))
+
+    def play_fault(self, text: str) -> str:
+        """See `Buses`."""
+        raise ValueError("the boards are real: faults are played in simulated boards only")
 
     def close(self) -> None:
         """See `Buses`."""

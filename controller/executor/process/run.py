@@ -58,8 +58,6 @@ class EventLoop:
         notifier: sends states to systemd.
         clock: CLOCK_MONOTONIC [s].
         recorder: of the events; None: they are not recorded.
-        play_fault: plays a fault in simulated boards and returns the answer; raises ValueError with the reason. None:
-            the boards are real.
     """
 
     def __init__(
@@ -70,10 +68,9 @@ class EventLoop:
         notifier: Notifier,
         clock: Callable[[], float] = time.monotonic,
         recorder: FlightRecorder | None = None,
-        play_fault: Callable[[str], str] | None = None,
     ) -> None:
         self._core, self._buses, self._server, self._notifier = core, buses, server, notifier
-        self._clock, self._recorder, self._play_fault = clock, recorder, play_fault
+        self._clock, self._recorder = clock, recorder
         self._time = Timekeeper(TICK)
         self._garbage = Garbage()
         self._quitting = False
@@ -198,8 +195,7 @@ class EventLoop:
     def _fault_played(self, action: ToSimulation) -> FaultPlayed:
         """Plays a fault in the simulated boards."""
         try:
-            assert self._play_fault is not None, "the core plays no faults in real boards"
-            return FaultPlayed(action.client, action.request, self._play_fault(action.fault), True)
+            return FaultPlayed(action.client, action.request, self._buses.play_fault(action.fault), True)
         except ValueError as error:
             return FaultPlayed(action.client, action.request, str(error), False)
 

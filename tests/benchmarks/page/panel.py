@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from websockets.sync.client import ClientConnection, connect
 
-from controller.panel.people import digest_of
+from controller.panel.access.people import digest_of
 from tests.benchmarks.daemon.chain.parts import Parts
 from tests.benchmarks.harness import CommandLine, percentiles, report
 from tests.system.observer import Observer

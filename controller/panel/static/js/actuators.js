@@ -37,6 +37,8 @@ export function showActuators(connection, notify) {
     describe();
   });
   connection.on("state", describe);
+  connection.on("bodies", describe);
+  connection.on("you", describe);
   connection.on("diagnostics", () => describe());
   grid.addEventListener("keydown", (event) => {
     const step = { ArrowRight: 1, ArrowLeft: -1, ArrowDown: 1, ArrowUp: -1 }[event.key];
@@ -57,19 +59,24 @@ export function showActuators(connection, notify) {
     if (!state || !cells.length) return;
     const locked = new Map(state.degraded.map((entry) => [entry.actuator, entry.state]));
     const count = chosen === null ? 0 : connection.latest.diagnostics?.counts?.[chosen];
-    const viewer = connection.latest.you?.role !== "operator";
-    const now = JSON.stringify([state.commanded, state.measured, state.degraded, chosen, count, viewer]);
+    const viewer = !connection.mayCommand;
+    const last = connection.latest.bodies?.last;
+    const now = JSON.stringify([state.commanded, state.measured, last, state.degraded, chosen, count, viewer]);
     if (now !== shown) {
       shown = now;
-      labels.forEach((label, k) => paint(cells[k], label, state.commanded?.[k], state.measured[k], locked.has(label), k === chosen));
-      if (chosen !== null) tell(labels[chosen], state.commanded?.[chosen], state.measured[chosen], locked.get(labels[chosen]), count);
+      labels.forEach((label, k) => paint(cells[k], at(state, k), locked.has(label), k === chosen));
+      if (chosen !== null) tell(at(state, chosen), locked.get(labels[chosen]), count);
     }
     if (chosen !== null) offer(labels[chosen], state.commanded?.[chosen] === 1 ? 0 : 1, locked.get(labels[chosen]), viewer);
   }
 
-  function tell(label, commanded, measured, lock, count) {
-    const words = (state) => WORDS[state] ?? "unknown";
-    fill(sentence, el("b", {}, label), `: commanded ${words(commanded)}, measured ${words(measured)}`,
+  // What is known of an actuator.
+  function at({ commanded, measured }, k) {
+    return { label: labels[k], commanded: commanded?.[k], measured: measured?.[k], last: connection.latest.bodies?.last?.[k] };
+  }
+
+  function tell(actuator, lock, count) {
+    fill(sentence, el("b", {}, actuator.label), inWords(actuator).slice(actuator.label.length),
       lock === undefined ? "" : `, locked ${words(lock)}`, count === undefined ? "" : `; ${count} switches`);
   }
 
@@ -88,14 +95,29 @@ export function showActuators(connection, notify) {
   }
 }
 
-function paint(cell, label, commanded, measured, locked, chosen) {
-  const unknown = measured === null || measured === undefined;
-  const differs = !unknown && commanded !== undefined && commanded !== measured;
-  const words = (state) => WORDS[state] ?? "unknown";
-  cell.textContent = locked ? "L" : unknown ? "?" : differs ? "≠" : "";
-  cell.classList.toggle("extended", commanded === 1);
-  cell.classList.toggle("differs", differs || unknown);
+function words(state) {
+  return WORDS[state] ?? "unknown";
+}
+
+function inWords({ label, commanded, measured, last }) {
+  const before = isState(measured) || !isState(last) ? "" : `, last known ${words(last)}`;
+  return `${label}: commanded ${words(commanded)}, measured ${words(measured)}${before}`;
+}
+
+// Fills the cell of an extended actuator; of unknown ones, by what was commanded or last known.
+function paint(cell, actuator, locked, chosen) {
+  const { commanded, measured, last } = actuator;
+  const unknown = !isState(measured);
+  const differs = !unknown && isState(commanded) && commanded !== measured;
+  cell.textContent = unknown ? "?" : locked ? "L" : differs ? "≠" : "";
+  cell.classList.toggle("extended", [commanded, measured, last].find(isState) === 1);
+  cell.classList.toggle("differs", differs);
+  cell.classList.toggle("unknown", unknown);
   cell.setAttribute("aria-selected", String(chosen));
-  cell.title = `${label}: commanded ${words(commanded)}, measured ${words(measured)}${locked ? ", locked" : ""}`;
+  cell.title = `${inWords(actuator)}${locked ? ", locked" : ""}`;
   cell.setAttribute("aria-label", cell.title);
+}
+
+function isState(value) {
+  return value === 0 || value === 1;
 }

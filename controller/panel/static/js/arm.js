@@ -2,6 +2,7 @@
 
 import { showActuators } from "./actuators.js";
 import { showBoards } from "./boards.js";
+import { divided, NOTHING } from "./bodies.js";
 import { showCurves, showWear } from "./charts.js";
 import { Connection } from "./connection.js";
 import { showControl } from "./control.js";
@@ -39,7 +40,7 @@ export function showArm(name, onLogin) {
   showWear(connection);
   showBoards(connection);
   showLog(connection);
-  showTimeline(connection, notify);
+  showTimeline(connection, editor, notify);
   showPicture(connection, editor, append);
 }
 
@@ -67,10 +68,10 @@ function showPicture(connection, editor, append) {
     }
     if (view === null) return;
     const { latest } = connection;
-    set({ arm, bodies: latest.bodies ?? view.bodies, state: latest.state ?? null });
+    set({ arm, bodies: latest.bodies ? divided(latest.bodies, arm) : NOTHING, state: latest.state ?? null });
     set({ waypoints: latest.waypoints?.waypoints ?? [], obstacles: [...arm.obstacles, ...(arm.sent_obstacles ?? [])] });
   });
-  connection.on("bodies", (bodies) => set({ bodies }));
+  connection.on("bodies", (bodies) => view && set({ bodies: divided(bodies, view.arm) }));
   connection.on("state", (state) => set({ state }));
   connection.on("waypoints", ({ waypoints }) => set({ waypoints }));
   editor.on(() => set({}));
@@ -109,6 +110,7 @@ function showTools(view, editor) {
   fill(
     document.querySelector(".legend"),
     mark("measured", "measured"),
+    mark("unknown", "position unknown, drawn as last known"),
     mark("commanded", "commanded"),
     mark("ghost", "planned"),
     mark("deviation", "deviation on the way"),

@@ -20,10 +20,9 @@ export function showControl(connection, notify) {
     const words = control.name === null
       ? "Nobody has control; the first command takes it."
       : `${mine ? "You have" : `${control.name} has`} control since ${clock(control.since)}.`;
-    const operator = connection.latest.you?.role === "operator";
     if (holder.textContent !== words) holder.textContent = words;
     card.classList.toggle("foreign", control.name !== null && !mine);
-    take.hidden = mine || !operator;
+    take.hidden = mine || !connection.mayCommand;
     release.hidden = !mine;
     const { name, role } = connection.latest.you ?? {};
     fill(who, `You are ${name}, ${role}. ${pages === 1 ? "One page is" : `${pages} pages are`} open.`);

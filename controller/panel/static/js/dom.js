@@ -34,6 +34,10 @@ export function clock(seconds) {
   return new Date(seconds * 1000).toLocaleTimeString([], { hour12: false });
 }
 
+export function date(seconds) {
+  return new Date(seconds * 1000).toLocaleDateString([], { dateStyle: "long" });
+}
+
 // An input field for a number; `change` gets the number, or null if the field is empty.
 export function numberField(label, value, change, properties = {}) {
   const input = el("input", { type: "number", step: "any", inputMode: "decimal", ...properties });

@@ -13,8 +13,8 @@ export class Editor {
     this.step = 0.5; // [s] between waypoints
     this.plan = null; // the latest answer
     this.planning = false;
-    this.dirty = false;
-    this.plannedFrom = null; // configuration of the arm when the plan was requested
+    this.plannedFrom = null; // situation of the arm when the plan was requested
+    this.plannedGoal = null; // the goal of the plan, as JSON
     this.listeners = [];
   }
 
@@ -82,23 +82,39 @@ export class Editor {
     };
   }
 
-  // Requests a plan of the present goal. During a request, the next one waits for the answer.
+  get state() {
+    return this.connection.latest.state ?? null;
+  }
+
+  get ready() {
+    return this.state?.mode === "ready";
+  }
+
+  // The plan, if it begins in the present state of the arm; otherwise null. It may be of the goal just before.
+  get validPlan() {
+    return this.ready && this.plannedFrom === situation(this.state) ? this.plan : null;
+  }
+
+  // Whether the plan is of the present goal, too.
+  get upToDate() {
+    return this.validPlan !== null && this.plannedGoal === JSON.stringify(this.goal);
+  }
+
+  // Requests a plan of the present goal, and again until the plan belongs to the present goal and state.
+  // A moving or stopped arm has no plan: the goal is planned when the arm is ready.
   async ask() {
     if (this.goal === null) {
       this.plan = null;
       return;
     }
-    this.dirty = true;
     if (this.planning) return;
     this.planning = true;
-    while (this.dirty) {
-      this.dirty = false;
+    while (this.goal !== null && this.ready && !this.upToDate) {
       const goal = this.goal;
-      if (goal === null) break;
       const began = performance.now();
-      this.plannedFrom = this.connection.latest.state?.configuration;
+      const from = situation(this.state);
       const plan = await this.connection.ask({ do: "plan", goal });
-      if (this.goal !== null) this.plan = plan;
+      if (this.goal !== null) Object.assign(this, { plan, plannedFrom: from, plannedGoal: JSON.stringify(goal) });
       this.changed({ plan: false });
       await new Promise((go) => setTimeout(go, Math.max(PLAN_GAP - (performance.now() - began), 0)));
     }
@@ -108,9 +124,10 @@ export class Editor {
 
   // Reads a goal's file on the server, which knows YAML, and shows its plan.
   async upload(text) {
+    const from = situation(this.state);
     const answer = await this.connection.ask({ do: "file", text });
-    this.plan = answer;
     this.file = answer.file ?? null;
+    Object.assign(this, { plan: answer, plannedFrom: from, plannedGoal: JSON.stringify(this.file) });
     const waypoints = Array.isArray(answer.file?.waypoints) ? answer.file.waypoints : [];
     this.points = waypoints
       .filter((waypoint) => Array.isArray(waypoint?.position))
@@ -121,4 +138,9 @@ export class Editor {
   go() {
     return this.connection.ask({ do: "go", goal: this.goal });
   }
+}
+
+// What a plan depends on besides the goal: whether the arm is ready, its configuration, obstacles and locks.
+export function situation(state) {
+  return JSON.stringify([state?.mode === "ready", state?.configuration, state?.obstacles, state?.degraded]);
 }

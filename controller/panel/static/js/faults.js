@@ -18,7 +18,7 @@ export function showFaults(connection) {
         el("div", { class: "fault" },
           el("p", {}, el("b", {}, `${fault.code} `), el("span", { class: "faint" }, fault.source)),
           el("p", {}, fault.message),
-          el("p", { class: "advice" }, `→ ${fault.advice}`))),
+          fault.advice ? el("p", { class: "advice" }, `→ ${fault.advice}`) : null)),
     );
   });
 }

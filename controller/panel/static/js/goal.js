@@ -2,6 +2,7 @@
 
 import { inWords } from "./connection.js";
 import { el, fill, number, numberField } from "./dom.js";
+import { situation } from "./editor.js";
 
 const CERTIFICATES = {
   optimal: "proven optimal: no collision-free configuration costs less",
@@ -14,6 +15,7 @@ export function showGoal(connection, editor, notify) {
   const fields = el("div", { class: "fields" });
   const message = el("p", { class: "message", role: "status" });
   const words = el("div", { class: "plan" });
+  const why = el("p", { class: "why", role: "status" }); // why Go is disabled
   const go = el("button", { type: "button", id: "go", class: "primary" }, "Go");
   const cancel = el("button", { type: "button", id: "cancel" }, "Hold now");
   const clear = el("button", { type: "button" }, "Clear");
@@ -21,12 +23,15 @@ export function showGoal(connection, editor, notify) {
   card.append(
     fields,
     el("div", { class: "buttons" }, go, cancel, clear),
+    why,
     el("label", { class: "upload" }, "Goal file ", upload),
     words,
     message,
   );
   let arm = null;
   let sent = null; // the goal that Go sent, until it has ended
+  let going = false; // whether the answer to Go is awaited
+  let before = ""; // what the card said of the arm's state
   let about = ""; // the goal that the message is about
   const say = (text, fine) => {
     about = JSON.stringify(editor.goal);
@@ -39,11 +44,12 @@ export function showGoal(connection, editor, notify) {
     describe();
   });
   go.addEventListener("click", async () => {
-    go.disabled = true;
+    going = go.disabled = true;
     const goal = JSON.stringify(editor.goal);
     const answer = await editor.go();
-    go.disabled = editor.goal === null;
-    sent = answer.accepted ? { id: answer.id, goal } : null;
+    going = false;
+    sent = answer.accepted ? { id: answer.id, goal } : sent;
+    describe();
     say(inWords(answer), answer.accepted);
     showResult(connection.latest.goals ?? { goals: [] }); // it may have come before this answer
   });
@@ -57,8 +63,10 @@ export function showGoal(connection, editor, notify) {
     sent = null;
   }
   connection.on("state", (state) => {
-    const moved = editor.plan !== null && state.configuration !== editor.plannedFrom;
-    if (state.mode === "ready" && moved && editor.file === null) editor.ask(); // the plan began at another configuration
+    const now = JSON.stringify([state.mode, state.goal, situation(state)]);
+    if (now === before) return;
+    before = now;
+    editor.changed(); // the plan began in another state
   });
   cancel.addEventListener("click", async () => notify(await connection.ask({ do: "cancel" }), "Hold now"));
   clear.addEventListener("click", () => {
@@ -74,7 +82,12 @@ export function showGoal(connection, editor, notify) {
 
   function describe() {
     if (arm === null) return;
-    go.disabled = editor.goal === null || document.body.classList.contains("viewer");
+    const obstacle = goObstacle(editor, sent);
+    go.disabled = going || editor.goal === null || obstacle !== "" || document.body.classList.contains("viewer");
+    const running = !go.disabled && editor.state?.mode === "executing";
+    const note = running ? "Go replaces the running goal." : editor.goal === null ? "" : obstacle;
+    if (why.textContent !== note) why.textContent = note;
+    words.classList.toggle("late", !editor.upToDate);
     if (editor.goal !== null && JSON.stringify(editor.goal) !== about) message.textContent = "";
     if (!fields.contains(document.activeElement)) fill(fields, ...inputs(editor, arm));
     fill(words, ...planInWords(editor));
@@ -120,13 +133,27 @@ function inputs(editor, arm) {
   return result;
 }
 
-function planInWords(editor) {
-  const { plan } = editor;
-  if (editor.goal === null && plan === null) {
-    const viewer = document.body.classList.contains("viewer");
-    return [el("p", { class: "hint" }, viewer ? "A viewer sees goals and sends none." : hints[editor.mode])];
+// Why Go is not possible now; "" if it is. Go starts only what the plan shows, or replaces a goal of this page.
+function goObstacle(editor, sent) {
+  const { state } = editor;
+  if (state === null) return "Nothing was heard from the arm yet.";
+  if (state.mode === "executing") {
+    return sent !== null && state.goal === sent.id ? ""
+      : `The arm carries out ${state.goal ?? "a motion"}: wait, or press Hold now. The goal is planned when the arm is ready.`;
   }
-  if (plan === null) return [el("p", {}, "planning …")];
+  if (!editor.ready) return `The arm is not ready (${state.mode}). The goal is planned when it is.`;
+  return editor.upToDate ? "" : "Planning from the present state …";
+}
+
+function planInWords(editor) {
+  const plan = editor.goal === null ? editor.plan : editor.validPlan;
+  if (editor.goal === null && plan === null) {
+    const { classList } = document.body;
+    const hint = classList.contains("replay") ? "A replay shows the goals of the recording and sends none."
+      : classList.contains("viewer") ? "A viewer sees goals and sends none." : hints[editor.mode];
+    return [el("p", { class: "hint" }, hint)];
+  }
+  if (plan === null) return [];
   if (!plan.accepted) return [el("p", { class: "bad" }, `✗ ${inWords(plan)}`)];
   const waypoints = plan.waypoints.filter((waypoint) => !waypoint.between);
   const last = waypoints[waypoints.length - 1];

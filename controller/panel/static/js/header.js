@@ -22,11 +22,11 @@ export function showHeader(name, connection, notify) {
     part("mode").textContent = `${MARKS[state.mode] ?? "?"} ${state.mode}`;
     part("reason").textContent = state.reason;
     part("simulated").hidden = !state.simulated;
-    document.title = `${MARKS[state.mode] ?? "?"} ${name}: ${state.mode}`;
+    document.title = `${connection.latest.timeline ? "Replay: " : ""}${MARKS[state.mode] ?? "?"} ${name}: ${state.mode}`;
     part("reset").classList.toggle("wanted", state.mode === "fault" || state.mode === "stopped");
   });
-  connection.on("you", (you) => {
-    const viewer = you.role !== "operator";
+  connection.on("you", () => {
+    const viewer = !connection.mayCommand;
     part("stop").disabled = part("reset").disabled = viewer;
     document.body.classList.toggle("viewer", viewer);
   });

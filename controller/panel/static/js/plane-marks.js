@@ -2,7 +2,7 @@
 
 // The planned configurations, and the deviation of the tip on the way to the first.
 export function drawGhost(view) {
-  const plan = view.editor.plan;
+  const plan = view.editor.validPlan;
   if (!plan?.accepted) return;
   const points = plan.waypoints.filter((waypoint) => waypoint.body);
   const { context } = view;
@@ -67,6 +67,22 @@ export function handle(view, point) {
   const [x, y] = view.toScreen(point.position);
   const angle = (point.orientation ?? 0) + Math.PI / 2;
   return [x + 46 * Math.cos(angle), y - 46 * Math.sin(angle)];
+}
+
+// A question mark at a module of unknown position.
+export function drawQuestion(view, middle) {
+  const { context } = view;
+  const [x, y] = view.toScreen(middle);
+  context.save();
+  context.font = "bold 15px system-ui, sans-serif";
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.lineWidth = 4;
+  context.strokeStyle = view.colour("card");
+  context.fillStyle = view.colour("unknown");
+  context.strokeText("?", x, y);
+  context.fillText("?", x, y);
+  context.restore();
 }
 
 export function drawTip(view, tip) {

@@ -1,7 +1,8 @@
 // A planar arm on a 2-D canvas. The server computes the line segments.
 
-import { drawCross, drawGhost, drawGoal, drawTip, drawWaypoints } from "./plane-marks.js";
+import { drawCross, drawGhost, drawGoal, drawQuestion, drawTip, drawWaypoints } from "./plane-marks.js";
 import { listenToPointers } from "./plane-input.js";
+import { NOTHING } from "./bodies.js";
 import { drawObstacles } from "./shapes.js";
 import { View } from "./view.js";
 
@@ -10,7 +11,7 @@ export class PlaneView extends View {
     super();
     this.arm = arm;
     this.editor = editor;
-    this.bodies = { commanded: null, measured: null };
+    this.bodies = NOTHING;
     this.state = null;
     this.waypoints = [];
     this.obstacles = []; // of the arm's file, and sent ones
@@ -99,7 +100,9 @@ export class PlaneView extends View {
     drawObstacles(this, [...this.obstacles, ...(this.sketch ? [this.sketch] : [])]);
     drawWaypoints(this);
     drawGhost(this);
-    this.drawBody(this.bodies.measured, "measured", 2.4);
+    this.drawBody(this.bodies.known, "measured", 2.4);
+    this.drawBody(this.bodies.unknown, "unknown", 2.4, [3, 5]);
+    for (const middle of this.bodies.marks) drawQuestion(this, middle);
     if (String(this.bodies.commanded) !== String(this.bodies.measured)) {
       this.drawBody(this.bodies.commanded, "commanded", 1.6, [5, 4]);
     }

@@ -29,7 +29,7 @@ export function showPlay(connection, notify) {
   };
   const offer = () => {
     const simulation = connection.latest.arm?.simulation;
-    card.hidden = !simulation || connection.latest.you?.role !== "operator" || Boolean(connection.latest.timeline);
+    card.hidden = !simulation || !connection.mayCommand;
     if (!simulation || offered === JSON.stringify(simulation)) return;
     offered = JSON.stringify(simulation);
     faults = simulation.faults.filter((fault) => names(fault.target).length > 0);
@@ -41,5 +41,5 @@ export function showPlay(connection, notify) {
     const fault = [verb.value, target.value, chosen()?.argument ? number.value : ""].join(" ").trim();
     notify(await connection.ask({ do: "fault", fault }), "Fault");
   });
-  for (const section of ["arm", "you", "timeline"]) connection.on(section, offer);
+  for (const section of ["arm", "you"]) connection.on(section, offer);
 }

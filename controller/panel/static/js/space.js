@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import { OrbitControls } from "/static/vendor/OrbitControls.js";
+import { NOTHING } from "./bodies.js";
 import { listenInSpace } from "./space-input.js";
 import { Bars, cloud, frameOf, obstacleMesh } from "./space-parts.js";
 import { View } from "./view.js";
@@ -10,7 +11,7 @@ export class SpaceView extends View {
   constructor(stage, arm, editor) {
     super();
     Object.assign(this, { stage, arm, editor, state: null, waypoints: [], obstacles: [], sketch: null });
-    this.bodies = { commanded: null, measured: null };
+    this.bodies = NOTHING;
     this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
     this.canvas = this.renderer.domElement;
     this.canvas.tabIndex = 0;
@@ -26,7 +27,7 @@ export class SpaceView extends View {
     this.orbit = new OrbitControls(this.camera, this.canvas);
     this.orbit.addEventListener("change", () => this.draw());
     const thin = arm.length / 260;
-    this.bars = { measured: new Bars(this.scene, thin), commanded: new Bars(this.scene, thin * 0.7, 0.55), ghosts: [] };
+    this.bars = { measured: new Bars(this.scene, thin), unknown: new Bars(this.scene, thin, 0.6), commanded: new Bars(this.scene, thin * 0.7, 0.55), ghosts: [] };
     this.tip = new THREE.Mesh(new THREE.SphereGeometry(3 * thin, 16, 12), new THREE.MeshLambertMaterial());
     this.goal = new THREE.Mesh(new THREE.OctahedronGeometry(4 * thin), new THREE.MeshLambertMaterial({ wireframe: true }));
     this.target = new THREE.Mesh(new THREE.OctahedronGeometry(4 * thin), new THREE.MeshLambertMaterial());
@@ -84,7 +85,8 @@ export class SpaceView extends View {
     const style = getComputedStyle(this.stage);
     const colour = (name) => style.getPropertyValue(`--${name}`).trim();
     const { bodies, state, editor } = this;
-    this.bars.measured.set(bodies.measured, colour("measured"));
+    this.bars.measured.set(bodies.known, colour("measured"));
+    this.bars.unknown.set(bodies.unknown, colour("unknown"));
     const same = String(bodies.commanded) === String(bodies.measured);
     this.bars.commanded.set(same ? [] : bodies.commanded, colour("commanded"));
     this.paintGhosts(colour("ghost"));
@@ -108,7 +110,7 @@ export class SpaceView extends View {
 
   // The planned configurations, and a sphere of the tip's deviation on the way to the first.
   paintGhosts(colour) {
-    const { plan } = this.editor;
+    const plan = this.editor.validPlan;
     const points = plan?.accepted ? plan.waypoints.filter((waypoint) => waypoint.body).slice(0, 20) : [];
     while (this.bars.ghosts.length < points.length) this.bars.ghosts.push(new Bars(this.scene, this.arm.length / 300, 0.45));
     this.bars.ghosts.forEach((bars, k) => bars.set(points[k]?.body ?? [], colour));

@@ -1,8 +1,9 @@
 // The timeline of a replay: position, speed and pause.
 
-import { clock, el, fill } from "./dom.js";
+import { clock, date, el, fill } from "./dom.js";
 
-export function showTimeline(connection, notify) {
+export function showTimeline(connection, editor, notify) {
+  const banner = document.getElementById("replay");
   const box = document.querySelector(".timeline");
   const slider = el("input", { type: "range", min: 0, max: 1000, value: 0, "aria-label": "Time in the recording" });
   const words = el("span", { class: "faint" });
@@ -29,9 +30,16 @@ export function showTimeline(connection, notify) {
     if (!known) speed.append(el("option", { value: String(factor) }, `${factor}×`));
     speed.value = String(factor);
   };
+  const showPast = ({ file, begin }) => {
+    box.hidden = banner.hidden = false;
+    fill(banner, el("b", {}, `Replay of ${file ?? "a recording"}`), ` of ${date(begin)}. Nothing here moves an arm.`);
+    document.body.classList.add("replay");
+    editor.clear();
+    editor.setMode("pan");
+  };
   connection.on("timeline", (message) => {
+    if (timeline === null) showPast(message);
     timeline = message;
-    box.hidden = false;
     const share = timeline.end > timeline.begin ? (timeline.at - timeline.begin) / (timeline.end - timeline.begin) : 1;
     if (!sliding) slider.value = String(Math.round(share * 1000));
     pause.textContent = timeline.paused ? "▶ Play" : "❚❚ Pause";

@@ -2,9 +2,9 @@
 
 import pytest
 
-from controller.panel import places
-from controller.panel.people import Person
-from controller.panel.places import MOST_OF_ADDRESS, MOST_OF_PERSON, MOST_PAGES, MOST_VIEWERS, Place, Places
+from controller.panel.access import places
+from controller.panel.access.people import Person
+from controller.panel.access.places import MOST_OF_ADDRESS, MOST_OF_PERSON, MOST_PAGES, MOST_VIEWERS, PagePlace, Places
 from tests.panel.conftest import OPERATOR, OTHER, VIEWER, Site
 
 
@@ -12,7 +12,7 @@ def filled(people: list[tuple[str, str]], role: places.Role) -> Places:
     """Returns places after each person tried to open a page at an address."""
     filling = Places()
     for name, address in people:
-        if filling.refusal(place := Place(Person(name, role), address)) is None:
+        if filling.refusal(place := PagePlace(Person(name, role), address)) is None:
             filling.take_place(place)
     return filling
 
@@ -20,22 +20,22 @@ def filled(people: list[tuple[str, str]], role: places.Role) -> Places:
 def test_viewers_leave_places_for_operators() -> None:
     taken = filled([(f"v{k}", f"a{k}") for k in range(MOST_PAGES)], "viewer")
     assert taken.taken == MOST_VIEWERS
-    assert "too many pages" in str(taken.refusal(Place(Person("another", "viewer"), "another")))
-    assert taken.refusal(Place(Person("anna", "operator"), "a0")) is None
+    assert "too many pages" in str(taken.refusal(PagePlace(Person("another", "viewer"), "another")))
+    assert taken.refusal(PagePlace(Person("anna", "operator"), "a0")) is None
 
 
 def test_a_person_and_an_address_have_limits() -> None:
     person = filled([("hall", f"a{k}") for k in range(MOST_PAGES)], "viewer")
     assert person.taken == MOST_OF_PERSON
-    assert "hall has too many" in str(person.refusal(Place(Person("hall", "viewer"), "another")))
+    assert "hall has too many" in str(person.refusal(PagePlace(Person("hall", "viewer"), "another")))
     address = filled([(f"v{k}", "a") for k in range(MOST_PAGES)], "viewer")
     assert address.taken == MOST_OF_ADDRESS
-    assert "at this address" in str(address.refusal(Place(Person("another", "viewer"), "a")))
-    assert address.refusal(Place(Person("anna", "operator"), "a")) is None
+    assert "at this address" in str(address.refusal(PagePlace(Person("another", "viewer"), "a")))
+    assert address.refusal(PagePlace(Person("anna", "operator"), "a")) is None
 
 
 def test_a_closed_page_frees_its_place() -> None:
-    place = Place(Person("hall", "viewer"), "a")
+    place = PagePlace(Person("hall", "viewer"), "a")
     taken = filled([("hall", "a")] * MOST_PAGES, "viewer")
     taken.free_place(place)
     assert taken.refusal(place) is None

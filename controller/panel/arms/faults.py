@@ -1,4 +1,7 @@
-"""Advice for each fault, by its code."""
+"""Advice for each fault, by its code; and one advice for each board."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 ITSELF = "The arm continues by itself when the cause is gone."
 RESET = "Then hold Reset."
@@ -51,3 +54,27 @@ ADVICE = {
 def advice(code: str) -> str:
     """Returns the advice for a fault."""
     return ADVICE.get(code, "See the journal: journalctl -u hyperbit -u hyperbit-executor.")
+
+
+def advised(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Returns the faults, each with `advice`; of several faults of one source, only the first has one.
+
+    A source whose faults do not all end by themselves needs a reset: its advice says so, whatever the first fault says.
+    """
+    result, codes = list[dict[str, Any]](), dict[str, list[str]]()
+    for fault in faults:
+        codes.setdefault(str(fault.get("source")), []).append(str(fault.get("code")))
+    for fault in faults:
+        of_source = codes.pop(str(fault.get("source")), [])
+        result.append({**fault, "advice": common_advice(of_source)})
+    return result
+
+
+def common_advice(codes: Sequence[str]) -> str:
+    """Returns one advice for the faults of one source; "" without faults."""
+    advices = [advice(code) for code in codes]
+    if not advices:
+        return ""
+    urgent = next((text for text in advices if text.endswith(ITSELF)), advices[0])  # what must be mended first
+    resets = any("hold Reset" in text for text in advices)
+    return urgent.replace(ITSELF, RESET) if resets else urgent

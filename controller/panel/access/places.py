@@ -3,14 +3,14 @@
 from collections import Counter
 from typing import NamedTuple
 
-from controller.panel.people import Person, Role
+from controller.panel.access.people import Person, Role
 
 MOST_PAGES, MOST_VIEWERS = 100, 60  # open pages in all, and of viewers; the other places are the operators'
 MOST_OF_PERSON = 30
 MOST_OF_ADDRESS = 50  # of each role, because a viewer at the operator's address must not take the operator's places
 
 
-class Place(NamedTuple):
+class PagePlace(NamedTuple):
     """The place of one open page."""
 
     person: Person
@@ -30,7 +30,7 @@ class Places:
         """Number of open pages."""
         return self._roles.total()
 
-    def refusal(self, place: Place) -> str | None:
+    def refusal(self, place: PagePlace) -> str | None:
         """Returns why a page may not open, or None."""
         person, address = place
         if self.taken >= MOST_PAGES or (person.role == "viewer" and self._roles["viewer"] >= MOST_VIEWERS):
@@ -41,15 +41,15 @@ class Places:
             return "too many pages are open at this address: close some"
         return None
 
-    def take_place(self, place: Place) -> None:
+    def take_place(self, place: PagePlace) -> None:
         """Counts a page that opens."""
         self._count(place, 1)
 
-    def free_place(self, place: Place) -> None:
+    def free_place(self, place: PagePlace) -> None:
         """Counts a page that closes."""
         self._count(place, -1)
 
-    def _count(self, place: Place, change: int) -> None:
+    def _count(self, place: PagePlace, change: int) -> None:
         person, address = place
         self._roles[person.role] += change
         self._people[person.name] += change

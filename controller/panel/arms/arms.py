@@ -11,9 +11,9 @@ import msgspec
 import zenoh
 
 from controller.network.client import Client
-from controller.panel.arm_view import ArmView
-from controller.panel.metrics import Counters
-from controller.panel.pages import Page
+from controller.panel.arms.arm_view import ArmView
+from controller.panel.arms.metrics import Counters
+from controller.panel.arms.pages import Page
 
 log = logging.getLogger(__name__)
 

@@ -3,7 +3,7 @@
 import base64
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,18 +56,33 @@ class Drawing:
         self._starts = np.cumsum([0, *(len(own) for own in names)])
         self._digits = DIGITS - int(np.floor(np.log10(max(self.manipulator.length, 1e-9))))
 
-    def of_actuators(self, states: Sequence[int | None], fallback: Sequence[int | None] = ()) -> list[float] | None:
-        """Returns the coordinates of all line segments for actuator states.
+    def of_actuators(self, states: Sequence[int | None], guesses: Sequence[int | None] = ()) -> list[float] | None:
+        """Returns the coordinates of all line segments for actuator states, flat; None if there are no states.
+
+        A module is drawn in the state that agrees with most of its `states`, then with most of its `guesses`.
 
         Args:
             states: of the actuators, shape (A,); None where unknown.
-            fallback: states used for a module whose `states` form no configuration, shape (A,).
-
-        Returns:
-            Coordinates, flat; None if a module has no configuration in either.
+            guesses: likely states, such as the last known ones, shape (A,); None where there is no guess.
         """
-        configuration = self._configuration(states, fallback)
-        return None if configuration is None else self.of_configuration(configuration)
+        if len(states) != self._starts[-1] or all(state is None for state in (*states, *guesses)):
+            return None
+        known, guessed = (
+            np.array([-1 if x is None else x for x in it]) for it in (states, guesses or [None] * len(states))
+        )
+        configuration = np.empty(len(self.lines), dtype=np.int64)
+        for k, (module, first, last) in enumerate(self._modules()):
+            agreeing = (module.bits == known[first:last]).sum(axis=1) * (last - first + 1)
+            configuration[k] = (agreeing + (module.bits == guessed[first:last]).sum(axis=1)).argmax()
+        return self.of_configuration(configuration)
+
+    def unknown_modules(self, states: Sequence[int | None]) -> list[int]:
+        """Returns the numbers of the modules, from 0, that have an actuator of unknown state; states (A,)."""
+        return [k for k, (_, first, last) in enumerate(self._modules()) if None in states[first:last]]
+
+    def _modules(self) -> Iterator[tuple[Module, int, int]]:
+        """Yields each module with the number of its first actuator, and of the next module's first."""
+        return zip(self.manipulator.modules, self._starts.tolist(), self._starts[1:].tolist(), strict=False)
 
     def of_text(self, text: str) -> list[float] | None:
         """Returns the coordinates of a configuration in the text form of messages; None if the arm has no such one."""
@@ -84,21 +99,6 @@ class Drawing:
     def rounded(self, coordinates: NDArray[np.float64]) -> list[float]:
         """Returns coordinates flat, rounded to DIGITS."""
         return [float(x) for x in np.round(coordinates.ravel(), self._digits)]
-
-    def _configuration(self, states: Sequence[int | None], fallback: Sequence[int | None]) -> NDArray[np.int64] | None:
-        """Returns the configuration (B,) of states (A,), or of `fallback` for single modules; None if there is none."""
-        result = list[int]()
-        for module, first, last in zip(self.manipulator.modules, self._starts, self._starts[1:], strict=False):
-            for own in (states[first:last], fallback[first:last]):
-                found = None
-                if len(own) == last - first and None not in own:
-                    found = np.flatnonzero((module.bits == np.array(own)).all(axis=1))
-                if found is not None and len(found):
-                    result.append(int(found[0]))
-                    break
-            else:
-                return None
-        return np.array(result, dtype=np.int64)
 
 
 def shades_of(density: Message) -> NDArray[np.uint8]:

@@ -5,7 +5,7 @@ import itertools
 import time
 from collections.abc import Awaitable, Callable
 
-from controller.panel.people import Person
+from controller.panel.access.people import Person
 
 LEAST_GAP = 0.05  # [s] between two updates of one page
 MOST_REPLIES = 64  # unsent answers of a page

@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 Message = dict[str, Any]
@@ -13,9 +13,14 @@ LONGEST = 500  # characters of a log line
 
 
 class ArmHistory:
-    """History of one arm, of bounded size. Not thread-safe."""
+    """History of one arm, of bounded size. Not thread-safe.
 
-    def __init__(self) -> None:
+    Args:
+        clock: returns UNIX time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.time) -> None:
+        self._clock = clock
         self.goals: deque[Message] = deque(maxlen=MOST_GOALS)
         self.lines: deque[Message] = deque(maxlen=MOST_LINES)
         self.errors: deque[tuple[float, float]] = deque(maxlen=MOST_POINTS)
@@ -23,9 +28,33 @@ class ArmHistory:
         self._mode = ""
         self._faults: frozenset[tuple[str, str]] = frozenset()
 
+    def set_clock(self, clock: Callable[[], float]) -> None:
+        """Takes the time of a replay from now on, also for what was heard before."""
+        self._clock, now = clock, clock()
+        for entry in (*self.lines, *self.goals):
+            entry.update({name: now for name in ("at", "ended") if name in entry})
+        self.errors.clear()
+        self.lateness.clear()
+
+    def rewind(self) -> None:
+        """Drops what is later than the present time of a replay that was moved back."""
+        now = self._clock()
+        for entries in (self.lines, self.goals):
+            kept = [entry for entry in entries if entry["at"] <= now]
+            entries.clear()
+            entries.extend(kept)
+        for entry in self.goals:
+            if entry.get("ended", now) > now:
+                del entry["ended"]
+                entry["status"] = "running"
+        for curve in (self.errors, self.lateness):
+            kept_points = [point for point in curve if point[0] <= now]
+            curve.clear()
+            curve.extend(kept_points)
+
     def say(self, text: str, kind: str = "note") -> None:
         """Adds a line to the log; `kind` is "note", "warning" or "fault"."""
-        self.lines.append({"at": time.time(), "kind": kind, "text": text[:LONGEST]})
+        self.lines.append({"at": self._clock(), "kind": kind, "text": text[:LONGEST]})
 
     def request(self, payload: Mapping[str, Any]) -> None:
         """Records a goal or jog of another program."""
@@ -42,7 +71,7 @@ class ArmHistory:
             if entry["id"] == name:
                 entry["waypoints"] = waypoints or entry["waypoints"]
                 return entry
-        fresh: Message = {"id": name, "at": time.time(), "waypoints": waypoints, "reached": 0, "status": "running"}
+        fresh: Message = {"id": name, "at": self._clock(), "waypoints": waypoints, "reached": 0, "status": "running"}
         self.goals.append(fresh)
         return fresh
 
@@ -63,7 +92,7 @@ class ArmHistory:
             return
         entry = self.goal(str(payload["id"]), None)
         fields = ("status", "code", "message", "switches", "error", "certificate", "travels")
-        entry.update({name: payload[name] for name in fields if name in payload}, ended=time.time())
+        entry.update({name: payload[name] for name in fields if name in payload}, ended=self._clock())
         succeeded = payload.get("status") == "succeeded"
         self.say(
             f"{payload['id']}: {payload.get('status')}, {payload.get('message')}", "note" if succeeded else "warning"
@@ -89,8 +118,8 @@ class ArmHistory:
         """Records the worst lateness of the executor's loop in the last second."""
         late = (payload.get("loop") or {}).get("late_worst")
         if isinstance(late, int | float):
-            self.lateness.append((time.time(), float(late)))
+            self.lateness.append((self._clock(), float(late)))
 
     def _error(self, payload: Mapping[str, Any]) -> None:
         if isinstance(error := payload.get("error"), int | float):
-            self.errors.append((time.time(), float(error)))
+            self.errors.append((self._clock(), float(error)))

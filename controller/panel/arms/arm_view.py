@@ -9,10 +9,11 @@ from typing import Any
 import msgspec
 
 from controller.network.client import Client, Unanswered
-from controller.panel.arm_history import ArmHistory
-from controller.panel.drawing import Drawing, cloud, picture
-from controller.panel.faults import advice
-from controller.panel.pages import Control, Page
+from controller.panel.arms.arm_history import ArmHistory
+from controller.panel.arms.drawing import Drawing, cloud, picture
+from controller.panel.arms.faults import advised
+from controller.panel.arms.pages import Control, Page
+from controller.panel.arms.replay_clock import ReplayClock
 
 log = logging.getLogger(__name__)
 
@@ -55,7 +56,9 @@ class ArmView:
         self._loop, self._heard, self._liveliness = loop, -math.inf, time.monotonic()
         self._sections: dict[str, bytes] = {}
         self._arm: Message = {}
+        self._replay: ReplayClock | None = None  # of a replayed recording
         self._positions: tuple[Any, ...] = ()
+        self._last_states: list[int | None] = []  # the last known state of each actuator
         self._asking: asyncio.Task[None] | None = None
         self._wanted, self._again = set[str](), False
 
@@ -145,7 +148,7 @@ class ArmView:
     def hear_state(self, data: bytes, at: float) -> None:
         """Accepts a payload of `state` that arrived at time `at` [s]."""
         state: Message = msgspec.json.decode(data, type=dict[str, Any])
-        faults = [{**fault, "advice": advice(str(fault.get("code")))} for fault in state.get("faults", ())]
+        faults = advised(state.get("faults", ()))
         changed = self.history.state(state)
         before, self.state, self._heard, self.known = self.state, state, at, True  # the state can be read
         described = ("goal", "obstacles", "mode")  # on a change of these, the description has changed as well
@@ -171,22 +174,44 @@ class ArmView:
             self.history.diagnostics(payload)
         elif key == "timeline":
             self._heard = time.monotonic()  # a paused replay publishes no state
+            self._hear_timeline(payload)
             self.publish("timeline", payload)
             return
         self.publish_history()
 
+    def _hear_timeline(self, payload: Message) -> None:
+        """Sets the history's clock to the time of a replay."""
+        if self._replay is None:
+            self._replay = ReplayClock()
+            self._replay.hear(payload)
+            self.history.set_clock(self._replay)
+        elif self._replay.hear(payload):
+            self.history.rewind()
+        else:
+            return
+        self.publish_history()
+
     def _draw(self, state: Message) -> None:
-        """Publishes the commanded and the measured shape of the arm, if either has changed."""
+        """Publishes the commanded and the measured shape of the arm, if either has changed.
+
+        Modules of unknown position are drawn as they were last known.
+        """
         positions = state.get("commanded"), state.get("measured")
         if self.drawing is None or positions == self._positions:
             return
-        commanded, measured = positions
-        drawn = [
-            None if commanded is None else self.drawing.of_actuators(commanded),
-            None if measured is None else self.drawing.of_actuators(measured, commanded or ()),
-        ]
+        count = len(self.drawing.manipulator.actuators)
+        commanded, measured = (it if it and len(it) == count else [None] * count for it in positions)
+        if len(self._last_states) != count:
+            self._last_states = list(commanded)
+        self._last_states = [a if b is None else b for a, b in zip(self._last_states, measured, strict=True)]
+        bodies = {
+            "commanded": self.drawing.of_actuators(commanded),
+            "measured": self.drawing.of_actuators(measured, self._last_states),
+            "unknown": self.drawing.unknown_modules(measured),
+            "last": self._last_states,
+        }
         self._positions = positions
-        self.publish("bodies", {"commanded": drawn[0], "measured": drawn[1]})
+        self.publish("bodies", bodies)
 
     # --- requests to the daemon
 

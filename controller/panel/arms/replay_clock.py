@@ -1,0 +1,31 @@
+"""The time of a replayed recording, from the messages of its timeline."""
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+BACK = 0.5  # [s]; a smaller step back is the jitter of messages
+
+
+class ReplayClock:
+    """The present time in a recording. Not thread-safe.
+
+    Args:
+        clock: CLOCK_MONOTONIC [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._at, self._heard, self._speed, self._end = 0.0, clock(), 0.0, math.inf
+
+    def __call__(self) -> float:
+        """Returns the present time in the recording, UNIX time [s]."""
+        return min(self._at + (self._clock() - self._heard) * self._speed, self._end)
+
+    def hear(self, timeline: Mapping[str, Any]) -> bool:
+        """Accepts a payload of `timeline`; returns whether the replay was moved back."""
+        before = self()
+        self._at, self._heard, self._end = float(timeline["at"]), self._clock(), float(timeline["end"])
+        self._speed = 0.0 if timeline.get("paused") else float(timeline.get("speed", 1.0))
+        return self._at < before - BACK * max(self._speed, 1.0)

@@ -1,0 +1,117 @@
+"""The page in a browser, with a fake daemon: unknown positions, and plans that are out of date."""
+
+from typing import Any
+
+import pytest
+
+from tests.browser.conftest import OPERATOR, Shown, Trouble, eventually
+from tests.browser.test_page import DRAWN, MEASURED, PLANNED, type_goal
+
+pytestmark = pytest.mark.timeout(600)
+
+UNKNOWN = [163, 25, 91]  # light colour of style.css
+COUNT = 48  # actuators
+FAULT: dict[str, Any] = {
+    "mode": "fault",
+    "reason": "can0/1 is silent",
+    "configuration": None,
+    "tip": None,
+    "commanded": None,
+}
+
+
+def opened(trouble: Trouble, driver: object, **fields: Any) -> Shown:
+    """Opens the arm's page as an operator, and waits until it shows a state."""
+    shown = Shown(driver, trouble.url)
+    shown.visit("/arms/planar16", OPERATOR)
+    shown.one(".stage canvas")
+    told(trouble, shown, **fields)
+    return shown
+
+
+def told(trouble: Trouble, shown: Shown, **fields: Any) -> None:
+    """Publishes a state until the page shows it."""
+    reason = fields.get("reason", "holding")
+
+    def heard() -> bool:
+        trouble.daemon.state(**fields)
+        return shown.text("#reason") == reason
+
+    eventually(heard, lambda: shown.text("header"))
+
+
+def test_in_a_fault_the_last_known_pose_is_drawn_and_the_unknown_is_marked(trouble: Trouble, driver: object) -> None:
+    shown = opened(trouble, driver, commanded=[1] * COUNT, measured=[1] * COUNT, reason="all extended")
+    eventually(lambda: shown.run(DRAWN, MEASURED) > 300)
+    assert shown.run(DRAWN, UNKNOWN) == 0
+    measured = [None if 6 <= k < 12 else 1 for k in range(COUNT)]
+    told(trouble, shown, **FAULT, measured=measured)
+    eventually(lambda: shown.run(DRAWN, UNKNOWN) > 50)
+    assert shown.run(DRAWN, MEASURED) > 300
+    assert len(shown.all(".cell.unknown")) == 6
+    assert len(shown.all(".cell.extended:not(.unknown)")) == COUNT - 6, "what is known does not look contracted"
+    shown.press(".cell.unknown")
+    shown.says("#actuators .detail", "measured unknown, last known extended")
+    told(trouble, shown, **FAULT, measured=measured)
+    shown.picture("panel-fault.png")
+    told(trouble, shown, **{**FAULT, "mode": "unknown", "reason": "no executor"}, measured=[None] * COUNT)
+    eventually(lambda: shown.run(DRAWN, UNKNOWN) > 200)
+    assert len(shown.all(".cell.unknown")) == COUNT
+
+
+def planned(trouble: Trouble, driver: object) -> Shown:
+    """Opens the page with a goal and its plan."""
+    trouble.daemon.gate.set()
+    shown = opened(trouble, driver, reason="planned")
+    type_goal(shown, 0.4, 2.9)
+    shown.says("#goal .plan", "switches")
+    eventually(lambda: enabled(shown))
+    return shown
+
+
+def enabled(shown: Shown) -> bool:
+    """Whether Go is enabled."""
+    return bool(shown.one("#go").is_enabled())
+
+
+def test_a_goal_is_planned_anew_when_another_client_has_moved_the_arm(trouble: Trouble, driver: object) -> None:
+    shown = planned(trouble, driver)
+    eventually(lambda: shown.run(DRAWN, PLANNED) > 600)
+    plans = trouble.daemon.commands().count("plan")
+    trouble.daemon.gate.clear()
+    told(trouble, shown, configuration="0" * 15 + "7", reason="moved by somebody")
+    shown.says("#goal .why", "Planning from the present state")
+    assert not enabled(shown)
+    eventually(lambda: shown.run(DRAWN, PLANNED) < 400)
+    trouble.daemon.gate.set()
+    eventually(lambda: enabled(shown) and shown.run(DRAWN, PLANNED) > 600)
+    assert trouble.daemon.commands().count("plan") > plans
+    plans = trouble.daemon.commands().count("plan")
+    told(trouble, shown, configuration="0" * 15 + "7", reason="an obstacle came", obstacles=1)
+    eventually(lambda: trouble.daemon.commands().count("plan") > plans and enabled(shown))
+
+
+def test_go_waits_while_another_goal_runs_or_the_arm_is_not_ready(trouble: Trouble, driver: object) -> None:
+    shown = planned(trouble, driver)
+    told(trouble, shown, mode="executing", goal="of-another", reason="to the goal")
+    shown.says("#goal .why", "of-another", "Hold now")
+    assert not enabled(shown)
+    assert shown.text("#goal .plan") == "", "the plan began in another state"
+    eventually(lambda: shown.run(DRAWN, PLANNED) < 400)
+    told(trouble, shown, mode="executing", goal="of-another", reason="to the goal")
+    shown.picture("panel-other.png")
+    told(trouble, shown, mode="stopped", reason="stopped by hall")
+    shown.says("#goal .why", "stopped")
+    assert not enabled(shown)
+    told(trouble, shown, reason="ready again")
+    eventually(lambda: enabled(shown))
+    assert shown.text("#goal .why") == ""
+
+
+def test_a_goal_of_this_page_may_be_replaced(trouble: Trouble, driver: object) -> None:
+    shown = planned(trouble, driver)
+    shown.press("#go")
+    goals = eventually(lambda: [payload for key, payload in trouble.daemon.asked if key == "goal"])
+    told(trouble, shown, mode="executing", goal=goals[-1]["id"], reason="to my goal")
+    shown.says("#goal .why", "Go replaces the running goal")
+    assert enabled(shown)

@@ -1,0 +1,21 @@
+"""Advice for faults: one for each board."""
+
+from controller.panel.arms.faults import ADVICE, ITSELF, advised
+
+
+def advices(*faults: tuple[str, str]) -> list[str]:
+    return [fault["advice"] for fault in advised([{"code": code, "source": source} for code, source in faults])]
+
+
+def test_each_source_has_one_advice() -> None:
+    assert advices(("stuck", "5.left"), ("interlock", "can0/1")) == [ADVICE["stuck"], ADVICE["interlock"]]
+    first, second = advices(("stuck", "5.left"), ("unexpected-motion", "5.left"))
+    assert (first, second) == (ADVICE["stuck"], "")
+
+
+def test_contrary_advices_become_one_that_says_what_to_mend_and_to_reset() -> None:
+    for order in (("board-rebooted", "board-lost"), ("board-lost", "board-rebooted")):
+        first, second = advices(*((code, "can0/3") for code in order))
+        assert first == "Check the board's supply and wires. Then hold Reset."
+        assert second == ""
+    assert advices(("bus-off", "can0"), ("bus-busy", "can0"))[0].endswith(ITSELF)
