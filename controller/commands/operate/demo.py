@@ -14,8 +14,9 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -41,7 +42,7 @@ CURVE_WAYPOINTS = 36
 MANY = 100.0  # configurations expected within the tolerance of each point of the curve
 MOST = 100.0  # log counts are clipped here, so that exp does not overflow
 DRAWN = 1000  # configurations drawn to find targets
-STEP = 0.1  # [s] between waypoints; 1.5 travel times for each stage, if that is longer
+STEP = 0.08  # [s] between waypoints; 1.5 travel times for each stage, if that is longer
 LAST_STATE_TIMEOUT = 10.0  # [s] for the state message after a result
 DAEMON_TIMEOUT = 180.0  # [s] until the daemon is ready, or has ended; its first start compiles the kernels
 
@@ -52,45 +53,94 @@ def demo(
     animation: Annotated[Path | None, typer.Option(help="File for an animation: .gif, .png or .webp.")] = None,
 ) -> None:
     """Run a daemon on simulated boards, send it three targets and a closed curve, and draw a picture."""
-    arm = load_wired(file or shipped("planar16.yaml"))
-    densities = densities_of(arm)
-    targets = PAPER_TARGETS if file is None else sample(arm, 3)
-    curve = closed_curve(arm, densities)
+    path = file or shipped("planar16.yaml")
+    arm = load_wired(path)
     # The picture needs matplotlib, which is imported while the daemon starts.
     threading.Thread(target=importlib.import_module, args=("matplotlib.figure",), daemon=True).start()
-    rows: list[tuple[str, Message, float]] = []
-    reached: dict[str, Configuration] = {}
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        started(file or shipped("planar16.yaml"), Path(folder)) as (daemon, endpoint),
-        connected(arm.settings.name, endpoint, None) as client,
-    ):
-        wait_until_ready(client, daemon.poll)
-        states, pauses = Watched(), list[int]()
-        watching = client.subscribe("state", states.receive_state)
-        for target in targets:
-            began = time.perf_counter()
-            result = run(client, [{"position": target}], f"target ({written(target)})")
-            rows.append((written(target), result, time.perf_counter() - began))
-            reached[f"at ({written(target)})"] = parse_configuration(arm.manipulator, result["configuration"])
-            pauses.append(states.find(states_of(arm, result)))
-        step = max(STEP, 1.5 * arm.travel_time * stages(arm) + arm.settings.rest_time)
-        waypoints = [{"t": k * step, "position": p} for k, p in enumerate(curve.tolist())]
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
+        choosing = pool.submit(choose_goals, arm, paper=file is None)  # while the daemon starts
+        with started(path, Path(folder)) as (daemon, endpoint):
+            goals = choosing.result()
+            with connected(arm.settings.name, endpoint, None) as client:
+                wait_until_ready(client, daemon.poll)
+                shown = move(client, arm, goals)
+            daemon.terminate()  # it ends while the picture is drawn
+            console.print(summary(arm, shown.rows))
+            draw(arm, goals, shown, picture, animation)
+
+
+class DemoGoals(NamedTuple):
+    """What the arm is sent.
+
+    Attributes:
+        densities: of the arm, on which the pictures are drawn.
+        targets: positions (count, dimension).
+        curve: waypoints (n, dimension) of a closed curve.
+    """
+
+    densities: Densities
+    targets: list[list[float]]
+    curve: NDArray[np.float64]
+
+
+class Shown(NamedTuple):
+    """What the arm did.
+
+    Attributes:
+        rows: name, result and duration [s] of each goal.
+        reached: configuration (B,) at each target.
+        states: commanded actuator states, shape (A,) each.
+        pauses: indices of states at which a goal had ended.
+    """
+
+    rows: list[tuple[str, Message, float]]
+    reached: dict[str, Configuration]
+    states: list[list[int]]
+    pauses: list[int]
+
+
+def choose_goals(arm: Arm, *, paper: bool) -> DemoGoals:
+    """Returns targets and a curve for an arm; `paper`: the targets are those of the paper."""
+    densities = densities_of(arm)
+    return DemoGoals(densities, PAPER_TARGETS if paper else sample(arm, 3), closed_curve(arm, densities))
+
+
+def move(client: Client, arm: Arm, goals: DemoGoals) -> Shown:
+    """Sends all targets and the curve, and returns what the arm did.
+
+    Raises:
+        CommandFailed: a goal was refused, or not reached.
+    """
+    states, shown = Watched(), Shown([], {}, [], [])
+    watching = client.subscribe("state", states.receive_state)
+    for target in goals.targets:
         began = time.perf_counter()
-        result = run(client, waypoints, f"closed curve, {len(waypoints)} waypoints")
-        rows.append((f"closed curve, {len(waypoints)} waypoints", result, time.perf_counter() - began))
-        pauses.append(states.find(states_of(arm, result)))
-        watching.undeclare()  # type: ignore[no-untyped-call]
-    console.print(summary(arm, rows))
+        result = run(client, [{"position": target}], f"target ({written(target)})")
+        shown.rows.append((written(target), result, time.perf_counter() - began))
+        shown.reached[f"at ({written(target)})"] = parse_configuration(arm.manipulator, result["configuration"])
+        shown.pauses.append(states.find(states_of(arm, result)))
+    step = max(STEP, 1.5 * arm.travel_time * stages(arm) + arm.settings.rest_time)
+    waypoints = [{"t": k * step, "position": p} for k, p in enumerate(goals.curve.tolist())]
+    name, began = f"closed curve, {len(waypoints)} waypoints", time.perf_counter()
+    result = run(client, waypoints, name)
+    shown.rows.append((name, result, time.perf_counter() - began))
+    shown.pauses.append(states.find(states_of(arm, result)))
+    watching.undeclare()  # type: ignore[no-untyped-call]
+    return shown._replace(states=states)
+
+
+def draw(arm: Arm, goals: DemoGoals, shown: Shown, picture: Path, animation: Path | None) -> None:
+    """Draws the picture, and the animation if one is wanted."""
     title = f"{arm.settings.name}: {len(arm.manipulator.modules)} modules, {len(arm.manipulator.actuators)} actuators"
-    subplots = [plots.Subplot(title, reached, targets, curve)]
-    plots.save(picture, arm.manipulator, densities, subplots, obstacles=arm.obstacles)
+    subplots = [plots.Subplot(title, shown.reached, goals.targets, goals.curve)]
+    plots.save(picture, arm.manipulator, goals.densities, subplots, obstacles=arm.obstacles)
     console.print(f"picture: {picture}")
     if animation is not None:
         from controller.pictures.animation import Movement, animate
 
-        subplot = plots.Subplot(title, targets=targets, curve=curve)
-        animate(animation, arm.manipulator, densities, Movement(states, pauses), subplot, arm.obstacles)
+        subplot = plots.Subplot(title, targets=goals.targets, curve=goals.curve)
+        movement = Movement(shown.states, shown.pauses)
+        animate(animation, arm.manipulator, goals.densities, movement, subplot, arm.obstacles)
         console.print(f"animation: {animation}")
 
 
