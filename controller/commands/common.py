@@ -212,3 +212,13 @@ def results_table(*columns: str) -> Table:
     for column in columns:
         table.add_column(column, no_wrap=True)
     return table
+
+
+def print_table(table: Table) -> None:
+    """Prints a table with all of its columns: a narrow terminal wraps the lines, and shortens no cell."""
+    from rich.measure import Measurement
+
+    from controller.commands.common import console
+
+    table.width = Measurement.get(console, console.options.update(width=1000), table).maximum
+    console.print(table)

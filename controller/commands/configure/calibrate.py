@@ -13,7 +13,16 @@ import yaml
 from controller.arm.arm import load
 from controller.armfile.places import counted
 from controller.armfile.strict import InputFaults, read_yaml
-from controller.commands.common import ArmFile, AsJson, CommandFailed, console, errors, print_json, results_table
+from controller.commands.common import (
+    ArmFile,
+    AsJson,
+    CommandFailed,
+    console,
+    errors,
+    print_json,
+    print_table,
+    results_table,
+)
 
 if TYPE_CHECKING:
     from controller.calibration.calibration import Calibration, PoseResiduals
@@ -130,7 +139,7 @@ def show(found: Calibration) -> None:
             if (residuals := getattr(pose_residuals, kind)) is not None:
                 values = (residuals.rms, residuals.most, residuals.worst)
                 table.add_row(kind, name.replace("_", " "), *(f"{value:.3g}" for value in values))
-    console.print(table)
+    print_table(table)
     table = results_table("field", "before", "after", "deviation", "")
     for change in found.changes:
         before, after = (change.before, change.after)
@@ -141,7 +150,7 @@ def show(found: Calibration) -> None:
             f"{change.deviation:.2g}",
             "" if change.determined else "not determined: kept near the file's value",
         )
-    console.print(table)
+    print_table(table)
     if found.undetermined:
         console.print(
             f"In {found.undetermined} directions of the parameter space the samples determine the numbers less well"

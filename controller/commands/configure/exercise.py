@@ -158,7 +158,7 @@ def report(travels: list[MeasuredTravel], description: Mapping[str, Any], as_jso
     for label in dict.fromkeys(travel.actuator for travel in travels):
         own = {travel.state: travel for travel in travels if travel.actuator == label}
         table.add_row(label, *(shown(own.get(state), wired.get(label, {}), state) for state in FIELDS))
-    common.console.print(table)
+    common.print_table(table)
     if lines:
         common.console.print(f"\nproposal for the arm's file, {RESERVE - 1:.0%} over the longest measured:\n")
         for line in lines:

@@ -93,7 +93,7 @@ def print_counts(counts: dict[str, int]) -> None:
     table = Table("actuator", "switches", "", title=f"{sum(counts.values())} switches, the most worn first")
     for label, count in sorted(counts.items(), key=lambda item: -item[1]):
         table.add_row(label, str(count), "█" * round(30 * count / most))
-    common.console.print(table)
+    common.print_table(table)
 
 
 def last_written(ledgers: list[Path]) -> Path:

@@ -141,7 +141,7 @@ def run_set(name: str, scale: Scale) -> SetResult:
 
 def print_result(result: SetResult) -> None:
     """Prints the table of a goal set, with examples of errors."""
-    common.console.print(table(result))
+    common.print_table(table(result))
     for row in result.rows:
         for example in row.examples:
             common.console.print(f"  {row.method}: {example}", markup=False)

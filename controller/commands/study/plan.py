@@ -15,6 +15,7 @@ from controller.commands.common import (
     CommandFailed,
     console,
     print_json,
+    print_table,
     results_table,
     shown,
 )
@@ -86,7 +87,7 @@ def print_solutions(arm: Arm, options: PlanOptions, found: Iterable[PointSolutio
         if point.whole is not None and not any(point.whole is known for known in wholes):
             wholes.append(point.whole)
     if not as_json:
-        console.print(table)
+        print_table(table)
         for whole in wholes:
             console.print(sentence(whole))
     return point

@@ -14,6 +14,7 @@ from controller.commands.common import (
     console,
     densities_of,
     print_json,
+    print_table,
     results_table,
     shipped,
     shown,
@@ -96,5 +97,5 @@ def figure5(
             str(row.switches),
         )
     if not as_json:
-        console.print(table)
+        print_table(table)
         console.print(f"picture: {picture}")

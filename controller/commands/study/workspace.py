@@ -17,6 +17,7 @@ from controller.commands.common import (
     errors,
     parse_goal,
     print_json,
+    print_table,
     results_table,
     shown,
 )
@@ -165,7 +166,7 @@ def show(report: dict[str, Any]) -> None:
             values = (locked["free"][name], locked["mean"][name], worst[name])
             states = ", ".join(f"{label}={state}" for label, state in worst["locked"].items())
             table.add_row(name, *("none" if value is None else f"{value:.4g}" for value in values), states)
-        console.print(table)
+        print_table(table)
         console.print(
             "reach: of pixels with a tip; covered: expected with a configuration within the tolerance;"
             " log10_redundancy: of expected configurations within the tolerance, median over the free arm's coverage"

@@ -8,6 +8,7 @@ import pytest
 
 from controller.bench.goal_sets import SETS
 from controller.bench.methods import METHODS
+from controller.commands import common
 
 pytestmark = pytest.mark.usefixtures("own_folders")
 
@@ -40,9 +41,13 @@ def mine(tmp_path):
     return str(file)
 
 
-def test_the_figures_of_chosen_methods(hyperbit, tmp_path):
+def test_the_figures_of_chosen_methods(hyperbit, tmp_path, monkeypatch):
     file = tmp_path / "figures.json"
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.delattr(common, "console", raising=False)  # its width is that of the first use
     code, out, _ = hyperbit("bench", *FEW, "--methods", "minimum-switch, coordinate-descent", "--json", str(file))
+    assert "minimum-switch" in out
+    assert "…" not in out, "a cell is shortened"
     assert code == 0
     assert "minimum-switch" in out
     figures = json.loads(file.read_text())
