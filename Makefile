@@ -19,7 +19,7 @@ panel: $(VENV)/kernels
 # There are more processes than processors, because many tests wait: three for two, and four where tests run in real
 # time. They leave BLAS no threads to gain by. The second part runs even if the first one fails; then make fails, too.
 REAL_TIME := tests/system
-test: check $(VENV)/kernels
+test: check $(VENV)/test-kernels
 	failed=0; \
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 3 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) \
 		--ignore tests/browser || failed=$$?; \
@@ -81,6 +81,11 @@ $(VENV)/program: pyproject.toml
 # Machine code of the kernels, compiled on all processors. Without it the first start of the daemon compiles them on one.
 $(VENV)/kernels: $(VENV)/program $(shell grep -rl @njit --include=*.py controller)
 	$(BIN)/python -m controller.host.kernels
+	touch $@
+
+# And that of the tests' kernels. Without it each process of `make test` compiles them.
+$(VENV)/test-kernels: $(VENV)/kernels $(shell grep -rl @njit --include=*.py tests/benchmarks)
+	$(BIN)/python -m tests.kernels
 	touch $@
 
 # The developers' tools.
