@@ -18,7 +18,7 @@ panel: $(VENV)/kernels
 
 # Tests in real time mostly wait, so they run beside the others, which yield the processors to them. If one part fails,
 # the other one still runs.
-test: check $(VENV)/kernels
+test: check $(VENV)/test-kernels
 	$(MAKE) --no-print-directory --keep-going --jobs 2 test-real-time test-others
 
 .PHONY: test-real-time test-others
@@ -89,6 +89,11 @@ $(VENV)/program: pyproject.toml
 # Machine code of the kernels, compiled on all processors. Without it the first start of the daemon compiles them on one.
 $(VENV)/kernels: $(VENV)/program $(shell grep -rl @njit --include=*.py controller)
 	$(BIN)/python -m controller.host.kernels
+	touch $@
+
+# And that of the tests' kernels. Without it each process of `make test` compiles them.
+$(VENV)/test-kernels: $(VENV)/kernels $(shell grep -rl @njit --include=*.py tests/benchmarks)
+	$(BIN)/python -m tests.kernels
 	touch $@
 
 # The developers' tools.

@@ -1,7 +1,5 @@
 """Small arms whose every configuration can be tried, and hypothesis strategies of random ones."""
 
-from itertools import product
-
 import numpy as np
 from hypothesis import strategies as st
 
@@ -58,8 +56,8 @@ def spatial_arm(count: int) -> Manipulator:
 
 def every_configuration(manipulator: Manipulator, first: int = 0) -> np.ndarray:
     """All configurations (n, B) of modules first+1 to B; the modules before them in state 0."""
-    choices = [range(1)] * first + [range(k) for k in manipulator.states[first:]]
-    return np.array(list(product(*choices)))
+    counts = (*[1] * first, *manipulator.states[first:])
+    return np.indices(counts).reshape(len(counts), -1).T.copy()
 
 
 def every_tip(manipulator: Manipulator, level: int = 0) -> np.ndarray:

@@ -11,10 +11,9 @@ from numpy.testing import assert_allclose
 from controller.manipulator.frames import angle, angle_between, planar, spatial
 from controller.manipulator.joints import prismatic, revolute
 from controller.manipulator.module import transforms
-from controller.manipulator.platform import platform
 from controller.manipulator.vgt import vgt
 from tests.arms import modules
-from tests.manipulator.test_platform import KINDS, padded
+from tests.manipulator.test_platform import KINDS, padded, platform_of
 
 displacements = st.lists(st.floats(0, 1), min_size=6, max_size=6)
 LEGS = (0.18, 0.22), (0.2, 0.25), (0.21, 0.26)
@@ -37,7 +36,7 @@ def test_displacements_at_their_ends_are_the_states(module):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_platforms_at_their_ends_are_the_states(kind):
-    at_ends(platform(*KINDS[kind]))
+    at_ends(platform_of(kind))
 
 
 @given(st.sampled_from(["BC", "AD"]), displacements)
@@ -55,7 +54,7 @@ def test_a_truss_is_as_long_as_its_displacements(diagonal, values):
 @given(st.sampled_from(sorted(KINDS)), displacements)
 def test_a_platform_is_as_long_as_its_displacements(kind, values):
     base, top, (low, high) = KINDS[kind]
-    module, own = platform(base, top, (low, high)), np.array(values[: len(base)])
+    module, own = platform_of(kind), np.array(values[: len(base)])
     frames, body = module.between(np.array([own, own[::-1]]))
     assert_allclose(legs(body[0])[: len(base)], low + own * (high - low), atol=1e-9)
     assert_allclose(body[0, : len(base), 1], padded(top) @ frames[0, :3, :3].T + frames[0, :3, 3], atol=1e-12)

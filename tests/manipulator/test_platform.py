@@ -1,6 +1,7 @@
 """Platforms: each state satisfies its constraints and continues from the middle pose, or is refused."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from controller.manipulator.module import Module
 from controller.manipulator.platform import platform
 from tests.arms import coordinates
 
@@ -29,6 +31,13 @@ TRIPOD = ring(0.12, 90, 210, 330), ring(0.09, 90, 210, 330)
 FLAT = [[-0.1, 0.0], [0.1, 0.0], [0.1, 0.02]], [[-0.08, 0.0], [-0.08, 0.02], [0.08, 0.0]]
 KINDS = {"six": (*hexapod(), (0.18, 0.22)), "three": (*TRIPOD, (0.18, 0.22)), "flat": (*FLAT, (0.18, 0.22))}
 
+
+@cache
+def platform_of(kind: str) -> Module:
+    """Returns a platform; six legs take 0.1 s to build."""
+    return platform(*KINDS[kind])
+
+
 EXACT = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
 
 
@@ -47,7 +56,7 @@ def missed(base: list, top: list, lengths: tuple[float, float], module) -> np.nd
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_state_has_its_lengths(kind):
     base, top, lengths = KINDS[kind]
-    module = platform(base, top, lengths)
+    module = platform_of(kind)
     count = len(base)
     assert module.bits.tolist() == [[s >> (count - 1 - k) & 1 for k in range(count)] for s in range(2**count)]
     assert module.actuators == tuple(str(k + 1) for k in range(count))
@@ -77,7 +86,7 @@ def test_six_legs_of_any_size(below, above, gap, displacement, data):
 def test_each_pose_is_led_to_from_the_middle_without_a_jump(kind):
     """The same continuation in tiny steps, by another solver."""
     base, top, lengths = KINDS[kind]
-    module = platform(base, top, lengths)
+    module = platform_of(kind)
     below, above, flat = padded(base), padded(top), kind == "flat"
     middle = platform(base, top, (np.mean(lengths) - 1e-9, np.mean(lengths) + 1e-9)).frames[0]
 
@@ -104,7 +113,7 @@ def test_each_pose_is_led_to_from_the_middle_without_a_jump(kind):
 
 def test_equal_legs_lift_a_symmetric_plate_straight_up():
     base, top, (short, long) = KINDS["six"]
-    module = platform(base, top, (short, long))
+    module = platform_of("six")
     aside = np.linalg.norm(np.array(base[0]) - top[0])
     for state, length in ((0, short), (63, long)):
         expected = np.eye(4)
@@ -113,8 +122,8 @@ def test_equal_legs_lift_a_symmetric_plate_straight_up():
 
 
 def test_three_legs_swing_in_their_planes():
-    base, top, lengths = KINDS["three"]
-    module = platform(base, top, lengths)
+    base, top, _ = KINDS["three"]
+    module = platform_of("three")
     ends = np.einsum("kab,lb->kla", module.frames[:, :3, :3], np.array(top)) + module.frames[:, None, :3, 3]
     across = np.column_stack([-np.array(base)[:, 1], np.array(base)[:, 0], np.zeros(3)])
     assert_allclose(np.einsum("kla,la->kl", ends, across), 0, atol=1e-12)
@@ -122,8 +131,7 @@ def test_three_legs_swing_in_their_planes():
 
 
 def test_the_body_is_legs_and_plates():
-    base, top, lengths = KINDS["six"]
-    module = platform(base, top, lengths)
+    lengths, module = KINDS["six"][2], platform_of("six")
     legs = module.body[:, :6]
     assert module.body.shape == (64, 18, 2, 3)
     assert_allclose(np.linalg.norm(legs[:, :, 1] - legs[:, :, 0], axis=2), np.array(lengths)[module.bits], atol=1e-12)

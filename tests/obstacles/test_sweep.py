@@ -1,5 +1,6 @@
 """Collision checks of transitions, against motions of an independent model."""
 
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -17,16 +18,22 @@ from controller.obstacles.sweep import Sweep
 from tests.arms import any_frames, modules, paper_arm, planar_frames, spatial_frames
 from tests.manipulator.test_platform import hexapod as joints
 from tests.obstacles.dense import any_shape, obstacles_of
-from tests.obstacles.moving import arm, hexapod, hinge, motion, pair, room, truss
+from tests.obstacles.moving import Part, arm, hexapod, hinge, motion, pair, room, truss
 
 POINTS = 40  # along each line segment
-STEWART = hexapod(*joints(), 0.18, 0.22)
+
+
+@cache
+def stewart() -> Part:
+    """A platform of six legs, which takes 0.3 s to build."""
+    return hexapod(*joints(), 0.18, 0.22)
+
 
 angles = st.floats(-2.5, 2.5)
 flat_parts = st.builds(
     truss, st.sampled_from(["BC", "AD"]), st.just(0.2), st.just(0.2), st.floats(0.22, 0.27)
 ) | st.builds(hinge, angles, angles, st.floats(0.1, 0.4))
-solid_parts = flat_parts | st.builds(pair, spatial_frames, spatial_frames) | st.just(STEWART)
+solid_parts = flat_parts | st.builds(pair, spatial_frames, spatial_frames) | st.builds(stewart)
 among = st.tuples(
     st.lists(flat_parts, min_size=1, max_size=5), planar_frames, st.lists(any_shape(2, planar_frames), max_size=3)
 ) | st.tuples(st.lists(solid_parts, min_size=1, max_size=4), any_frames, st.lists(any_shape(3), max_size=3))
@@ -51,7 +58,7 @@ def test_what_is_told_clear_touches_nothing_on_any_way(given_arm, radius, pairs,
 
 
 @settings(max_examples=60, deadline=None)
-@given(modules | st.just(STEWART.module), st.integers(0, 2**32))
+@given(modules | st.builds(lambda: stewart().module), st.integers(0, 2**32))
 def test_rates_bound_what_displacements_do(module, seed):
     rng, own = np.random.default_rng(seed), Displacements(module)
     count = module.bits.shape[1]
@@ -125,9 +132,9 @@ def test_rates_of_a_truss_are_not_much_too_great():
 
 
 def test_platforms_are_sampled_and_said_to_be():
-    assert not STEWART.module.proven
+    assert not stewart().module.proven
     walls = half_space("wall", (0, 0, -9), (0, 0, 1))
-    assert not Sweep(BodyClearance(arm([STEWART]), walls)).proven
+    assert not Sweep(BodyClearance(arm([stewart()]), walls)).proven
     assert Sweep(BodyClearance(paper_arm(3), half_space("wall", (0, -9), (0, 1)))).proven
 
 

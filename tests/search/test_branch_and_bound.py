@@ -14,8 +14,15 @@ from controller.search.solution import Incumbent
 from controller.search.solver import Solver
 from controller.workspace import cost_to_go
 from controller.workspace.hull import build_hull
-from tests.arms import every_configuration, paper_arm
-from tests.search.test_certificates import any_arm, lattice_arm, obstacle, pose_on_the_shell, solver_of
+from tests.arms import paper_arm
+from tests.search.test_certificates import (
+    any_arm,
+    lattice_arm,
+    least_cost,
+    obstacle,
+    pose_on_the_shell,
+    solver_of,
+)
 
 FOREVER = 1e9  # [s]
 
@@ -41,8 +48,7 @@ def check(solver: Solver, goal: np.ndarray, previous: np.ndarray, tolerance: flo
     costs = switch_costs(arm, previous, solver.weights)
     incumbent = Incumbent(previous, FOREVER)
     tree.run(target, previous, costs, incumbent, FOREVER)
-    each = [solver.described(c, solver.target(goal, tolerance, turn), previous) for c in every_configuration(arm)]
-    least = min((s.cost for s in each if s.within_tolerance), default=np.inf)
+    least = least_cost(solver, goal, previous, tolerance, turn)
     assert incumbent.proven
     assert incumbent.cost == pytest.approx(least, rel=1e-9)
     if least < np.inf:

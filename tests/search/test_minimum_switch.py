@@ -68,19 +68,26 @@ def all_tips(arm: Manipulator) -> np.ndarray:
     return points
 
 
-@pytest.mark.parametrize("weighted", [False, True])
-def test_brute_force_agrees_on_100_goals_of_20_actuators(weighted):
+@pytest.fixture(scope="module")
+def arm_of_20_actuators() -> tuple[Manipulator, np.ndarray, np.ndarray]:
+    """An arm, all its tips (n, 3), and their order along x (n,)."""
     bend = [planar(x, 0.2, -3 * x) for x in (-0.1, -0.03, 0.04, 0.1)]
     arm = Manipulator([*paper_arm(6).modules, transforms(bend, planar=True)])
+    tips = all_tips(arm)
+    return arm, tips, np.argsort(tips[:, 0])
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_brute_force_agrees_on_100_goals_of_20_actuators(arm_of_20_actuators, weighted):
+    arm, tips, order = arm_of_20_actuators
     assert len(arm.actuators) == 20
     rng = np.random.default_rng(6)
     weights = rng.uniform(1.0, 3.0, 20) if weighted else np.ones(20)
     solver = solver_of(arm, weights)
-    tips = all_tips(arm)
+    xs = tips[order, 0]
     previous = np.zeros(7, dtype=np.int64)
     for goal in tips[rng.integers(0, len(tips), 100), :2]:
-        x, y, _ = np.abs(tips - (*goal, 0.0)).T
-        near = np.flatnonzero((x <= 0.005) & (y <= 0.005))
+        near = order[slice(*np.searchsorted(xs, (goal[0] - 0.006, goal[0] + 0.006)))]
         near = near[np.linalg.norm(tips[near, :2] - goal, axis=1) <= 0.005]
         within = np.column_stack(np.unravel_index(near, tuple(arm.states)))
         states = np.concatenate([arm.bits[i, within[:, i], : len(m.actuators)] for i, m in enumerate(arm.modules)], 1)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -109,21 +112,56 @@ def test_fewest_switches_are_those_of_brute_force(arm, seed, tolerance, turn, to
         assert found.lower_bound == np.inf
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("arm", [paper_arm(5), spatial_arm(5)], ids=["planar", "spatial"])
-def test_every_method_reaches_what_can_be_reached(arm, method):
-    every, tolerance = every_configuration(arm), 0.01
-    tips, rng = arm.tips(every)[:, :3, 3], np.random.default_rng(len(arm.modules))
-    solver, found, solvable = solver_of(arm), 0, 0
+class Scenario(NamedTuple):
+    """Obstacles, with goals among them.
+
+    Attributes:
+        parts: the obstacles.
+        clearance: the arm's clearance among them.
+        turn: tolerance of the angle [rad]; infinite without orientation.
+        previous: first configuration (B,).
+        goals: frames (n, 4, 4) of the goals.
+        solutions: for each goal, the configurations (m, B) that surely reach it and are clear.
+    """
+
+    parts: list[Shape]
+    clearance: BodyClearance
+    turn: float
+    previous: np.ndarray
+    goals: np.ndarray
+    solutions: list[np.ndarray]
+
+
+ARMS = {"planar": paper_arm(5), "spatial": spatial_arm(5)}
+
+
+@cache
+def scenarios(kind: str, tolerance: float) -> list[Scenario]:
+    """Returns scenes with the solutions of their goals by brute force, which are the same for each method."""
+    arm = ARMS[kind]
+    every, rng = every_configuration(arm), np.random.default_rng(len(arm.modules))
+    tips, found = arm.tips(every)[:, :3, 3], list[Scenario]()
     for turn in (np.inf, 0.1) * 6:
         parts = scene(arm, rng)
         exact, _, strict = clearances(arm, parts, 0.01, touch=turn == np.inf)
-        solver = solver.avoiding(exact)
-        previous = rng.integers(0, arm.states)
-        for goal in arm.tips(rng.integers(0, arm.states, (5, len(arm.states)))):
+        previous, solutions = rng.integers(0, arm.states), list[np.ndarray]()
+        goals = arm.tips(rng.integers(0, arm.states, (5, len(arm.states))))
+        for goal in goals:
             near = every[np.linalg.norm(tips - goal[:3, 3], axis=1) <= tolerance - SURE]
             near = near[[turn == np.inf or angle_between(tip, goal) <= turn - SURE for tip in arm.tips(near)]]
-            there = near[~strict.blocked(near)]
+            solutions.append(near[~strict.blocked(near)])
+        found.append(Scenario(parts, exact, turn, previous, goals, solutions))
+    return found
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("kind", ARMS)
+def test_every_method_reaches_what_can_be_reached(kind, method):
+    arm, tolerance = ARMS[kind], 0.01
+    solver, found, solvable = solver_of(arm), 0, 0
+    for parts, clearance, turn, first, goals, solutions in scenarios(kind, tolerance):
+        solver, previous = solver.avoiding(clearance), first
+        for goal, there in zip(goals, solutions, strict=True):
             asked = goal if turn < np.inf else goal[: arm.dimension, 3]
             solution = solver.solve(solver.target(asked, tolerance, turn), previous, method, timeout=1.0)
             solvable += len(there) > 0
@@ -137,7 +175,7 @@ def test_every_method_reaches_what_can_be_reached(arm, method):
     assert found == solvable
 
 
-@pytest.mark.parametrize("arm", [paper_arm(5), spatial_arm(5)], ids=["planar", "spatial"])
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_candidates_are_the_cheapest_that_are_clear(arm):
     every, tolerance, rng = every_configuration(arm), 0.02, np.random.default_rng(8)
     tips, plain, found = arm.tips(every), solver_of(arm), 0

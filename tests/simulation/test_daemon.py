@@ -25,7 +25,7 @@ from tests.simulation.world import World
 STEPS = 3_000
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_invariants_hold(seed: int) -> None:
     World(seed, whole=True).run(STEPS)
 
@@ -157,9 +157,20 @@ FOUND = {  # words of the violation
 }
 
 
-def run_seeds(seeds: int, steps: int) -> None:
-    for seed in range(seeds):
-        World(seed, whole=True).run(steps)
+FIRST = {  # seed that finds the defect soonest; other seeds follow if it no longer does
+    "queries are not answered": 4,
+    "results are not published": 1,
+    "each plan counts as optimal": 4,
+    "a stop bars no goals": 3,
+    "the planner resets a stopped arm": 9,
+    "the executor's answers are not awaited": 5,
+    "lost connections are not noticed": 2,
+}
+
+
+def run_seeds(first: int, seeds: int, steps: int) -> None:
+    for k in range(seeds):
+        World((first + k) % seeds, whole=True).run(steps)
 
 
 SLOW = {  # found after 20 to 150 s: by `HYPERBIT_ALL_DEFECTS=1 pytest`
@@ -179,4 +190,4 @@ def test_defects_are_found(monkeypatch: pytest.MonkeyPatch, defect: str) -> None
     for patch in DEFECTS[defect]:
         monkeypatch.setattr(*patch)
     with pytest.raises(Violation, match=FOUND.get(defect)):
-        run_seeds(60, 4 * STEPS)
+        run_seeds(FIRST.get(defect, 0), 60, 4 * STEPS)

@@ -13,7 +13,7 @@ from tests.simulation.world import World
 STEPS, EVERY = 6_000, 50  # steps of a world, and between two pickles
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_copy_from_a_pickle_takes_the_same_actions(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     step, copies, compared = Executor.step, dict[int, Executor](), [0]
 

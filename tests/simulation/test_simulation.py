@@ -29,7 +29,7 @@ from tests.simulation.world import World
 STEPS = 3_000
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_invariants_hold(seed: int) -> None:
     World(seed).run(STEPS)
 
@@ -153,11 +153,22 @@ FOUND = {  # words of the violation, where another invariant could find the defe
 }
 
 
-FIRST = {  # seed that finds the defect, where the seeds before it do not: each takes a second
-    "results are sent again for ever": 4,
+FIRST = {  # seed that finds the defect soonest; other seeds follow if it no longer does
+    "switches are counted that were not made": 24,
+    "results are sent again for ever": 27,
+    "a program goes on after cancel and halt": 2,
+    "locks are taken whatever the end-stops read": 2,
+    "no epoch ends": 2,
+    "pulses do not end": 7,
+    "both outputs of a pair are on": 16,
+    "a start energises": 2,
+    "waiting RPDOs are switched after a stop": 24,
     "interlocks are ignored": 30,
-    "marks settle again after a replacement": 5,
-    "stages are taken again after a replacement": 4,
+    "the loss of the planner begins no epoch": 2,
+    "marks settle again after a replacement": 27,
+    "stages are taken again after a replacement": 22,
+    "programs wait for stages for ever": 11,
+    "programs do not wait for stages": 7,
 }
 
 

@@ -8,7 +8,7 @@ from tests.drivers.enumeration.histories import SLOW
 from tests.drivers.enumeration.trials import run, trials
 from tests.drivers.variants.cases import CASES, Case
 
-EVERY, EVERY_SLOW = 587, 4001  # prime, so that all kinds of failures are among them
+EVERY, EVERY_SLOW = 1187, 8009  # prime, so that all kinds of failures are among them
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)

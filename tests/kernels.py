@@ -1,0 +1,26 @@
+"""Compiles the kernels of the tests and of `hyperbit bench` on all processors: python -m tests.kernels.
+
+`make test` runs it before the tests: otherwise each of its processes compiles these kernels, which takes a minute.
+"""
+
+import os
+from pathlib import Path
+
+from controller.host.kernels import compile_all, imports, source
+
+ROOT = Path(__file__).parents[1]
+TESTS = {  # modules whose import compiles kernels, each with those that it depends on
+    "tests.benchmarks.proofs.kernels": set[str](),
+    "tests.benchmarks.search.oriented_densities.frame_pixels": set[str](),
+}
+
+
+def bench() -> dict[str, set[str]]:
+    """Returns the methods of `hyperbit bench` with kernels, each with those that it depends on."""
+    names = [f"controller.bench.methods.{path.stem}" for path in (ROOT / "controller/bench/methods").glob("[!_]*.py")]
+    own = {name for name in names if "@njit(" in source(name)}
+    return {name: imports(name) & own for name in own}
+
+
+if __name__ == "__main__":
+    compile_all(bench() | TESTS, len(os.sched_getaffinity(0)))
