@@ -99,7 +99,7 @@ function showTools(view, editor) {
   };
   editor.on(describe);
   describe();
-  const zoom = (label, title, act) => el("button", { type: "button", title, "aria-label": title, onclick: act }, label);
+  const zoom = (label, title, act) => el("button", { type: "button", class: label === "⤢" ? "" : "step", title, "aria-label": title, onclick: act }, label);
   fill(
     document.querySelector(".zoom"),
     zoom("+", "Closer", () => view.zoomBy(1.4)),
