@@ -113,10 +113,11 @@ function showTools(view, editor) {
     mark("unknown", "position unknown, drawn as last known"),
     mark("commanded", "commanded"),
     mark("ghost", "planned"),
-    mark("deviation", "deviation on the way"),
+    mark("deviation", "greatest deviation on the way"),
     mark("goal", "goal"),
     mark("waypoints", "waypoints"),
     mark("obstacle", "obstacle"),
     view.arm.density ? mark("density", "density of reachable tips") : null,
+    el("span", {}, "lengths in the unit of the arm's file"),
   );
 }
