@@ -108,7 +108,7 @@ class Trouble:
         self.url = line.removeprefix(begin).rstrip("/")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def trouble(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trouble]:
     with ExitStack() as closing:
         yield Trouble(tmp_path_factory.mktemp("trouble"), closing)

@@ -227,6 +227,7 @@ def test_a_spatial_arm_is_drawn_and_commanded(page: Page) -> None:
     type_goal(shown, *(round(x, 4) for x in densest[:3]))
     shown.says("#goal .plan", "switches", "certificate")
     shown.press("[data-mode=turn]")
+    shown.says(".legend", "unit of the arm's file")
     shown.picture("panel-space.png")
     shown.press("#actuators .cell")
     shown.hold("#jog")

@@ -115,3 +115,19 @@ def test_a_goal_of_this_page_may_be_replaced(trouble: Trouble, driver: object) -
     told(trouble, shown, mode="executing", goal=goals[-1]["id"], reason="to my goal")
     shown.says("#goal .why", "Go replaces the running goal")
     assert enabled(shown)
+
+
+def test_the_deviation_is_an_outline(trouble: Trouble, driver: object) -> None:
+    pixel = """return document.querySelector('.stage canvas').getContext('2d')
+        .getImageData(arguments[0], arguments[1], 1, 1).data"""
+    trouble.daemon.planned = {"position": [0.4, 2.9], "excursion": 1.5}
+    try:
+        shown = planned(trouble, driver)
+        shown.picture("panel-deviation.png")
+    finally:
+        trouble.daemon.planned = {}
+    eventually(lambda: shown.run(DRAWN, PLANNED) > 600)
+    box = shown.run("return document.querySelector('.stage').getBoundingClientRect().toJSON()")
+    inside = shown.run(pixel, round(0.62 * box["width"]), round(0.22 * box["height"]))
+    assert inside[3] == 0, "the region within the outline is not covered"
+    shown.says(".legend", "greatest deviation on the way", "unit of the arm's file")

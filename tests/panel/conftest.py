@@ -43,6 +43,7 @@ class PlayedDaemon:
     Attributes:
         asked: key and payload of each request except `arm`.
         gate: event that answers to `plan` wait for.
+        planned: further fields of a planned waypoint.
     """
 
     def __init__(self, endpoint: str) -> None:
@@ -52,6 +53,7 @@ class PlayedDaemon:
         self.asked: list[tuple[str, Message]] = []
         self.gate = threading.Event()
         self.gate.set()
+        self.planned: Message = {}
         self.answer: Message = {"accepted": True, "code": 0, "message": "done"}
         self._session = zenoh.open(session.configuration("peer", listen=endpoint))
         self._keys: list[Any] = [
@@ -71,7 +73,8 @@ class PlayedDaemon:
             answer = self.answer
         if key == "plan":
             self.gate.wait(PATIENCE)
-            answer = {**answer, "waypoints": [{"configuration": "1" * 16, "between": False}], "switches": 3}
+            point = {"configuration": "1" * 16, "between": False, **self.planned}
+            answer = {**answer, "waypoints": [point], "switches": 3}
         if key == "goal":
             answer = {**answer, "id": payload["id"]}
         query.reply(query.key_expr, json.dumps(answer).encode())

@@ -99,7 +99,7 @@ function showTools(view, editor) {
   };
   editor.on(describe);
   describe();
-  const zoom = (label, title, act) => el("button", { type: "button", title, "aria-label": title, onclick: act }, label);
+  const zoom = (label, title, act) => el("button", { type: "button", class: label === "⤢" ? "" : "step", title, "aria-label": title, onclick: act }, label);
   fill(
     document.querySelector(".zoom"),
     zoom("+", "Closer", () => view.zoomBy(1.4)),
@@ -113,10 +113,11 @@ function showTools(view, editor) {
     mark("unknown", "position unknown, drawn as last known"),
     mark("commanded", "commanded"),
     mark("ghost", "planned"),
-    mark("deviation", "deviation on the way"),
+    mark("deviation", "greatest deviation on the way"),
     mark("goal", "goal"),
     mark("waypoints", "waypoints"),
     mark("obstacle", "obstacle"),
     view.arm.density ? mark("density", "density of reachable tips") : null,
+    el("span", {}, "lengths in the unit of the arm's file"),
   );
 }

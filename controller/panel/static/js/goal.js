@@ -19,10 +19,12 @@ export function showGoal(connection, editor, notify) {
   const go = el("button", { type: "button", id: "go", class: "primary" }, "Go");
   const cancel = el("button", { type: "button", id: "cancel" }, "Hold now");
   const clear = el("button", { type: "button" }, "Clear");
+  const brief = el("span", { class: "brief" }); // the plan in a line, beside Go on a small screen
+  const bar = el("div", { class: "go-bar" }, brief, go);
   const upload = el("input", { type: "file", accept: ".json,.yaml,.yml", id: "upload" });
   card.append(
     fields,
-    el("div", { class: "buttons" }, go, cancel, clear),
+    el("div", { class: "buttons" }, bar, cancel, clear),
     why,
     el("label", { class: "upload" }, "Goal file ", upload),
     words,
@@ -88,6 +90,7 @@ export function showGoal(connection, editor, notify) {
     const note = running ? "Go replaces the running goal." : editor.goal === null ? "" : obstacle;
     if (why.textContent !== note) why.textContent = note;
     words.classList.toggle("late", !editor.upToDate);
+    brief.textContent = editor.goal === null ? "Touch the picture to place a goal." : note || inBrief(editor.validPlan);
     if (editor.goal !== null && JSON.stringify(editor.goal) !== about) message.textContent = "";
     if (!fields.contains(document.activeElement)) fill(fields, ...inputs(editor, arm));
     fill(words, ...planInWords(editor));
@@ -139,10 +142,16 @@ function goObstacle(editor, sent) {
   if (state === null) return "Nothing was heard from the arm yet.";
   if (state.mode === "executing") {
     return sent !== null && state.goal === sent.id ? ""
-      : `The arm carries out ${state.goal ?? "a motion"}: wait, or press Hold now. The goal is planned when the arm is ready.`;
+      : `The arm carries out ${state.goal ? `the goal ${state.goal}` : "a motion"}: wait, or press Hold now. The goal is planned when the arm is ready.`;
   }
   if (!editor.ready) return `The arm is not ready (${state.mode}). The goal is planned when it is.`;
   return editor.upToDate ? "" : "Planning from the present state …";
+}
+
+function inBrief(plan) {
+  if (!plan?.accepted) return plan === null ? "" : inWords(plan);
+  const count = `${plan.switches} ${plan.switches === 1 ? "switch" : "switches"}`;
+  return plan.certificate === "optimal" ? `${count}, proven optimal` : count;
 }
 
 function planInWords(editor) {

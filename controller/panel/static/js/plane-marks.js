@@ -1,20 +1,34 @@
 // Marks of the planar drawing: goals, waypoints, planned configurations, tip.
 
-// The planned configurations, and the deviation of the tip on the way to the first.
+// The planned configurations, and the outline of the region that the tip does not leave on the way to the first.
 export function drawGhost(view) {
   const plan = view.editor.validPlan;
   if (!plan?.accepted) return;
   const points = plan.waypoints.filter((waypoint) => waypoint.body);
   const { context } = view;
   if (view.state?.tip && points[0]?.excursion) {
-    context.globalAlpha = 0.09;
-    context.strokeStyle = view.colour("ghost");
-    context.lineWidth = Math.max(2 * points[0].excursion * view.scale, 1);
-    view.line([view.toScreen(view.state.tip.position), view.toScreen(points[0].position)]);
+    drawCapsule(view, view.toScreen(view.state.tip.position), view.toScreen(points[0].position), points[0].excursion);
   }
   context.globalAlpha = points.length > 1 ? 0.35 : 0.8;
   for (const waypoint of points) view.drawBody(waypoint.body, "ghost", 1.8);
   context.globalAlpha = 1;
+}
+
+// The outline of all points within a radius of a line on the screen.
+function drawCapsule(view, [x0, y0], [x1, y1], radius) {
+  const { context } = view;
+  const along = Math.atan2(y1 - y0, x1 - x0);
+  const size = radius * view.scale;
+  context.globalAlpha = 0.7;
+  context.strokeStyle = view.colour("ghost");
+  context.lineWidth = 1.2;
+  context.setLineDash([2, 5]);
+  context.beginPath();
+  context.arc(x0, y0, size, along + Math.PI / 2, along - Math.PI / 2);
+  context.arc(x1, y1, size, along - Math.PI / 2, along + Math.PI / 2);
+  context.closePath();
+  context.stroke();
+  context.setLineDash([]);
 }
 
 export function drawWaypoints(view) {

@@ -4,6 +4,7 @@ import { drawCross, drawGhost, drawGoal, drawQuestion, drawTip, drawWaypoints } 
 import { listenToPointers } from "./plane-input.js";
 import { NOTHING } from "./bodies.js";
 import { drawObstacles } from "./shapes.js";
+import { digitsOf, niceStep } from "./scale.js";
 import { View } from "./view.js";
 
 export class PlaneView extends View {
@@ -135,7 +136,7 @@ export class PlaneView extends View {
     context.fillStyle = this.colour("faint");
     context.lineWidth = 1;
     context.font = "11px system-ui, sans-serif";
-    const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+    const digits = digitsOf(step);
     for (let x = Math.ceil(left / step) * step; x <= right; x += step) {
       const [px] = this.toScreen([x, 0]);
       this.line([[px, 0], [px, height]]);
@@ -146,6 +147,9 @@ export class PlaneView extends View {
       this.line([[0, py], [width, py]]);
       context.fillText(y.toFixed(digits), 3, py - 3);
     }
+    context.font = "italic bold 13px system-ui, sans-serif";
+    context.fillText("x", width - 12, height - 16);
+    context.fillText("y", 22, 14);
   }
 
   line(points) {
@@ -168,9 +172,4 @@ export class PlaneView extends View {
     context.stroke();
     context.setLineDash([]);
   }
-}
-
-function niceStep(least) {
-  const power = 10 ** Math.floor(Math.log10(least));
-  return power * [1, 2, 5, 10].find((factor) => factor * power >= least);
 }

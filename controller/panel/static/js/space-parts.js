@@ -64,6 +64,35 @@ export function obstacleMesh(region, colour, reach) {
   return mesh;
 }
 
+// The outline of all points within a radius of a line: circles at both ends, half circles beyond, and lines between.
+export function capsule(from, to, radius) {
+  const [begin, end] = [new THREE.Vector3(...from), new THREE.Vector3(...to)];
+  const along = end.clone().sub(begin).normalize();
+  if (along.lengthSq() === 0) along.set(0, 0, 1);
+  const side = new THREE.Vector3(1, 0, 0);
+  if (Math.abs(along.x) > 0.9) side.set(0, 1, 0);
+  side.cross(along).normalize();
+  const other = along.clone().cross(side);
+  const points = [];
+  const arc = (centre, first, second, least, most) => {
+    const at = (k) => {
+      const angle = least + ((most - least) * k) / 24;
+      return centre.clone().addScaledVector(first, radius * Math.cos(angle)).addScaledVector(second, radius * Math.sin(angle));
+    };
+    for (let k = 0; k < 24; k += 1) points.push(at(k), at(k + 1));
+  };
+  for (const [centre, sign] of [[begin, -1], [end, 1]]) {
+    arc(centre, side, other, 0, 2 * Math.PI);
+    for (const across of [side, other]) arc(centre, across, along.clone().multiplyScalar(sign), 0, Math.PI);
+  }
+  for (const across of [side, other]) {
+    for (const sign of [-radius, radius]) {
+      points.push(begin.clone().addScaledVector(across, sign), end.clone().addScaledVector(across, sign));
+    }
+  }
+  return new THREE.BufferGeometry().setFromPoints(points);
+}
+
 // Points (x, y, z, density) in the base's frame.
 export function cloud(points, size, colour) {
   const geometry = new THREE.BufferGeometry();

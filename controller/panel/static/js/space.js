@@ -4,7 +4,8 @@ import * as THREE from "three";
 import { OrbitControls } from "/static/vendor/OrbitControls.js";
 import { NOTHING } from "./bodies.js";
 import { listenInSpace } from "./space-input.js";
-import { Bars, cloud, frameOf, obstacleMesh } from "./space-parts.js";
+import { Bars, capsule, cloud, frameOf, obstacleMesh } from "./space-parts.js";
+import { Scale } from "./space-scale.js";
 import { View } from "./view.js";
 
 export class SpaceView extends View {
@@ -32,15 +33,13 @@ export class SpaceView extends View {
     this.goal = new THREE.Mesh(new THREE.OctahedronGeometry(4 * thin), new THREE.MeshLambertMaterial({ wireframe: true }));
     this.target = new THREE.Mesh(new THREE.OctahedronGeometry(4 * thin), new THREE.MeshLambertMaterial());
     this.path = new THREE.Line(new THREE.BufferGeometry(), new THREE.LineDashedMaterial({ dashSize: 3 * thin, gapSize: 3 * thin }));
-    this.stray = new THREE.Mesh(new THREE.SphereGeometry(1, 24, 16), new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.12, depthWrite: false }));
+    this.stray = new THREE.LineSegments(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ transparent: true, opacity: 0.55 }));
     this.regions = new THREE.Group();
     this.scene.add(this.tip, this.goal, this.target, this.path, this.stray, this.regions);
-    this.grid = new THREE.GridHelper(2 * arm.length, 20, 0xffffff, 0xffffff); // its colour is set at each repaint
-    this.grid.rotation.x = Math.PI / 2;
-    this.grid.position.set(arm.base[0][3], arm.base[1][3], arm.base[2][3]);
+    this.scale = new Scale(this.scene, arm);
     const axes = new THREE.AxesHelper(arm.length / 8);
     axes.applyMatrix4(frameOf(arm.base));
-    this.scene.add(this.grid, axes);
+    this.scene.add(axes);
     this.input = listenInSpace(this);
     this.fit();
     this.repaintWith(stage);
@@ -97,7 +96,7 @@ export class SpaceView extends View {
     this.input.follow(last);
     this.paintPath(colour("goal"));
     this.paintRegions(colour("obstacle"));
-    this.grid.material.color.set(colour("edge"));
+    this.scale.paint(colour("edge"), colour("faint"));
     this.renderer.render(this.scene, this.camera);
   }
 
@@ -108,14 +107,21 @@ export class SpaceView extends View {
     mesh.material.color.set(colour);
   }
 
-  // The planned configurations, and a sphere of the tip's deviation on the way to the first.
+  // The planned configurations, and the outline of the region that the tip does not leave on the way to the first.
   paintGhosts(colour) {
     const plan = this.editor.validPlan;
     const points = plan?.accepted ? plan.waypoints.filter((waypoint) => waypoint.body).slice(0, 20) : [];
     while (this.bars.ghosts.length < points.length) this.bars.ghosts.push(new Bars(this.scene, this.arm.length / 300, 0.45));
     this.bars.ghosts.forEach((bars, k) => bars.set(points[k]?.body ?? [], colour));
-    this.place(this.stray, points[0]?.excursion ? points[0].position : null, colour);
-    this.stray.scale.setScalar(points[0]?.excursion || 1);
+    const from = this.state?.tip?.position;
+    this.stray.visible = Boolean(from && points[0]?.excursion);
+    if (!this.stray.visible) return;
+    this.stray.material.color.set(colour);
+    const now = JSON.stringify([from, points[0].position, points[0].excursion]);
+    if (now === this.shownStray) return;
+    this.shownStray = now;
+    this.stray.geometry.dispose();
+    this.stray.geometry = capsule(from, points[0].position, points[0].excursion);
   }
 
   paintPath(colour) {
