@@ -10,6 +10,7 @@ import pytest
 from controller.commands.common import refusal
 from controller.commands.connection import connected
 from controller.commands.operate import demo
+from tests.waiting import eventually
 
 
 def test_a_stop_holds_until_reset(hyperbit, endpoint):
@@ -90,7 +91,7 @@ def test_obstacles_block_goals_until_they_are_removed(hyperbit, endpoint, tmp_pa
         assert re.search(r"\(0\.55, 2\.9\) (is|seems) out of reach", message)
         code, out, _ = hyperbit(*words, "--none", "--json")
         assert (code, json.loads(out)["message"]) == (0, "0 obstacles, 0 of them sent")
-        assert client.request("plan", goal, timeout=60)["accepted"]
+        eventually(lambda: client.request("plan", goal, timeout=60)["accepted"])  # a search of a busy machine may fail
 
 
 def test_a_fault_in_the_regions_is_refused_by_field(hyperbit, endpoint, tmp_path):
