@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,9 @@ import yaml
 from controller import cli
 from controller.commands.connection import connected
 from controller.commands.operate import demo
+from drivers.canopen.tools import listening, probe
 
+Told = Callable[..., str]
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 
 
@@ -28,10 +31,29 @@ def hyperbit(monkeypatch, capsys):
 
 
 @pytest.fixture
+def told(hyperbit) -> Told:
+    """Runs the command in this process; it must end with an exit code. Returns its output on stderr."""
+
+    def run(*words: str, code: int) -> str:
+        ended, _, err = hyperbit(*words)
+        assert ended == code, err
+        return err
+
+    return run
+
+
+@pytest.fixture
 def own_folders(monkeypatch, tmp_path):
     """Gives a test its own cache folder and ledger."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def brief_listening(monkeypatch):
+    """Commands listen for heartbeats for 50 ms only: for tests in which no heartbeat needs to be heard."""
+    monkeypatch.setattr(listening, "_SHORTEST", 0.05)
+    monkeypatch.setattr(probe, "_LISTEN", 0.05)
 
 
 @pytest.fixture
@@ -46,9 +68,9 @@ def spatial(tmp_path):
     return str(file)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def endpoint(tmp_path_factory):
-    """Endpoint of a ready daemon with simulated boards, in its own process."""
+    """Endpoint of a ready daemon with simulated boards, in its own process; each test leaves it ready."""
     folder = tmp_path_factory.mktemp("daemon")
     with demo.started(ARM, folder) as (_, endpoint):
         with connected("planar16", endpoint, None) as client:

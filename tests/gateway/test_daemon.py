@@ -138,13 +138,6 @@ def test_goals_configurations_and_jogs_move_the_arm_and_a_signal_ends_all_in_ord
     assert ended == [("later", "aborted"), (result["id"], "succeeded")]
 
 
-def test_a_killed_planner_takes_its_executor_with_it(process: Process) -> None:
-    with connected(process):
-        (executor,) = process.executors
-        process.process.kill()
-        eventually(lambda: gone(executor))
-
-
 def test_the_planner_ends_with_its_executor_and_says_so(process: Process) -> None:
     with connected(process) as (client, states, results):
         goal = {"id": "a", "waypoints": [{"configuration": FIRST}, {"t": HOUR, "configuration": SECOND}]}
@@ -153,6 +146,7 @@ def test_the_planner_ends_with_its_executor_and_says_so(process: Process) -> Non
         os.kill(process.executors[0], signal.SIGKILL)
         assert "failed: the executor ended with code -9" in process.failure()
         eventually(lambda: [result["status"] for result in results] == ["aborted"])
+        eventually(lambda: not client.alive())
 
 
 def test_a_second_daemon_on_the_same_ledger_or_executor_does_not_start(

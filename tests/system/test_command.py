@@ -4,7 +4,8 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -102,33 +103,27 @@ def test_a_signal_ends_both_processes_in_order(
     eventually(lambda: not os.path.exists(f"/proc/{executor}"))
 
 
-def killed_planner(process: subprocess.Popen[bytes]) -> None:
-    process.kill()
-
-
-def killed_executor(process: subprocess.Popen[bytes]) -> None:
-    os.kill(children(process)[0], signal.SIGKILL)
-
-
-@pytest.mark.parametrize("kill", [killed_planner, killed_executor])
-def test_neither_process_outlives_the_other(
-    process: subprocess.Popen[bytes], client: Observer, kill: Callable[[subprocess.Popen[bytes]], None]
-) -> None:
+def test_a_killed_planner_takes_its_executor_with_it(process: subprocess.Popen[bytes], client: Observer) -> None:
+    """That the planner ends with its executor is tested in tests/gateway/test_daemon.py."""
     (executor,) = children(process)
     eventually(lambda: client.client.alive())
-    kill(process)
-    assert process.wait(PATIENCE) != 0
+    process.kill()
     eventually(lambda: not os.path.exists(f"/proc/{executor}"))
     eventually(lambda: not client.client.alive())
 
 
-def test_faults_of_simulated_boards_are_made_by_lines_on_the_standard_input(
-    process: subprocess.Popen[bytes], client: Observer
+def test_faults_of_simulated_boards_are_made_by_lines_on_the_standard_input_and_by_the_command(
+    process: subprocess.Popen[bytes], client: Observer, folder: Path
 ) -> None:
     def say(line: str) -> None:
         assert process.stdin
         process.stdin.write(f"{line}\n".encode())
         process.stdin.flush()
+
+    def fault(*words: str) -> tuple[int, str]:
+        command = [sys.executable, "-m", "controller.cli", "fault", NAME, *words, "--connect", endpoint(folder)]
+        run = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+        return run.returncode, (run.stdout + run.stderr).replace("\n", " ")
 
     say("silence can0/5")
     assert "can0/5" in client.wait_for("fault")["reason"]
@@ -137,21 +132,13 @@ def test_faults_of_simulated_boards_are_made_by_lines_on_the_standard_input(
     client.reset()  # needed if reads without an answer were the fault, before the heartbeat was overdue
     client.move(MIDDLE)
 
-
-def test_a_fault_is_played_by_the_command_and_recovered_from(
-    process: subprocess.Popen[bytes], client: Observer, folder: Path
-) -> None:
-    def fault(*words: str) -> tuple[int, str]:
-        command = [sys.executable, "-m", "controller.cli", "fault", NAME, *words, "--connect", endpoint(folder)]
-        run = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-        return run.returncode, (run.stdout + run.stderr).replace("\n", " ")
-
     assert client.heard["state"][-1]["simulated"] is True
-    assert fault("silence", "can0/5") == (0, "done: silence can0/5 ")
-    state = client.wait_for("fault")
-    assert [(it["code"], it["source"]) for it in state["faults"]] == [("board-lost", "can0/5")]
-    code, said = fault("unsilense", "can0/5")
+    silenced = time.time()
+    assert fault("silence", "can0/6") == (0, "done: silence can0/6 ")
+    state = client.wait_fault("board-lost", silenced)
+    assert [(it["code"], it["source"]) for it in state["faults"]] == [("board-lost", "can0/6")]
+    code, said = fault("unsilense", "can0/6")
     assert (code, "did you mean unsilence?" in said, "hyperbit fault --help" in said) == (1, True, True), said
-    assert fault("unsilence", "can0/5") == (0, "done: unsilence can0/5 ")
+    assert fault("unsilence", "can0/6") == (0, "done: unsilence can0/6 ")
     client.wait_now("ready")
-    client.move(MIDDLE)
+    client.move(RIGHT, goal="after")

@@ -112,7 +112,7 @@ def test_a_second_executor_of_the_arm_does_not_start(client: Observer, system: S
 
 def test_a_flood_is_refused_and_a_stop_gets_through(client: Observer, system: System, stack: ExitStack) -> None:
     flooding, prefix = stack.enter_context(system.session()), f"hyperbit/{system.name}"
-    there_and_back = enumerate([LEFT, RIGHT] * int(400 / SLOWNESS))
+    there_and_back = enumerate([LEFT, RIGHT] * int(80 / SLOWNESS))
     far = json.dumps({"waypoints": [{"t": 0.2 * k * SLOWNESS, "position": p} for k, p in there_and_back]})
     flood = [flooding.get(f"{prefix}/plan", payload=far, timeout=2 * PATIENCE) for _ in range(60)]
     assert client.ask("stop")["accepted"]

@@ -44,7 +44,7 @@ def board(hyperbit, arm, tmp_path):
     return lambda *words: hyperbit("board", str(arm), *words, "--socket", str(tmp_path))
 
 
-def test_errors_are_read(board, boards):
+def test_errors_are_read(board, boards, brief_listening):
     boards.fault("error", "can0/5", "2320")
     code, out, err = board("can0/5", "errors")
     assert (code, err) == (0, "")
@@ -56,7 +56,7 @@ def test_errors_are_read(board, boards):
     assert (code, told["board"], told["history"][0] & 0xFFFF) == (0, "can0/5", 0x2320)
 
 
-def test_a_reset_is_asked_for_and_waits_for_the_boot_up_message(board, boards, monkeypatch):
+def test_a_reset_is_asked_for_and_waits_for_the_boot_up_message(board, boards, monkeypatch, brief_listening):
     with boards.board("can0/5") as it:
         it.objects.set_number(0x1017, 0, 777)
     monkeypatch.setattr("typer.confirm", lambda question, err: "its actuators may move" in question and False)
@@ -71,7 +71,7 @@ def test_a_reset_is_asked_for_and_waits_for_the_boot_up_message(board, boards, m
         assert other.objects.number(0x1000)
 
 
-def test_a_missing_board_is_reported(board, arm):
+def test_a_missing_board_is_reported(board, arm, brief_listening):
     arm.write_text(arm.read_text().replace("boot_timeout: 60", "boot_timeout: 0.2"))
     code, _, err = board("can0/5", "errors")
     assert (code, "board can0/5 does not answer" in err) == (1, True)
@@ -106,7 +106,7 @@ def test_the_command_refuses_while_the_executor_runs(board, arm, tmp_path, actio
     assert (code, "the executor of planar16 is running" in err) == (1, True)
 
 
-def test_a_stopped_board_is_said_to_be_stopped(board, boards):
+def test_a_stopped_board_is_said_to_be_stopped(board, boards, brief_listening):
     with boards.board("can0/5") as it:
         it.objects.set_number(0x1017, 0, 100)
         it.receive(0, bytes([0x80, 5]), it._now)
@@ -118,7 +118,7 @@ def test_a_stopped_board_is_said_to_be_stopped(board, boards):
     assert board("can0/5", "errors")[0] == 0
 
 
-def test_a_socket_that_nobody_serves_does_not_count(board, boards, tmp_path):
+def test_a_socket_that_nobody_serves_does_not_count(board, boards, tmp_path, brief_listening):
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as old:
         old.bind(str(tmp_path / "planar16.sock"))
     assert board("can0/5", "errors")[0] == 0

@@ -48,7 +48,7 @@ def check(hyperbit, arm, tmp_path):
     return lambda *words: hyperbit("check", str(arm), "--bus", "--socket", str(tmp_path), *words)
 
 
-def test_each_kind_of_answer_is_counted(check, boards):
+def test_each_kind_of_answer_is_counted(check, boards, brief_listening):
     assert check()[0] == 0
     boards.fault("error", "can0/1", "2320")
     with boards.board("can0/2") as it:

@@ -39,7 +39,7 @@ def run() -> Iterator[Callable[..., Simulation]]:
         simulation.stop()
 
 
-def test_the_only_board_gets_another_id_and_bit_rate(hyperbit, run):
+def test_the_only_board_gets_another_id_and_bit_rate(hyperbit, run, brief_listening):
     boards = run(5)
     code, out, err = hyperbit(*SET, "--new-bitrate", "250000")
     assert (code, err) == (0, "")
@@ -52,7 +52,7 @@ def test_the_only_board_gets_another_id_and_bit_rate(hyperbit, run):
     eventually(lambda: not board.lss.state)
 
 
-def test_a_value_that_was_not_stored_is_not_reported(hyperbit, run):
+def test_a_value_that_was_not_stored_is_not_reported(hyperbit, run, brief_listening):
     run(5)
     _, out, _ = hyperbit(*SET, "--bitrate", "500000")
     assert out.startswith("board 0x0:0x191:0x1:0x69: stored node id 7 (before: 5)\n")
@@ -62,7 +62,7 @@ def test_a_value_that_was_not_stored_is_not_reported(hyperbit, run):
     assert json.loads(out)["bitrate"] is None
 
 
-def test_the_board_is_released_if_the_command_is_terminated(hyperbit, run, monkeypatch):
+def test_the_board_is_released_if_the_command_is_terminated(hyperbit, run, monkeypatch, brief_listening):
     boards = run(5)
     monkeypatch.setattr(Lss, "configure", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
     code, _, _ = hyperbit(*SET)
@@ -72,7 +72,7 @@ def test_the_board_is_released_if_the_command_is_terminated(hyperbit, run, monke
     eventually(lambda: not board.lss.state)
 
 
-def test_one_of_two_is_named(hyperbit, run):
+def test_one_of_two_is_named(hyperbit, run, brief_listening):
     boards = run(5, 9)
     code, _, err = hyperbit(*SET)
     assert (code, "nodes 5, 9 are on" in err, "--board" in err) == (1, True, True)
@@ -82,7 +82,7 @@ def test_one_of_two_is_named(hyperbit, run):
         assert (five.lss.stored, nine.lss.stored) == ((5, 0), (7, 0))
 
 
-def test_an_id_that_another_board_has_is_refused(hyperbit, run):
+def test_an_id_that_another_board_has_is_refused(hyperbit, run, brief_listening):
     run(5, 7)
     code, _, err = hyperbit(*SET, "--board", "0:401:1:105")
     assert (code, "node id 7 is taken" in err) == (1, True)

@@ -25,7 +25,7 @@ def boards():
     simulation.stop()
 
 
-def test_each_node_has_its_rows(hyperbit, boards):
+def test_each_node_has_its_rows(hyperbit, boards, brief_listening):
     boards.fault("error", "can0/9", "2320")
     code, out, _ = hyperbit("probe", CHANNEL, "--interface", "virtual")
     assert code == 0
@@ -45,7 +45,7 @@ def test_each_node_has_its_rows(hyperbit, boards):
     assert "output short circuit (2320h)" in second
 
 
-def test_json_has_all_that_was_read(hyperbit, boards):
+def test_json_has_all_that_was_read(hyperbit, boards, brief_listening):
     code, out, _ = hyperbit("probe", CHANNEL, "--interface", "virtual", "--json")
     assert code == 0
     five, nine = (json.loads(line) for line in out.splitlines())
@@ -67,7 +67,7 @@ def test_a_bus_with_an_executor_is_refused_before_anything_is_sent(hyperbit, boa
     assert not [cob_id for cob_id in sent if cob_id & 0x780 in (0x580, 0x600)]
 
 
-def test_a_stopped_node_is_said_to_be_stopped(hyperbit, boards):
+def test_a_stopped_node_is_said_to_be_stopped(hyperbit, boards, brief_listening):
     with boards.board("can0/9") as it:
         it.receive(0, bytes([2, 9]), it._now)
     code, out, _ = hyperbit("probe", CHANNEL, "--interface", "virtual")
@@ -75,7 +75,7 @@ def test_a_stopped_node_is_said_to_be_stopped(hyperbit, boards):
     assert f"board {CHANNEL}/9 is stopped, as after the end of an executor" in out
 
 
-def test_a_bus_without_nodes_fails_in_words(hyperbit):
+def test_a_bus_without_nodes_fails_in_words(hyperbit, brief_listening):
     code, out, err = hyperbit("probe", "test_nobody", "--interface", "virtual")
     assert (code, out) == (1, "")
     assert "no node answers on test_nobody (virtual): check power, cable, termination and bit rate" in err

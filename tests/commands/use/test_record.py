@@ -9,15 +9,8 @@ import pytest
 from controller.armfile.strict import InputFaults
 from controller.commands.use import record_events
 from controller.commands.use.record import parse_size
+from tests.commands.conftest import Told
 from tests.keys import DEPLOY
-
-
-def hyperbit(*words: str, code: int) -> str:
-    """Returns the command's output on stderr."""
-    ended = subprocess.run([sys.executable, "-m", "controller.cli", *words], capture_output=True, text=True)
-    assert ended.returncode == code, ended.stderr
-    assert "Traceback" not in ended.stderr
-    return ended.stderr
 
 
 @pytest.mark.parametrize(
@@ -33,17 +26,17 @@ def test_no_sizes(text: str) -> None:
         parse_size(text, "--size")
 
 
-def test_bad_input_gives_a_message(tmp_path: Path) -> None:
-    assert "a number of bytes is needed" in hyperbit("record", "a", "--size", "much", code=2)
-    assert "a number above 0" in hyperbit("record", "a", "--minutes", "0", code=2)
-    assert "no-such.yaml" in hyperbit("record", "no-such.yaml", code=2)
+def test_bad_input_gives_a_message(told: Told, tmp_path: Path) -> None:
+    assert "a number of bytes is needed" in told("record", "a", "--size", "much", code=2)
+    assert "a number above 0" in told("record", "a", "--minutes", "0", code=2)
+    assert "no-such.yaml" in told("record", "no-such.yaml", code=2)
     folder = ["--folder", str(tmp_path / "recordings")]
-    assert "--can needs the arm's file" in hyperbit("record", "planar16", "--can", *folder, code=2)
+    assert "--can needs the arm's file" in told("record", "planar16", "--can", *folder, code=2)
     zenoh = ["--zenoh", str(tmp_path / "none.json5")]
-    assert "no Zenoh configuration" in hyperbit("record", "planar16", *zenoh, *folder, code=2)
+    assert "no Zenoh configuration" in told("record", "planar16", *zenoh, *folder, code=2)
     (tmp_path / "file").touch()
-    told = hyperbit("record", str(DEPLOY / "planar16.yaml"), "--folder", str(tmp_path / "file"), code=1)
-    assert "recordings cannot be written" in told
+    words = told("record", str(DEPLOY / "planar16.yaml"), "--folder", str(tmp_path / "file"), code=1)
+    assert "recordings cannot be written" in words
 
 
 def test_recording_needs_neither_kernels_nor_pictures() -> None:

@@ -127,7 +127,9 @@ def test_a_second_daemon_at_the_same_endpoint_fails_with_a_message(hyperbit, end
     assert endpoint in err
 
 
-def test_the_demo_runs_and_draws(hyperbit, tmp_path):
+def test_the_demo_runs_and_draws(hyperbit, tmp_path, monkeypatch):
+    """Takes seconds: a daemon starts in a process of its own, and the arm follows a curve in real time."""
+    monkeypatch.setattr(demo, "CURVE_WAYPOINTS", 9)
     picture = tmp_path / "demo.png"
     code, out, err = hyperbit("demo", "--picture", str(picture))
     assert (code, err) == (0, "")
