@@ -16,15 +16,23 @@ panel: $(VENV)/kernels
 	$(BIN)/pip install --quiet --editable '.[panel]'
 	$(BIN)/hyperbit run deploy/planar16.yaml --simulate --panel
 
-# There are more processes than processors, because many tests wait: three for two, and four where tests run in real
-# time. They leave BLAS no threads to gain by. The second part runs even if the first one fails; then make fails, too.
-REAL_TIME := tests/system
+# Tests in real time mostly wait, so they run beside the others, which yield the processors to them. If one part fails,
+# the other one still runs.
 test: check $(VENV)/kernels
-	failed=0; \
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses 3 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) \
-		--ignore tests/browser || failed=$$?; \
-	$(BIN)/pytest --numprocesses 4 --dist loadfile $(REAL_TIME) $(ARGS) || failed=$$?; \
-	exit $$failed
+	$(MAKE) --no-print-directory --keep-going --jobs 2 test-real-time test-others
+
+.PHONY: test-real-time test-others
+REAL_TIME := tests/system
+# Prints its report when it is done.
+test-real-time:
+	report=$$(mktemp); code=0; \
+	$(BIN)/pytest --numprocesses 4 --dist loadfile $(REAL_TIME) $(ARGS) > $$report 2>&1 || code=$$?; \
+	cat $$report; rm $$report; exit $$code
+
+# More processes than processors, because many of these tests wait, too. They leave BLAS no threads to gain by.
+test-others:
+	OPENBLAS_NUM_THREADS=1 nice $(BIN)/pytest --numprocesses 3 --dist worksteal --durations 20 $(REAL_TIME:%=--ignore %) \
+		--ignore tests/browser
 
 # Prepares the virtual machine, so that its tests begin at once.
 vm: $(VENV)/installed
