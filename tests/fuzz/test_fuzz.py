@@ -36,7 +36,7 @@ def test_seeds_and_former_failures(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "examples"), [("executor", 60), ("packets", 60), ("board", 300), ("arm", 100), ("obstacles", 300)]
+    ("name", "examples"), [("executor", 30), ("packets", 30), ("board", 300), ("arm", 100), ("obstacles", 300)]
 )
 def test_hypothesis_finds_nothing(name, examples):
     attack = TARGETS[name].build()

@@ -1,5 +1,6 @@
 """A panel on a real Zenoh session, and a fake daemon that records requests and answers at once."""
 
+import functools
 import json
 import socket
 import threading
@@ -12,7 +13,7 @@ import zenoh
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
-from controller.arm.arm import load
+from controller.arm.arm import Arm, load
 from controller.arm.description import description, drawing
 from controller.manipulator.notation import format_configuration, pose
 from controller.network import session
@@ -37,6 +38,12 @@ PEOPLE = (
 PATIENCE = 60.0  # [s]
 
 
+@functools.cache
+def paper_arm() -> Arm:
+    """The arm of all daemons of these tests, read once."""
+    return load(DEPLOY / f"{ARM}.yaml")
+
+
 class PlayedDaemon:
     """A fake daemon of one arm.
 
@@ -47,7 +54,7 @@ class PlayedDaemon:
     """
 
     def __init__(self, endpoint: str) -> None:
-        arm = load(DEPLOY / f"{ARM}.yaml")
+        arm = paper_arm()
         self.manipulator = arm.manipulator
         self.told = {**description(arm), "drawing": drawing(arm), "limits": [], "sent_obstacles": [], "running": None}
         self.asked: list[tuple[str, Message]] = []

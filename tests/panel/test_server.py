@@ -88,6 +88,7 @@ def test_client_certificates_take_the_place_of_tokens(tmp_path: Path) -> None:
 
 
 def test_slow_requests_are_closed_and_pages_stay_open(tmp_path: Path) -> None:
+    """Takes longer than the 10 s in which the server waits for a request."""
     host = b"Host: 127.0.0.1\r\n"
     begins = [
         b"",

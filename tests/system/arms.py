@@ -26,6 +26,7 @@ BITS, BOARDS = [3, 3, 3, 3, 2, 6, 1], [[1, 2], [3, 4, 5], [6], [7]]  # bits of e
 # stall loses a board. Tests of such losses use quick boards.
 PATIENT = {"heartbeat": 0.1, "heartbeat_timeout": 10.0, "boot_timeout": 6.0, "settle_margin": 5.0}
 MOST = {"heartbeat_timeout": 30.0, "settle_margin": 10.0}  # maxima of an arm's file
+# A test takes 5 s for each lost board, and for each actuator that is stuck.
 QUICK = {"heartbeat_timeout": 5.0, "boot_timeout": 3.0, "settle_margin": 5.0}  # still longer than most stalls
 
 

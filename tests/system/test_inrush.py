@@ -34,6 +34,7 @@ def counts(motions: Motions) -> list[int]:
 def test_never_more_at_once_on_the_bus(
     client: Observer, boards: Simulation, arm: Arm, motions: Motions, counts: list[int]
 ) -> None:
+    """Takes 7 s, as its goals have waypoints at 2 s and 4 s."""
     client.move(MIDDLE, RIGHT, goal="slow", times=[0.0, 2.0])
     before = boards.switches().sum()
     assert client.goal(LEFT, MIDDLE, times=[0.0, HOUR], id="a")["accepted"]

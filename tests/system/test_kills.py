@@ -32,6 +32,7 @@ def campaign(kind: str, nurseries: dict[str, Nursery], cache: Path, tmp_path: Pa
 
 
 def test_each_accepted_goal_has_one_result_whichever_process_is_killed_at_whatever_moment(campaign: Campaign) -> None:
+    """Takes about 40 s: 12 kills, after each of which processes start and boards boot."""
     for moment, victim in zip(MOMENTS, itertools.cycle(PROCESSES), strict=False):
         campaign.kill(moment, victim, 0)
     campaign.finish()

@@ -23,6 +23,7 @@ KILLS = 12 if SLOWNESS == 1 else 5  # each takes 3 s
 def test_counts_and_results_are_exact_after_many_kills_and_nothing_moves_by_itself(
     lives: Lives, system: System
 ) -> None:
+    """Takes 40 s, see KILLS."""
     client, boards, chance = lives.client, system.boards, random.Random(1)
     goals: list[str] = []
     for k in range(KILLS):

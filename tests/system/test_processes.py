@@ -19,6 +19,7 @@ pytestmark = [pytest.mark.fresh, pytest.mark.arm(boards=QUICK)]
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 @pytest.mark.parametrize("victim", ["planner", "executor"])
 def test_in_motion_following_in_a_fault_and_while_booting(lives: Lives, victim: str, number: signal.Signals) -> None:
+    """Takes 15 to 30 s: four losses, each of which the other process must detect, and a lost board."""
     client, boards, system = lives.client, lives.system.boards, lives.system
 
     # In motion: the goal ends once, and does not move the arm afterwards.
@@ -108,6 +109,7 @@ def test_a_stopped_planner_has_its_goal_ended_and_carries_out_a_stop_when_it_goe
 def test_the_result_of_a_planner_that_stood_still_for_longer_than_its_lease_is_heard(
     system: System, stack: ExitStack
 ) -> None:
+    """Takes longer than Zenoh's lease, 10 s."""
     lives = Lives(system, stack, session.LEASE)
     goal = lives.send("passed", MIDDLE, RIGHT, times=[0.0, HOUR])
     lives.begun()

@@ -54,6 +54,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
 def test_a_clock_that_is_set_moves_nothing_and_ends_no_goal(
     clock: Callable[[float], None], system: System, motions: Motions
 ) -> None:
+    """Takes 9 s: goals of 3 s before and after each change of the clock."""
     system.start()
     with system.client() as client:
         for number, hours in enumerate((1, -1)):
