@@ -285,4 +285,4 @@ def load(planar: bool) -> None:
 
 def match(sides: Sides, *rest: Any) -> None:
     """Calls the kernel for these sides, for positions or poses by the index."""
-    kernel(sides.outer.frames.shape[1] == 4, sides.lookup.rotation_scale > 0.0)(sides, *rest)
+    kernel(sides.outer.frames.shape[1] == 4, bool(sides.lookup.rotation_scale > 0.0))(sides, *rest)

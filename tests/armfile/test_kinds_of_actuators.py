@@ -276,7 +276,7 @@ entries = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     entries=st.lists(entries, min_size=6, max_size=6),
     on_loss=st.sampled_from(["hold", "contract"]),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
@@ -100,6 +100,7 @@ def test_bodies_in_regions_are_found_and_others_are_not(case, radius, data):
     assert (clearance.where(configuration), blocked) == (found, found is not None)
 
 
+@settings(max_examples=60)
 @given(short_arms(planar_modules, planar_frames, most=6) | short_arms(most=6), radii, st.data())
 def test_modules_that_touch_are_found_but_for_neighbours(arm, radius, data):
     configuration = np.array([data.draw(st.integers(0, k - 1)) for k in arm.states])

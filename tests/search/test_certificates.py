@@ -176,7 +176,7 @@ def small_lists(request, monkeypatch):
     monkeypatch.setattr(four_list, "AT_ONCE", 3)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(15))
 @pytest.mark.usefixtures("small_lists")
 def test_what_short_lists_leave_out_is_streamed_or_not_claimed(seed):
     rng = np.random.default_rng(seed)

@@ -79,13 +79,13 @@ def check_finish(manipulator, goal, stage_costs, tolerance):
         assert error == pytest.approx(errors.min(), abs=1e-9)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(searches())
 def test_finish_takes_the_least_penalty_within_tolerance_or_else_the_nearest(search):
     check_finish(*search)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(searches(), any_frames, st.floats(0.01, 3.0))
 def test_finish_does_so_of_poses(search, frame, turn):
     manipulator, goal, stage_costs, tolerance = search
@@ -126,7 +126,7 @@ def test_finish_does_so_however_the_arm_is_cut(search, most_points, most_branche
         check_finish(Manipulator(manipulator.modules[t.root :]), goal, stage_costs[t.root :], tolerance)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(searches())
 def test_nearest_without_tolerance_is_the_nearest_of_all(search):
     manipulator, goal, stage_costs, _ = search

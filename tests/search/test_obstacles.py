@@ -79,7 +79,7 @@ def cheapest(arm, every, goal, costs, tolerance, turn, loose, strict) -> tuple[f
     )
 
 
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(
     short_arms(bases=bases),
     st.integers(0, 2**32 - 1),

@@ -114,7 +114,7 @@ def test_contraction_extends_fewer_actuators(solver):
 
 
 @each_method
-@settings(max_examples=20)
+@settings(max_examples=6)
 @given(base=planar_frames)
 def test_the_arm_carried_elsewhere_does_the_same_there(solver, densities, method, base):
     moved = Solver(Manipulator(solver.manipulator.modules, base), densities)
@@ -140,7 +140,7 @@ def test_a_planar_arm_on_a_tilted_base_takes_goals_in_space(base):
 
 
 @each_method
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     manipulator=short_arms(planar_modules) | short_arms(listed(spatial_frames, planar=False)),
     seed=st.integers(0, 1000),
