@@ -19,7 +19,7 @@ from PIL import Image
 from controller.panel.access.people import digest_of
 from tests import waiting
 from tests.panel.conftest import PlayedDaemon
-from tests.system import arms
+from tests.system.stack import arms
 
 T = TypeVar("T")
 

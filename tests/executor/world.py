@@ -13,8 +13,8 @@ from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from drivers.simulation.variants import Variant
 from tests.executor.rig import PLANNER, SIZE, small_arm
-from tests.simulation.hardware import Hardware
-from tests.simulation.process import WAKE_UP, ExecutorProcess, Witness
+from tests.simulation.buses.hardware import Hardware
+from tests.simulation.executor.process import WAKE_UP, ExecutorProcess, Witness
 
 A, B = 0b000111, 0b011100
 STEP = 0.001  # [s]

@@ -37,9 +37,9 @@ from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.executor.rig import LABELS, SIZE, small_arm
 from tests.fuzz.decoder import Decoder
 from tests.fuzz.judge import Judge, Moved, Wedged
-from tests.simulation.bus_model import OnItsWay
-from tests.simulation.hardware import Hardware
-from tests.simulation.process import WAKE_UP, ExecutorProcess, Witness
+from tests.simulation.buses.bus_model import OnItsWay
+from tests.simulation.buses.hardware import Hardware
+from tests.simulation.executor.process import WAKE_UP, ExecutorProcess, Witness
 
 NODES = (5, 9)
 TRAVEL = 0.02

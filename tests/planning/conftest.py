@@ -8,7 +8,7 @@ import pytest
 from controller.arm.arm import Arm
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
-from tests.planning.desk import Desk
+from tests.planning.rig.desk import Desk
 
 MODULES = 4
 DOCUMENT: dict[str, Any] = {

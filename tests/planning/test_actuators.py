@@ -21,7 +21,7 @@ from controller.program import (
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refused
 from tests.planning.conftest import DOCUMENT
-from tests.planning.desk import Desk
+from tests.planning.rig.desk import Desk
 from tests.planning.test_goals import A, B, C, taken
 from tests.planning.test_obstacles import obstacles
 

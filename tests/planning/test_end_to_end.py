@@ -12,9 +12,9 @@ from controller.arm.arm import Arm
 from controller.planning.core.events import SetpointArrived
 from controller.workspace.mapping import map_densities
 from tests.planning.conftest import DOCUMENT
-from tests.planning.core_executor import CoreExecutor
-from tests.planning.executor import Inbox
-from tests.planning.process import RunningPlanner
+from tests.planning.rig.core_executor import CoreExecutor
+from tests.planning.rig.executor import Inbox
+from tests.planning.rig.process import RunningPlanner
 from tests.waiting import PATIENCE, eventually
 
 

@@ -15,7 +15,7 @@ from controller.refusals import codes
 from controller.refusals.reasons import Reason
 from controller.search.solver import Solver
 from controller.workspace.densities import Densities
-from tests.planning.desk import Desk
+from tests.planning.rig.desk import Desk
 
 A, B, C = (1, 2, 0, 0), (3, 4, 0, 1), (7, 0, 2, 0)
 

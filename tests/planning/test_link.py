@@ -24,7 +24,7 @@ from controller.program import (
     Welcome,
     encode,
 )
-from tests.planning.executor import DIGEST, ScriptedExecutor
+from tests.planning.rig.executor import DIGEST, ScriptedExecutor
 from tests.waiting import eventually
 
 PROGRAM = Program(1, 1, b"", 0.0, (), True, False, "x", os.urandom(8_000))

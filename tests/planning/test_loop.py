@@ -42,8 +42,8 @@ from controller.planning.core.tasks import BuildTables, Done, Failed
 from controller.planning.link import ExecutorLink, Inbox
 from controller.planning.loop import LOOK_EVERY, STREAM_ENDS, STREAM_EVERY, WARNINGS_EVERY, Loop
 from controller.program import Answer, Fault, Hello, Snapshot, Stop
-from tests.planning.executor import DIGEST, ScriptedExecutor
-from tests.planning.loop_parts import Remembering, ScriptedCore
+from tests.planning.rig.executor import DIGEST, ScriptedExecutor
+from tests.planning.rig.loop_parts import Remembering, ScriptedCore
 from tests.waiting import PATIENCE
 
 WALL = 1e9  # [UNIX s]

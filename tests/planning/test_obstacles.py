@@ -16,7 +16,7 @@ from controller.program import (
     unpack,
 )
 from controller.refusals import codes
-from tests.planning.desk import Desk
+from tests.planning.rig.desk import Desk
 from tests.planning.test_goals import A, B, taken
 
 HOME = (0, 0, 0, 0)

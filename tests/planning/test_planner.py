@@ -27,8 +27,8 @@ from controller.planning.link import ExecutorLink, Inbox
 from controller.planning.planner import Planner
 from controller.program import Acknowledge, Cancel, Hello, Stop, Welcome
 from controller.workspace.densities import Densities
-from tests.planning.executor import DIGEST, ScriptedExecutor
-from tests.planning.loop_parts import Remembering, ScriptedCore
+from tests.planning.rig.executor import DIGEST, ScriptedExecutor
+from tests.planning.rig.loop_parts import Remembering, ScriptedCore
 from tests.waiting import PATIENCE
 
 

@@ -14,7 +14,7 @@ from controller.flight_recorder.loading import load
 from controller.planning.core.core import OPAQUE, Core
 from controller.planning.core.events import Action, Event
 from controller.program import Program
-from tests.planning.desk import Desk
+from tests.planning.rig.desk import Desk
 from tests.simulation.events import replay
 
 A, B, C = (1, 0, 0, 0), (1, 1, 0, 0), (2, 1, 0, 1)

@@ -10,7 +10,7 @@ from controller.planning.core.events import Identity, OpenGoal, ResultEntry
 from controller.planning.core.results import why_not_as_planned
 from controller.program import Acknowledge, Cancel, Program, Replacement
 from controller.workspace.densities import Densities
-from tests.planning.desk import Desk
+from tests.planning.rig.desk import Desk
 from tests.planning.test_goals import A, B, C, taken
 
 Make = Callable[..., Desk]

@@ -20,7 +20,7 @@ from tests import vcan
 from tests.emulated import Interface
 from tests.executor.process.test_process import SIZE, Planner
 from tests.second_opinion.board import MODULE, PLAIN, Board, Change, Kind
-from tests.system import arms
+from tests.system.stack import arms
 from tests.waiting import eventually
 
 # The interface "virtual" of arms' files is the emulated one here.

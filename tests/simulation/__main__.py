@@ -13,7 +13,7 @@ from collections import Counter
 from pathlib import Path
 
 from tests.simulation import events
-from tests.simulation.planner_process import LOGS
+from tests.simulation.whole.planner_process import LOGS
 from tests.simulation.world import World
 
 KINDS = ("scripted", "whole")

@@ -8,8 +8,8 @@ from tests.simulation.invariants import Violation, require
 from tests.simulation.planner import ScriptedPlanner
 
 if TYPE_CHECKING:
-    from tests.simulation.daemon import Daemon
-    from tests.simulation.history import Asked
+    from tests.simulation.whole.daemon import Daemon
+    from tests.simulation.whole.history import Asked
     from tests.simulation.world import World
 
 MOST_TRIES = 6  # goals, until one is accepted; some cannot be reached

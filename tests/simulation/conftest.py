@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.simulation.planner_process import LOGS
+from tests.simulation.whole.planner_process import LOGS
 
 
 @pytest.fixture(autouse=True)

@@ -8,8 +8,8 @@ from controller.executor.core.bits import indices
 from controller.executor.motion.program_execution import FED_WITHIN, STARVED
 from controller.program import TICK, Begun
 from drivers.canopen.wire import cia301
-from tests.simulation.board_side import FOREIGN_START
-from tests.simulation.bus_model import RPDOS
+from tests.simulation.buses.board_side import FOREIGN_START
+from tests.simulation.buses.bus_model import RPDOS
 from tests.simulation.facts import Switch
 from tests.simulation.record import LATE
 

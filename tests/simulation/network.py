@@ -11,7 +11,7 @@ from controller.executor.core.events import ClientGone, ClientId, FromClient
 from controller.planning.link import RETRY, Connection, ExecutorLink
 from controller.program import VERSION, Down, Goodbye, Hello, Stop, Up, decode_down, encode
 from tests.simulation.agenda import Agenda
-from tests.simulation.process import ExecutorProcess
+from tests.simulation.executor.process import ExecutorProcess
 
 LATENCY = 0.001  # [s], longest delay of the socket
 

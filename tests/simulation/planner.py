@@ -28,9 +28,9 @@ from controller.program import (
     unpack,
 )
 from tests.simulation.agenda import Agenda
-from tests.simulation.connection import Connection
-from tests.simulation.process import ExecutorProcess
-from tests.simulation.programs import Author, Drawn
+from tests.simulation.executor.connection import Connection
+from tests.simulation.executor.process import ExecutorProcess
+from tests.simulation.executor.programs import Author, Drawn
 
 ACTS = {
     **{"program": 30, "bad program": 8, "replacement": 12, "park": 6, "resume": 12},

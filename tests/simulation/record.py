@@ -35,9 +35,9 @@ from controller.program import (
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda
-from tests.simulation.bus_model import RPDOS
+from tests.simulation.buses.bus_model import RPDOS
+from tests.simulation.executor.process import Witness
 from tests.simulation.facts import Commit, Energised, Running, Step, Switch
-from tests.simulation.process import Witness
 
 MASTER_HEARTBEAT = cia301.HEARTBEAT + 127
 LATE = 1e-6  # [s], rounding error

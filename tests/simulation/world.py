@@ -11,19 +11,19 @@ from controller.program import unpack
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import Event
 from tests.simulation.agenda import Agenda
-from tests.simulation.arms import draw_arm, draw_boards
-from tests.simulation.board_side import BoardSide
-from tests.simulation.bus_model import BusModel, OnItsWay
+from tests.simulation.buses.board_side import BoardSide
+from tests.simulation.buses.bus_model import BusModel, OnItsWay
+from tests.simulation.buses.trouble import LONGEST_STALL, Trouble
 from tests.simulation.calm import check_daemon, run_a_goal, run_a_program
-from tests.simulation.daemon import Daemon
+from tests.simulation.executor.arms import draw_arm, draw_boards
+from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.facts import Step
 from tests.simulation.invariants import INVARIANTS, Violation, require
-from tests.simulation.planned_arms import draw_planned_arm
 from tests.simulation.planner import ScriptedPlanner
-from tests.simulation.planner_invariants import PLANNER_INVARIANTS
-from tests.simulation.process import ExecutorProcess
 from tests.simulation.record import Record
-from tests.simulation.trouble import LONGEST_STALL, Trouble
+from tests.simulation.whole.daemon import Daemon
+from tests.simulation.whole.planned_arms import draw_planned_arm
+from tests.simulation.whole.planner_invariants import PLANNER_INVARIANTS
 
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 

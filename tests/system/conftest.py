@@ -14,12 +14,15 @@ from drivers.simulation.simulation import Simulation
 from tests import vcan
 from tests.conftest import buses_of
 from tests.emulated import Interface
-from tests.system import arms, patience  # noqa: F401
-from tests.system.lives import Lives
-from tests.system.motions import Motions
-from tests.system.observer import Observer
-from tests.system.processes import Nursery
-from tests.system.system import System, settled
+from tests.system.stack import (
+    arms,
+    patience,  # noqa: F401
+)
+from tests.system.stack.lives import Lives
+from tests.system.stack.motions import Motions
+from tests.system.stack.observer import Observer
+from tests.system.stack.processes import Nursery
+from tests.system.stack.system import System, settled
 
 KINDS = {"virtual": "emulated", "socketcan": "socketcan"}  # of buses, by the words of --bus
 FAILED = pytest.StashKey[bool]()

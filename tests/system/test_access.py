@@ -12,7 +12,7 @@ import zenoh
 from controller.network.client import Client, Unanswered
 from drivers.simulation.simulation import Simulation
 from tests.keys import DEPLOY, certificates, made
-from tests.system.guard import (
+from tests.system.stack.guard import (
     AT_ONCE,
     PREFIX,
     Guard,
@@ -25,10 +25,10 @@ from tests.system.guard import (
     unencrypted,
     without,
 )
-from tests.system.motions import Motions
-from tests.system.observer import KEYS, Observer
-from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
-from tests.system.system import System
+from tests.system.stack.motions import Motions
+from tests.system.stack.observer import KEYS, Observer
+from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
+from tests.system.stack.system import System
 from tests.waiting import PATIENCE, eventually
 
 pytestmark = [

@@ -6,8 +6,8 @@ import pytest
 from controller.arm.arm import Arm
 from controller.manipulator.notation import format_configuration
 from drivers.simulation.simulation import Simulation
-from tests.system.motions import Motions
-from tests.system.observer import Observer
+from tests.system.stack.motions import Motions
+from tests.system.stack.observer import Observer
 from tests.waiting import eventually
 
 pytestmark = [pytest.mark.arm("mixed"), pytest.mark.buses("virtual")]

@@ -14,11 +14,11 @@ import zenoh
 from controller.network import session
 from controller.network.client import Client
 from controller.planning.ledger_file import read
-from tests.system import arms
-from tests.system.observer import Observer
-from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
-from tests.system.processes import ROOT
-from tests.system.system import free_port
+from tests.system.stack import arms
+from tests.system.stack.observer import Observer
+from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
+from tests.system.stack.processes import ROOT
+from tests.system.stack.system import free_port
 from tests.waiting import PATIENCE, eventually
 
 pytestmark = pytest.mark.buses("virtual")  # the boards are in the executor

@@ -19,11 +19,11 @@ from controller.gateway.claim import AlreadyRunning
 from controller.network.client import Client, Message, Unanswered
 from controller.network.session import configuration
 from controller.planning.ledger import LedgerInUse
-from tests.system.motions import Motions
-from tests.system.observer import Observer
-from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
-from tests.system.processes import ROOT
-from tests.system.system import System
+from tests.system.stack.motions import Motions
+from tests.system.stack.observer import Observer
+from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
+from tests.system.stack.processes import ROOT
+from tests.system.stack.system import System
 from tests.waiting import PATIENCE, SLOWNESS, eventually
 
 pytestmark = pytest.mark.buses("virtual")

@@ -21,8 +21,8 @@ import zenoh
 from controller.network import session
 from controller.network.client import Client, Message
 from tests import vcan
-from tests.system import arms
-from tests.system.observer import Observer
+from tests.system.stack import arms
+from tests.system.stack.observer import Observer
 from tests.vm import robot
 from tests.vm.prepare import PROJECT
 from tests.vm.robot import (

@@ -20,7 +20,7 @@ import numpy as np
 from tests.benchmarks.daemon.chain.parts import ROOT, Parts
 from tests.benchmarks.daemon.real_time import place
 from tests.benchmarks.harness import CommandLine, percentiles, report
-from tests.system.observer import Observer
+from tests.system.stack.observer import Observer
 from tests.waiting import eventually
 
 WAYPOINTS, STEP, FLOODS = 40, 0.1, 3

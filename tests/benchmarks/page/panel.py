@@ -28,7 +28,7 @@ from websockets.sync.client import ClientConnection, connect
 from controller.panel.access.people import digest_of
 from tests.benchmarks.daemon.chain.parts import Parts
 from tests.benchmarks.harness import CommandLine, percentiles, report
-from tests.system.observer import Observer
+from tests.system.stack.observer import Observer
 from tests.waiting import PATIENCE, eventually
 
 PAGES, ARM = 20, "planar16"

@@ -14,7 +14,7 @@ from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import BusChanged, Event, SendFailed
 from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.variants import STANDARD, Variant
-from tests.simulation.hardware import Hardware
+from tests.simulation.buses.hardware import Hardware
 
 TICK = 0.01
 

@@ -11,8 +11,8 @@ from drivers.canopen.wiring import Interlock
 from drivers.simulation.variants import VARIANTS
 from tests.executor.rig import SIZE
 from tests.executor.world import STEP, A, World, ready
-from tests.simulation.bus_model import RPDOS
-from tests.simulation.process import WAKE_UP
+from tests.simulation.buses.bus_model import RPDOS
+from tests.simulation.executor.process import WAKE_UP
 
 C = 0b111000
 FAST, SLOW = 1_000_000, 10_000  # [bit/s]; at the slow rate a frame takes 6 to 14 ms

@@ -10,7 +10,7 @@ from controller.motion.tracking.goal_motion import tracking_of
 from controller.planning.core.parts import Ticket
 from controller.planning.core.stream import Stream
 from controller.planning.core.tasks import Followed, FollowSetpoint
-from tests.planning.played_core import PlayedCore
+from tests.planning.rig.played_core import PlayedCore
 
 A = (5, 0, 7, 0)
 EVERY = 0.02  # [s] between set-points

@@ -9,7 +9,7 @@ from controller.program import Answer, FaultVerb, PlayableFaults, PlayFault
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 from controller.workspace.densities import Densities
-from tests.planning.desk import Desk
+from tests.planning.rig.desk import Desk
 
 SIMULATION = PlayableFaults((FaultVerb("silence", "board", "", "disconnect it"),), ("can0/1",), ("can0",), ())
 SILENCE = {"fault": "silence can0/1"}

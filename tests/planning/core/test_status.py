@@ -21,7 +21,7 @@ from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.planning.core.tasks import PrepareSearch
 from controller.program import Diagnostics, Fault
 from tests.planning.conftest import DOCUMENT
-from tests.planning.played_core import PlayedCore, PlayedProgram, PlayedReport
+from tests.planning.rig.played_core import PlayedCore, PlayedProgram, PlayedReport
 
 HOME = (0, 0, 0, 0)
 STUCK = Fault("stuck", "1.left", "it reads contracted")

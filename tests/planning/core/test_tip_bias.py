@@ -11,7 +11,7 @@ import pytest
 from controller.arm.arm import Arm
 from controller.armfile.settings import TrackerSettings
 from controller.planning.core.stream import TipBiasEstimator
-from tests.planning.played_core import PlayedCore
+from tests.planning.rig.played_core import PlayedCore
 
 OFFSET = np.array([0.002, -0.001])
 HOLD = 60.0  # [s]

@@ -15,11 +15,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
-from tests.system import arms
 from tests.system.kills.campaign import Campaign, KillNursery, Tally
 from tests.system.kills.moments import MOMENTS, PROCESSES
-from tests.system.processes import ROOT, Nursery
-from tests.system.system import System
+from tests.system.stack import arms
+from tests.system.stack.processes import ROOT, Nursery
+from tests.system.stack.system import System
 
 COLUMNS = ("kills", "goals", "results", "unanswered", "doubled", "missing", "lost", "repeated", "again")
 EACH_SYSTEM = 60  # kills of one arm, because the ledger is read as its latest thousand goals

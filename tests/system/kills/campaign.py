@@ -16,11 +16,11 @@ import can
 from controller.planning.ledger_file import read
 from tests.system.kills.moments import MOMENTS, Requests, Scene, ordered
 from tests.system.kills.trigger import MARK, SOCKET, Order
-from tests.system.lives import Lives
 from tests.system.operator import Operator
-from tests.system.places import LEFT, RIGHT
-from tests.system.processes import Nursery
-from tests.system.system import System
+from tests.system.stack.lives import Lives
+from tests.system.stack.places import LEFT, RIGHT
+from tests.system.stack.processes import Nursery
+from tests.system.stack.system import System
 from tests.waiting import SLOWNESS, eventually
 
 RESULT_TIMEOUT = 30.0 * SLOWNESS  # [s]

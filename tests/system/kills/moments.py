@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 from controller.network.client import Message, Unanswered
 from tests.system.kills.trigger import Order
-from tests.system.lives import Lives
-from tests.system.places import HOUR, LEFT, MIDDLE, RIGHT
+from tests.system.stack.lives import Lives
+from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.waiting import SLOWNESS
 
 PROCESSES = ("planner", "executor", "both")

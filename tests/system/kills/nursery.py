@@ -4,7 +4,7 @@ import os
 import sys
 from pathlib import Path
 
-from tests.system import nursery
+from tests.system.stack import nursery
 
 
 def run(arguments: list[str]) -> int:

@@ -21,7 +21,7 @@ from controller.network import session
 from controller.network.client import Client
 from tests.benchmarks.daemon.chain import records
 from tests.conftest import PAPER_ARM
-from tests.system.observer import Observer
+from tests.system.stack.observer import Observer
 from tests.waiting import eventually
 
 ROOT = Path(__file__).parents[4]

@@ -18,7 +18,7 @@ from controller.planning.workers import computations
 from controller.program import Down, Program
 from controller.search.solver import Solver
 from tests.benchmarks.daemon.chain.records import Record
-from tests.system.nursery import run
+from tests.system.stack.nursery import run
 
 
 def timed(owner: type, name: str, record: Record, takes: Callable[..., bool] = lambda *_: True) -> None:

@@ -10,7 +10,7 @@ from drivers.canopen.faults import Busy
 from drivers.canopen.wire import cia301
 from drivers.canopen.wiring import Channel
 from tests.drivers.canopen.world import World
-from tests.simulation.bus_model import BusModel
+from tests.simulation.buses.bus_model import BusModel
 
 
 def pairs() -> list[Channel]:

@@ -1,0 +1,169 @@
+"""An executor that the test plays, on a real socket, and the other parts that a planner needs."""
+
+import contextlib
+import queue
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from controller.program import VERSION, Alive, Counts, Down, Hello, PlayableFaults, Up, Welcome, decode_down, encode
+from tests.planning.rig.played_executor import PlayedExecutor
+from tests.waiting import PATIENCE
+
+DIGEST = "d" * 64
+
+
+class ScriptedExecutor(PlayedExecutor):
+    """Listens on a socket. The test receives each message with `expect`, and answers it.
+
+    Attributes:
+        state: the latest snapshot; `show` changes and sends it.
+        greets: whether a planner's Hello is answered by Welcome.
+        simulation: the simulated boards of the next Welcome; None: real boards.
+    """
+
+    def __init__(self, path: Path, actuators: int, name: str = "small") -> None:
+        super().__init__(actuators)
+        self.name, self.greets, self.greatest = name, True, 0
+        self.simulation: PlayableFaults | None = None
+        self._messages: queue.Queue[Down] = queue.Queue()
+        self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._server.bind(str(path))
+        self._server.listen()
+        self._client: socket.socket | None = None
+        self._greeted = False
+        self._closing, self._lock = threading.Event(), threading.Lock()
+        for work in (self._serve, self._stay_alive):
+            threading.Thread(target=work, daemon=True).start()
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def send(self, message: Up) -> None:
+        assert self._client is not None
+        self._client.send(encode(message))
+
+    def take(self) -> Down:
+        """Waits for the next message."""
+        return self._messages.get(timeout=PATIENCE)
+
+    def waiting(self) -> list[Down]:
+        return list(self._messages.queue)
+
+    def show(self, **changes: Any) -> None:
+        with self._lock:
+            super().show(**changes)
+
+    # --- the connection
+
+    def drop(self) -> None:
+        """Closes the connection, like an executor that dies."""
+        assert self._client is not None
+        self._client.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        self._closing.set()
+        self._server.close()
+        if self._client is not None:
+            self._client.close()
+
+    def _stay_alive(self) -> None:
+        """Repeats the snapshot, so that the executor does not count as silent."""
+        while not self._closing.wait(0.2):
+            with self._lock, contextlib.suppress(OSError):
+                if self._greeted and self._client is not None:
+                    self._client.send(encode(self.state))
+
+    def _serve(self) -> None:
+        while not self._closing.is_set():
+            try:
+                self._greeted = False
+                self._client, _ = self._server.accept()
+                self._listen(self._client)
+            except OSError:
+                continue
+
+    def _listen(self, client: socket.socket) -> None:
+        while data := client.recv(70_000):
+            match message := decode_down(data):
+                case Hello():
+                    if self.greets:
+                        size = (0,) * self.actuators
+                        welcome = Welcome(
+                            VERSION, self.name, DIGEST, self.instance, size, self.greatest, self.simulation
+                        )
+                        self.send(welcome)
+                        self.send(self.state)
+                        self._greeted = True
+                    self._messages.put(message)
+                case Alive() | Counts():
+                    pass
+                case _:
+                    self._messages.put(message)
+
+
+class FakeLedger:
+    """Remembers what is recorded."""
+
+    fault: str | None = None
+    instance = 0
+
+    def __init__(self, actuators: int) -> None:
+        self.entries: list[tuple[Any, ...]] = []
+        self._known = (0,) * actuators
+
+    def accepted(self, number: int, goal: str, waypoints: int) -> None:
+        self.entries.append(("accepted", goal, waypoints))
+
+    def ended(
+        self, number: int, status: str, code: int, message: str, switches: int, accepted: Any | None = None
+    ) -> None:
+        self.entries.append(("ended", status, code, switches) if accepted is None else ("adopted", *accepted[::2]))
+
+    def counts(self, counts: Any) -> None:
+        self._known = tuple(counts)
+
+    def known(self) -> tuple[int, ...]:
+        return self._known
+
+
+class Inbox:
+    """Published payloads, in order; reading waits for the next."""
+
+    def __init__(self) -> None:
+        self._queue: queue.Queue[tuple[str, dict[str, Any]]] = queue.Queue()
+        self._feedback = deque[dict[str, Any]]()  # that came before a reply, which waits for the ledger
+
+    def put(self, key: str, payload: Any) -> None:
+        self._queue.put((key, dict(payload)))
+
+    def replying(self, name: str = "reply") -> Callable[[Any], None]:
+        return lambda payload: self.put(name, payload)
+
+    def next(self, key: str) -> dict[str, Any]:
+        """Returns the next payload, and checks its key; feedback may come before a reply."""
+        if key == "feedback" and self._feedback:
+            return self._feedback.popleft()
+        came, payload = self._queue.get(timeout=PATIENCE)
+        while key == "reply" and came == "feedback":
+            self._feedback.append(payload)
+            came, payload = self._queue.get(timeout=PATIENCE)
+        assert came == key, f"{came} {payload} came where {key} was expected"
+        return payload
+
+    @property
+    def empty(self) -> bool:
+        return self._queue.empty()
+
+
+@contextmanager
+def closing(thing: Any) -> Iterator[Any]:
+    try:
+        yield thing
+    finally:
+        thing.close()

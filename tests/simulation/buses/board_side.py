@@ -1,0 +1,166 @@
+"""The boards of the world: boards and actuators, their faults, and the changes of their outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Command, Frame, State
+from drivers.canopen.wiring import Timing, Wiring
+from drivers.simulation.variants import Variant
+from tests.simulation.agenda import Agenda
+from tests.simulation.buses.boards import AttachedBoards
+from tests.simulation.buses.bus_model import OnItsWay
+from tests.simulation.facts import Commit, Energised, Switch
+from tests.simulation.record import Record
+
+FOREIGN_START = "foreign START"
+LIES = ("lose_sensor", "cut_wires", "short_wires")  # faults of end-stops
+
+
+class BoardSide(AttachedBoards):
+    """All boards of an arm, seen by the record.
+
+    Attributes:
+        names: mask of the actuators of each board, by the board's name.
+        silent: whether a board is disconnected from its bus.
+        opened: names of the open interlocks.
+
+    Args:
+        wiring: buses, boards and actuators.
+        timing: times of boards and actuators.
+        variants: variants of boards by name.
+        agenda: time and events.
+        record: takes changes of outputs.
+        send: takes the frames of the boards.
+    """
+
+    def __init__(
+        self,
+        wiring: Wiring,
+        timing: Timing,
+        variants: Mapping[str, Variant],
+        agenda: Agenda,
+        record: Record,
+        send: Callable[[str, Frame], None],
+    ) -> None:
+        self.names: dict[str, int] = {}
+        self._masks = dict.fromkeys((bus.name for bus in wiring.buses), 0)
+        for k, channel in enumerate(wiring.channels):
+            name = f"{channel.bus}/{channel.node}"
+            self.names[name] = self.names.get(name, 0) | 1 << k
+            self._masks[channel.bus] |= 1 << k
+        self.silent = False
+        self._record = record
+        self._paired = sum(1 << k for k in wiring.paired)
+        self._drives, self._coils = -1, 0  # unknown
+        self._interlocks = tuple(lock.name for lock in wiring.interlocks)
+        self.opened: set[str] = set()
+        super().__init__(wiring, timing, variants, agenda, send)
+        self._drives = self._valves()
+
+    def drives(self) -> int:
+        """Returns the end to which each actuator is driven, or was driven last, as a mask."""
+        return self._drives
+
+    def coils(self) -> int:
+        """Returns the mask of the actuators with two coils that have a coil on."""
+        return self._coils
+
+    def both_on(self) -> list[int]:
+        """Returns how often both coils of each actuator were on at once, shape (A,)."""
+        return self.simulated.both_on()
+
+    def _valves(self) -> int:
+        return sum(drive << k for k, drive in enumerate(self.simulated.drives()))
+
+    def _driven(self, coils: list[tuple[int, int]]) -> int:
+        """Returns the ends to which the actuators are driven; with two coils, by the last coil that was on."""
+        before, after = self._drives, self._valves() & ~self._paired
+        for k, (on, off) in enumerate(coils):
+            if self._paired >> k & 1:
+                after |= (on if on != off else before >> k & 1) << k
+        return after
+
+    def door(self, name: str, is_open: bool) -> None:
+        """Opens or closes an interlock."""
+        super().fault("open" if is_open else "close", name)
+        (self.opened.add if is_open else self.opened.discard)(name)
+        self._record.doors(bool(self.opened))
+
+    def positions(self) -> int:
+        """Returns the nearer end of each actuator, as a mask."""
+        return sum(round(position) << k for k, position in enumerate(self.simulated.positions()))
+
+    def hear(self, bus: str, sent: OnItsWay, lost: bool) -> None:
+        """Takes a sent frame of the executor; `lost` if the boards do not receive it."""
+        frame = sent.frame
+        boards = {name: mask for name, mask in self.names.items() if name.split("/")[0] == bus}
+        missing = sum(mask for name, mask in boards.items() if lost or not self.takes_part(name))
+        self._record.arrives(bus, frame, missing)
+        if not lost:
+            self.receive(bus, frame, _words(frame), sent.belongs_to)
+
+    def hear_tool(self, bus: str, frame: Frame) -> None:
+        """Takes a frame of another program; its effects are faults."""
+        self.receive(bus, frame, FOREIGN_START if frame.data[:1] == bytes([Command.START]) else "fault")
+
+    def fault(self, verb: str, name: str, *numbers: float | str) -> None:
+        """Causes or ends a fault of a board or an actuator."""
+        if verb == "power_on" and self.simulated.board(name).state is not None:
+            return
+        if verb in LIES:
+            self._record.lying |= 1 << self.simulated.labels.index(name)
+        elif verb == "restore_sensor":
+            self._record.lying &= ~(1 << self.simulated.labels.index(name))
+        super().fault(verb, name, *numbers)
+        self.silent = any(self.simulated.board(board).silent for board in self.names)
+
+    def emergency(self, board: str, code: int) -> None:
+        """Makes a board send an emergency."""
+        self.simulated.board(board)._send_emergency(code.to_bytes(2, "little") + bytes([1, 0, 0, 0, 0, 0]))
+
+    def mend(self) -> None:
+        """Ends all faults."""
+        for board in self.names:
+            if self._mute(board):
+                self.fault("power_cut", board)
+            self.fault("power_on", board)
+            self.fault("unsilence", board)
+        for label in self.simulated.labels:
+            self.fault("release", label)
+            self.fault("slow", label, 1)
+            self.fault("restore_sensor", label)
+        for name in self._interlocks:
+            self.door(name, is_open=False)
+
+    def _mute(self, name: str) -> bool:
+        """Returns whether a board is stopped and has no heartbeat time: it answers nothing until a power-cycle."""
+        board = self.simulated.board(name)
+        return board.state == State.STOPPED and not board.objects.number(0x1017, 0)
+
+    def takes_part(self, name: str) -> bool:
+        """Returns whether a board is operational and connected."""
+        board = self.simulated.board(name)
+        return not board.silent and board.state == State.OPERATIONAL
+
+    def see(self, cause: str, belongs_to: object = None) -> None:
+        """Records the changes of the outputs since the last call."""
+        if self._drives < 0:
+            return
+        commit = belongs_to if isinstance(belongs_to, Commit) else None
+        coils = self.simulated.coils()
+        after = self._driven(coils)
+        on = sum(1 << k for k, pair in enumerate(coils) if self._paired >> k & 1 and any(pair))
+        came, self._coils = on & ~self._coils | on & (after ^ self._drives), on
+        changed, self._drives = after ^ self._drives, after
+        for bus, mask in self._masks.items():
+            if changed & mask:
+                self._record.switch(Switch(changed & mask, after, cause, bus, commit))
+            self._record.energise(Energised(came & mask, on & mask, came & mask & ~changed, cause, bus, commit))
+
+
+def _words(frame: Frame) -> str:
+    if frame.id == cia301.NMT and frame.data[:1] == bytes([Command.START]):
+        return "START"
+    return "SYNC" if frame.id == cia301.SYNC else f"frame {frame.id:03X}h"

@@ -1,0 +1,61 @@
+"""Buses and boards of an arm on one agenda, for tests that cause faults themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from random import Random
+
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import Event
+from drivers.canopen.wiring import Timing, Wiring
+from drivers.simulation.variants import Variant
+from tests.simulation.agenda import Agenda
+from tests.simulation.buses.boards import AttachedBoards
+from tests.simulation.buses.bus_model import BusModel, OnItsWay
+
+
+class Hardware:
+    """Buses and boards without faults.
+
+    Attributes:
+        agenda: time and events.
+        buses: the buses by name.
+        boards: boards and actuators, to be read; `fault` changes them.
+        fault: causes or ends a fault of a board, an actuator or an interlock.
+        lost: whether a frame of a board is lost.
+
+    Args:
+        wiring: buses, boards and actuators.
+        timing: times of boards and actuators.
+        to_executor: takes the events of the buses.
+        variants: variants of boards by name.
+    """
+
+    def __init__(
+        self,
+        wiring: Wiring,
+        timing: Timing,
+        to_executor: Callable[[Event], None],
+        variants: Mapping[str, Variant] | None = None,
+    ) -> None:
+        self.agenda = Agenda()
+        self.buses = {
+            bus.name: BusModel(bus.name, bus.bitrate, self.agenda, Random(bus.name), self._to_boards, to_executor)
+            for bus in wiring.buses
+        }
+        self.lost: Callable[[str, Frame], bool] = lambda bus, frame: False
+        self._attached = AttachedBoards(wiring, timing, variants, self.agenda, self._from_board)
+        self.boards, self.fault = self._attached.simulated, self._attached.fault
+
+    @property
+    def now(self) -> float:
+        """Time [s]."""
+        return self.agenda.now
+
+    def _to_boards(self, bus: str, sent: OnItsWay, lost: bool) -> None:
+        if not lost:
+            self._attached.receive(bus, sent.frame)
+
+    def _from_board(self, bus: str, frame: Frame) -> None:
+        if not self.lost(bus, frame):
+            self.buses[bus].from_board(frame)

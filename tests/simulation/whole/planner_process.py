@@ -1,0 +1,225 @@
+"""The planner's process: the real loop around the core on the simulated clock, its end and its next start."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from random import Random
+from typing import TYPE_CHECKING
+
+from controller.host.process import Quit
+from controller.motion.stages.pacing import pace_of
+from controller.planning import loop as loop_module
+from controller.planning.core.core import Beginning, Core
+from controller.planning.core.events import Action, Event, Key, Message, SetpointArrived, TipArrived
+from controller.planning.core.tasks import Tables, VersionedScene
+from controller.planning.link import ExecutorLink
+from controller.planning.loop import Loop, OnReply, PlannerFailed, Services
+from tests.simulation.invariants import require
+from tests.simulation.network import SimulatedLink
+from tests.simulation.whole.planner_storage import SimulatedLedger, SimulatedOut
+from tests.simulation.whole.searcher import Searcher
+
+if TYPE_CHECKING:
+    from tests.simulation.whole.daemon import Daemon
+
+WAKE_UP = 0.0005  # [s], longest
+QUIT_WITHIN = 1.5  # [s], after which the process ends without its last results
+SPIN, MOST_IDLE = 1e-4, 20  # [s] between rounds without events, and number of those in a row
+UNIX = 1.7e9  # [s] between the two clocks
+
+LOGS = (loop_module.log,)  # silent in a simulation: defects are found by `Complaints`
+
+
+class Killed(BaseException):
+    """The process was killed at an action."""
+
+
+class SimulatedInbox:
+    """The events that were posted to one process."""
+
+    def __init__(self, process: PlannerProcess) -> None:
+        self.events: deque[Event] = deque()
+        self._process = process
+
+    def post(self, event: Event) -> None:
+        """Appends an event."""
+        self.events.append(event)
+        self.wake()
+
+    def wake(self) -> None:
+        """Lets the process run soon."""
+        self._process.wake_soon()
+
+    def end_wait(self) -> None:
+        """Does nothing."""
+
+    def wait(self, timeout: float, link: ExecutorLink) -> bool:
+        """Returns whether the link is ready; does not wait."""
+        return self._process.link.ready
+
+
+class KillableLoop(Loop):
+    """The loop, with a function that is called before each action."""
+
+    before: Callable[[Action], None]
+
+    def _carry_out(self, action: Action) -> None:
+        self.before(action)
+        self._act(action)
+
+    def due(self, retry_at: float) -> float:
+        """Returns when the loop must run again without an event [s]."""
+        return min(self._wake, self._warnings_at, self.mailboxes.due, retry_at)
+
+    @property
+    def unanswered(self) -> int:
+        """Number of requests without an answer."""
+        return len(self._replies)
+
+
+class PlannerProcess:
+    """One process of a planner. Its threads share the life of the process.
+
+    Attributes:
+        name: number of the process, in the ids of jogs.
+        alive: whether it runs.
+        snapshot: the latest that the core took; None without a connection.
+
+    Args:
+        daemon: what surrounds it.
+        number: of the process.
+        random: for delays.
+    """
+
+    def __init__(self, daemon: Daemon, number: int, random: Random) -> None:
+        self.alive, self.number, self.quits_at = True, number, math.inf
+        self._daemon, self._agenda, self._random = daemon, daemon.agenda, random
+        self._next = math.inf  # time of the next round [s]
+        self._idle_rounds, self._rang_at = 0, -math.inf
+        self._actions_left: int | None = None
+        arm, storage, post = daemon.arm, daemon.storage, self.post
+        self.inbox = SimulatedInbox(self)
+        self.link = SimulatedLink(daemon.network, arm.settings.name, daemon.executed.digest, self._now)
+        self.ledger = SimulatedLedger(self._agenda, random, storage, self._lives, post, daemon.history.recorded)
+        told, shown = daemon.history.published, daemon.history.shown
+        out = SimulatedOut(self._agenda, random, storage, self._lives, post, told, shown)
+        self.searcher = Searcher(self._agenda, random, daemon.search, daemon.mood, post)
+        services = Services(self.inbox, self.ledger, storage, out, self, tuple, self._never)
+        locked = bytes(
+            (daemon.executed.locked_states >> k & 1) if daemon.executed.locked >> k & 1 else 255
+            for k in range(len(daemon.executed.actuators))
+        )
+        published, owed = dict(storage.published), storage.owed()
+        beginning = Beginning(
+            f"p{number}-", Tables(0, locked), VersionedScene(0, True, ()), 0, storage.counts, published, owed
+        )
+        self.core = Core(arm, pace_of(arm.settings), beginning)
+        clocks = self._now, daemon.wall
+        self.loop = KillableLoop(self.core, self.link, self.searcher, services, daemon.history, clocks)  # type: ignore[arg-type]
+        self.loop.before = self._before
+        self.loop.ended.clear()
+        self.loop.mailboxes.set(SetpointArrived, daemon.clients.setpoint)
+        self.loop.mailboxes.set(TipArrived, daemon.clients.tip)
+        self.wake_soon()
+
+    # --- the gateway
+
+    def request(self, key: Key, message: Message, reply: OnReply) -> int:
+        """Posts a request; returns its number."""
+        return self.loop.request(key, message, reply)
+
+    def post(self, event: Event) -> None:
+        """Posts an event of another thread."""
+        if self.alive:
+            self.inbox.post(event)
+
+    def quit(self) -> None:
+        """Asks the process to end, as SIGTERM does."""
+        if self.quits_at == math.inf:
+            self.quits_at = self._agenda.now + QUIT_WITHIN
+            self.post(Quit())
+            self._agenda.at(self.quits_at, lambda: self._end(in_order=True))
+
+    def notify(self, assignment: str) -> None:
+        """Takes what the loop tells systemd."""
+
+    # --- rounds
+
+    def wake_soon(self) -> None:
+        """Runs a round within the wake-up time."""
+        self._wake_at(self._agenda.now + self._random.uniform(0.0, WAKE_UP))
+
+    def _wake_at(self, at: float) -> None:
+        if self.alive and at < self._next:
+            self._next = at
+            self._agenda.at(at, lambda: self._ring(at))
+
+    def _ring(self, at: float) -> None:
+        if not self.alive or at != self._next:
+            return
+        self._next = math.inf
+        if self._agenda.now < self._daemon.awake_since:
+            self._wake_at(self._daemon.awake_since)
+            return
+        if self.inbox.events or self.link.ready or self._agenda.now > self._rang_at + SPIN:
+            self._idle_rounds = 0
+        self._idle_rounds, self._rang_at = self._idle_rounds + 1, self._agenda.now
+        require(self._idle_rounds < MOST_IDLE, "the loop spins: the core wants to be woken again and again")
+        try:
+            self.loop._round()
+        except Killed:
+            self.kill()
+            return
+        except PlannerFailed as failure:
+            self._daemon.history.failed(str(failure))
+            self.kill()
+            return
+        if self.core.ended and self.loop.ended.is_set() and self.quits_at < math.inf:
+            self._end(in_order=True)
+            return
+        retry_at = self.link.retry_at if self.link.fileno() < 0 else math.inf
+        due = self.loop.due(retry_at)
+        self._daemon.slow_down()
+        self._wake_at(self._agenda.now if self.link.ready else max(due, self._agenda.now) + 1e-5)
+
+    def _before(self, action: Action) -> None:
+        """Is called before each action."""
+        if self._actions_left is not None:
+            self._actions_left -= 1
+            if self._actions_left < 0:
+                raise Killed
+        self._daemon.history.acts(self, action)
+
+    # --- its end
+
+    def kill_after(self, actions: int) -> None:
+        """Kills the process after some further actions, perhaps in the middle of a step."""
+        self._actions_left = actions
+
+    def kill(self) -> None:
+        """Ends the process at once."""
+        if self.alive:
+            self.alive = False
+            self._daemon.history.unwritten |= {self.number} if self.ledger.waits else set()
+            self.link.close()
+            self._daemon.planner_ended()
+
+    def _end(self, in_order: bool) -> None:
+        """Ends the process after its goals."""
+        if self.alive:
+            self._daemon.history.quits(self)
+            self._actions_left = None
+            self.loop.close()
+            self.ledger.flush()
+            self.kill()
+
+    def _lives(self) -> bool:
+        return self.alive
+
+    def _now(self) -> float:
+        return self._agenda.now
+
+    def _never(self, reason: str) -> None:
+        raise AssertionError(reason)

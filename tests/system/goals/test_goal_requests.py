@@ -1,0 +1,154 @@
+"""Goals that are wrong, put, sent at once or in a flood: each has one answer and one outcome."""
+
+import itertools
+import json
+import threading
+import time
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+
+from controller.arm.arm import Arm
+from controller.planning.ledger_file import read
+from controller.refusals import codes
+from controller.refusals.reasons import Reason
+from drivers.simulation.simulation import Simulation
+from tests.system.stack.observer import Observer
+from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT, tip
+from tests.system.stack.system import System
+from tests.waiting import PATIENCE, eventually
+
+pytestmark = pytest.mark.buses("virtual")
+
+BAD = {
+    "no JSON": (b"{", Reason.NOT_JSON, "not JSON"),
+    "no UTF-8": (b"\xff", Reason.NOT_UTF8, "not UTF-8"),
+    "nothing": (b"", Reason.NOT_JSON, "not JSON"),
+    "unknown field": ({"waypoints": [], "velocity": 1}, Reason.INVALID_FIELDS, "velocity: unknown field"),
+    "surrogate": (b'{"\\ud800": 1}', Reason.INVALID_FIELDS, "unknown field"),
+    "NaN": (b'{"waypoints": [{"position": [NaN, 1]}]}', Reason.INVALID_FIELDS, "waypoints[0].position[0]: nan"),
+    "empty": ({"waypoints": []}, Reason.NO_WAYPOINTS, "empty"),
+    "spatial": ({"waypoints": [{"position": [1, 2, 3]}]}, Reason.WRONG_DIMENSION, "3 coordinates"),
+    "out of reach": ({"waypoints": [{"position": [9, 9]}]}, Reason.BEYOND_LENGTH, "out of reach"),
+    "long ago": ({"stamp": 1, "waypoints": [{"position": [1, 2]}]}, Reason.ARRIVED_TOO_LATE, "before it arrived"),
+    "large": (b" " * 10_000_000, Reason.TOO_LARGE, "10000000 bytes"),
+    "deep": (b"[" * 100_000, Reason.NOT_JSON, "not JSON"),
+    "running id": ({"id": "a", "waypoints": [{"position": [0.4, 2.9]}]}, Reason.ALREADY_RUNNING, "running already"),
+}
+
+
+def test_bad_goals_are_refused_and_disturb_nothing(client: Observer, system: System, stack: ExitStack) -> None:
+    client.goal(MIDDLE, LEFT, times=[0, HOUR], id="a")
+    session, key = stack.enter_context(system.session()), f"hyperbit/{system.name}/goal"
+    for name, (payload, reason, words) in BAD.items():
+        data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
+
+        def ask(data: bytes = data) -> dict[str, Any] | None:
+            replies = list(session.get(key, payload=data, timeout=PATIENCE))
+            if not replies:
+                return None  # a new session does not know the daemon at once
+            answer: dict[str, Any] = json.loads(replies[0].ok.payload.to_bytes())
+            return None if answer["reason"] == "not-explained" else answer  # after a test with a flood
+
+        answer = eventually(ask)
+        assert (answer["accepted"], answer["code"], answer["reason"]) == (False, reason.code, reason.value), name
+        assert words in answer["message"], name
+    assert client.heard["result"] == []
+    assert client.wait_now("executing")["goal"] == "a"
+    assert client.goal(RIGHT, LEFT, id="b")["accepted"]
+    assert client.result("b")["status"] == "succeeded"
+    assert client.result("a")["status"] == "replaced"
+
+
+def test_a_goal_can_be_put_and_its_refusal_is_published(
+    client: Observer, system: System, boards: Simulation, arm: Arm, stack: ExitStack
+) -> None:
+    session, prefix = stack.enter_context(system.session()), f"hyperbit/{system.name}"
+    client.accepted.append("a")
+    client.sent["a"] = time.time()
+    session.put(f"{prefix}/goal", json.dumps({"id": "a", "waypoints": [{"position": MIDDLE}]}))
+    assert client.result("a")["status"] == "succeeded"
+    assert np.linalg.norm(tip(boards, arm) - MIDDLE) <= arm.tolerance
+    session.put(f"{prefix}/goal", json.dumps({"id": "b", "waypoints": [{"position": [9, 9]}]}))
+    result = client.result("b")
+    assert (result["status"], result["code"]) == ("refused", codes.GOAL_TOLERANCE_VIOLATED)
+    assert result["reason"] == "beyond-length"
+    session.put(f"{prefix}/goal", b"\xff")
+    eventually(lambda: client.results(None))
+    session.put(f"{prefix}/stop", b"")
+    client.wait_now("stopped")
+    session.put(f"{prefix}/goal", json.dumps({"id": "c", "waypoints": [{"position": MIDDLE}]}))
+    assert client.result("c")["reason"] == "arm-stopped"
+    client.reset()
+
+
+def test_two_goals_at_once_have_one_outcome_each(client: Observer, system: System, stack: ExitStack) -> None:
+    goals, answers, sent = {"a": MIDDLE, "b": RIGHT}, dict[str, list[bool]](), time.time()
+    session, key = stack.enter_context(system.session()), f"hyperbit/{system.name}/goal"
+    asked = {
+        name: session.get(key, payload=json.dumps({"id": name, "waypoints": [{"position": p}]}), timeout=PATIENCE)
+        for name, p in goals.items()
+    }
+    for name, replies in asked.items():
+        answers[name] = [json.loads(reply.ok.payload.to_bytes())["accepted"] for reply in replies]
+    client.accepted += goals
+    client.sent |= dict.fromkeys(goals, sent)
+    assert list(answers.values()) == [[True], [True]]
+    ends = {name: client.result(name)["status"] for name in goals}
+    assert "succeeded" in ends.values()
+    assert set(ends.values()) <= {"succeeded", "replaced"}
+    client.wait_now("ready")
+    assert [len(client.results(name)) for name in goals] == [1, 1]
+
+
+def test_a_later_client_is_as_good_as_the_first(client: Observer, system: System) -> None:
+    with system.client() as other:
+        client.move(MIDDLE, goal="a")
+        other.move(LEFT, goal="b")
+        for observer in (client, other):
+            assert observer.result("b")["status"] == "succeeded"
+        assert other.result("a") == client.result("a")
+        assert other.client.run({"waypoints": [{"position": RIGHT}], "id": "c"})["status"] == "succeeded"
+    client.accepted += "bc"
+    client.sent |= other.sent | {"c": other.sent["b"]}
+
+
+def test_results_and_switches_are_in_the_ledger(client: Observer, system: System) -> None:
+    client.move(MIDDLE, goal="first")
+    client.move(RIGHT, goal="second")
+    ends = [("second", "succeeded"), ("first", "succeeded")]
+    eventually(lambda: [(goal["id"], goal["status"]) for goal in read(system.ledger)[1]][:2] == ends)
+    eventually(lambda: system.counts() == system.boards.switches().tolist())
+
+
+def test_forty_waypoints_under_three_floods_have_forty_feedbacks_and_one_result(
+    client: Observer, system: System, stack: ExitStack
+) -> None:
+    """Among obstacles, even distant ones, no stage is skipped, however late it is."""
+    assert client.ask("obstacles", regions=[{"disc": {"centre": [9, 9], "radius": 0.1}}])["accepted"]
+    over, sessions = threading.Event(), [stack.enter_context(system.session()) for _ in range(3)]
+
+    def flood(session: zenoh.Session, key: str, payload: bytes) -> None:
+        for k in itertools.count():
+            if over.is_set():
+                return
+            session.put(f"hyperbit/{system.name}/{key}", payload)
+            time.sleep(0.0 if k % 10 else 0.001)
+
+    bad = [("goal", b"{"), ("setpoint", b'{"position": [NaN, 1]}'), ("goal", b'{"waypoints": []}')]
+    floods = [threading.Thread(target=flood, args=(session, *it)) for session, it in zip(sessions, bad, strict=True)]
+    for thread in floods:
+        thread.start()
+    try:
+        points = [(LEFT, MIDDLE)[k % 2] for k in range(40)]
+        answer = client.goal(*points, times=[0.12 * k for k in range(40)], id="a")
+        assert answer["accepted"], answer
+        assert client.result("a")["status"] == "succeeded"
+    finally:
+        over.set()
+        for thread in floods:
+            thread.join()
+    assert [feedback["waypoint"] for feedback in client.last_feedback("a", 39)] == list(range(40))

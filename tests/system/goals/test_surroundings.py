@@ -1,0 +1,189 @@
+"""The arm's surroundings fail: the system's clock, the ledger's disk, Zenoh's router. The arm continues."""
+
+import itertools
+import sqlite3
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from controller.gateway.daemon import Warnings
+from controller.network import session
+from controller.planning.ledger_file import read
+from controller.planning.loop import Loop
+from tests.system.stack.motions import Motions
+from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
+from tests.system.stack.system import System
+from tests.waiting import SLOWNESS, eventually
+
+pytestmark = pytest.mark.buses("virtual")
+
+
+def written(ledger: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
+    """The content of the ledger, which may not exist yet."""
+    try:
+        return read(ledger)
+    except sqlite3.Error:
+        return {}, []
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Sets the clock of planners that start now by some seconds; the executor does not use the time of day."""
+    real, ahead = time.time, [0.0]
+
+    def wall() -> float:
+        return real() + ahead[0]
+
+    monkeypatch.setattr(time, "time", wall)
+    monkeypatch.setattr(Loop.__init__, "__defaults__", (None, (time.monotonic, wall)))
+    monkeypatch.setattr(Warnings.__init__, "__defaults__", (wall, time.monotonic))
+
+    def put(seconds: float) -> None:
+        ahead[0] = seconds
+
+    return put
+
+
+@pytest.mark.fresh
+def test_a_clock_that_is_set_moves_nothing_and_ends_no_goal(
+    clock: Callable[[float], None], system: System, motions: Motions
+) -> None:
+    """Takes 9 s: goals of 3 s before and after each change of the clock."""
+    system.start()
+    with system.client() as client:
+        for number, hours in enumerate((1, -1)):
+            client.move(MIDDLE, goal=f"before {number}")
+            stamp = time.time() + SLOWNESS
+            answer = client.goal(RIGHT, LEFT, MIDDLE, times=[0.0, 1.0, 2.0], stamp=stamp, id=f"a{number}")
+            assert answer["accepted"], answer
+            eventually(lambda number=number: client.feedback(f"a{number}"))
+            began, told = time.monotonic(), len(client.heard["state"])
+            clock(hours * HOUR)
+            eventually(lambda told=told: any(named(state, "clock-set") for state in client.heard["state"][told:]))
+            assert client.result(f"a{number}")["status"] == "succeeded"
+            assert time.monotonic() - began < HOUR / 2, "the other waypoints come by the steady clock"
+            state = client.wait_now("ready")
+            assert abs(state["stamp"] - time.time()) < HOUR / 2, "stamps go with the clock"
+            stamp = time.time() + 0.5 * SLOWNESS
+            assert client.goal(RIGHT, stamp=stamp, id=f"b{number}")["accepted"], "and so do goals"
+            assert client.result(f"b{number}")["status"] == "succeeded"
+        motions.agree(system.boards)
+        assert motions.switched.sum() == sum(result["switches"] for result in client.heard["result"])
+
+
+def named(state: dict[str, Any], code: str) -> bool:
+    return code in [fault["code"] for fault in state["faults"]]
+
+
+@pytest.fixture
+def disk(system: System) -> Iterator[Path]:
+    """A small disk for the ledger of an arm that starts now."""
+    folder = system.folder / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", str(folder)]
+    done = subprocess.run(mount, capture_output=True, text=True)
+    if done.returncode != 0:
+        pytest.skip(f"a full disk needs a disk of its own, and none can be mounted here: {done.stderr.strip()}")
+    system.ledger = folder / "ledger.sqlite"
+    yield folder
+    system.end_planner()
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+@pytest.mark.fresh
+def test_a_full_disk_is_told_and_the_arm_goes_on(system: System, disk: Path) -> None:
+    system.start()
+    with system.client() as client:
+        client.move(MIDDLE, goal="before")
+        eventually(lambda: written(system.ledger)[0])
+        with (disk / "filler").open("wb", buffering=0) as filler, suppress(OSError):
+            while True:
+                filler.write(bytes(1024))
+        for number in itertools.count():  # goals with long names until the disk is full
+            goal = f"{number} {'x' * 120}"
+            client.move((LEFT, RIGHT)[number % 2], goal=goal)
+            if "ledger-unwritten" in client.codes:
+                break
+        full = next(fault["message"] for fault in client.state["faults"] if fault["code"] == "ledger-unwritten")
+        assert "full" in full
+        assert client.wait_now("ready")["goal"] is None
+        (disk / "filler").unlink()
+        eventually(lambda: not client.codes)
+        eventually(lambda: system.counts() == system.boards.switches().tolist())
+
+
+@pytest.mark.fresh
+def test_a_ledger_that_cannot_be_written_stops_no_arm(system: System) -> None:
+    (system.folder / "file").write_text("in the way")
+    system.ledger = system.folder / "file" / "ledger.sqlite"
+    system.start()
+    with system.client() as client:
+        client.move(MIDDLE)
+        eventually(lambda: "cannot be written" in client.diagnosed()["ledger"])
+
+
+@pytest.mark.fresh
+def test_a_damaged_ledger_is_moved_aside_and_no_switch_is_forgotten(system: System) -> None:
+    """Neither during operation nor at a restart; the executor's journal has the counts as well."""
+    system.start()
+    with system.client() as client:
+        client.move(RIGHT, goal="before")
+        eventually(lambda: written(system.ledger)[0])
+    system.end_planner()
+    system.executor.end()
+    for part in system.ledger.parent.glob(f"{system.ledger.name}*"):
+        part.write_bytes(b"\x5a" * part.stat().st_size)
+    system.start()
+    with system.client() as client:
+        client.move(LEFT, goal="after")
+        eventually(lambda: "ledger-damaged" in client.codes)
+        damage = next(fault["message"] for fault in client.state["faults"] if fault["code"] == "ledger-damaged")
+        assert "a new one was begun" in damage
+        assert client.wait_now("ready")["goal"] is None
+        eventually(lambda: system.counts() == system.boards.switches().tolist())
+
+
+@pytest.mark.fresh
+def test_a_damaged_journal_is_told_and_the_ledger_has_the_counts(system: System) -> None:
+    system.start()
+    with system.client() as client:
+        client.move(RIGHT, goal="before")
+        eventually(lambda: system.counts() == system.boards.switches().tolist())
+    system.end_planner()
+    system.executor.end()
+    (journal,) = system.folder.glob("*.switches")
+    journal.write_bytes(b"\x5a" * journal.stat().st_size)
+    system.start()
+    with system.client() as client:
+        client.move(LEFT, goal="after")
+        assert client.wait_now("ready")["mode"] == "ready"
+        eventually(lambda: system.counts() == system.boards.switches().tolist())
+    assert "is damaged" in (system.folder / "executor.log").read_text()
+
+
+@pytest.mark.fresh
+def test_a_router_that_goes_and_comes_back_is_found_again_and_the_goal_goes_on(
+    system: System, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Daemon and client meet at a router only; a goal that ends while the router is away is in the ledger."""
+    listening = session.configuration("peer", listen=system.endpoint)
+    system.config = system.clients()
+    with zenoh.open(listening):
+        system.start()
+        with system.client() as client:
+            assert client.goal(MIDDLE, RIGHT, times=[0.0, 1.0], id="a")["accepted"]
+    eventually(lambda: any(goal["status"] == "succeeded" for goal in written(system.ledger)[1]))
+    assert system.boards.switches().sum() > 0
+    with zenoh.open(listening):
+        with system.client() as later:
+            later.wait_for("ready")
+            assert any("network-lost" in record.getMessage() for record in caplog.records), "nobody else hears it"
+            assert "network-lost" in [fault["code"] for fault in later.heard["state"][0]["faults"]]
+            later.move(LEFT, goal="b")
+        system.end_planner()

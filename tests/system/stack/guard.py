@@ -1,0 +1,124 @@
+"""Sessions with certificates, sessions of strangers, and the requests that reach a planner."""
+
+import json
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from controller.network import session
+from controller.network.client import Client
+from controller.planning.core.events import Key, Message, SetpointArrived, TipArrived
+from controller.planning.loop import Mailboxes, Receive
+from controller.planning.planner import RequestDecoder
+from tests.keys import certificates, openssl
+from tests.system.stack.observer import Observer
+from tests.system.stack.system import System
+
+PREFIX = "hyperbit/planar16"
+AT_ONCE = 0.5  # [s] in which an unwanted answer would arrive
+
+
+class Guard:
+    """Sessions that show a certificate."""
+
+    def __init__(self, system: System, keys: Path, stack: ExitStack) -> None:
+        self.system, self.keys, self.stack = system, keys, stack
+
+    def config(self, who: str) -> zenoh.Config:
+        """The configuration in the keys' folder, with another port."""
+        config = session.from_file(self.keys / who / "zenoh.json5")
+        endpoint = self.system.endpoint.replace("tcp/127.0.0.1", "tls/localhost")
+        config.insert_json5(f"{'listen' if who == 'daemon' else 'connect'}/endpoints", json.dumps([endpoint]))
+        return config
+
+    def session(self, who: str = "operator") -> zenoh.Session:
+        return self.stack.enter_context(zenoh.open(self.config(who)))
+
+    def observer(self, who: str = "operator") -> Observer:
+        return Observer(Client(self.session(who), "planar16"))
+
+
+class Seen:
+    """The requests that reach a planner: keys and payloads, in order."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.all: list[tuple[str, bytes]] = []
+        seen = self.all
+
+        decode, set_mailbox = RequestDecoder.decode, Mailboxes.set
+
+        def decoding(self: RequestDecoder, key: Key, payload: bytes) -> Message:
+            seen.append((key, payload))
+            return decode(self, key, payload)
+
+        def setting(self: Mailboxes, kind: type[SetpointArrived | TipArrived], receive: Receive) -> None:
+            key = "setpoint" if kind is SetpointArrived else "measured_tip"
+            set_mailbox(self, kind, watched(key, receive))
+
+        def watched(key: str, receive: Receive) -> Receive:
+            def look() -> bytes | None:
+                payload = receive()
+                if payload is not None:
+                    seen.append((key, payload))
+                return payload
+
+            return look
+
+        monkeypatch.setattr(RequestDecoder, "decode", decoding)
+        monkeypatch.setattr(Mailboxes, "set", setting)
+
+
+def answers(session: zenoh.Session, key: str, payload: bytes = b"") -> list[bool]:
+    """Whether each answer is accepted, of all that arrive at once."""
+    return [reply.ok is not None for reply in session.get(f"{PREFIX}/{key}", payload=payload, timeout=AT_ONCE)]
+
+
+def connects(config: zenoh.Config) -> bool:
+    try:
+        with zenoh.open(config):
+            return True
+    except zenoh.ZError:
+        return False
+
+
+def foreign(guard: Guard, folder: Path) -> zenoh.Config:
+    """An operator of another authority, who trusts this daemon."""
+    certificates(folder, clients=("operator",))
+    (folder / "operator" / "ca.pem").write_bytes((guard.keys / "ca" / "certificate.pem").read_bytes())
+    return Guard(guard.system, folder, guard.stack).config("operator")
+
+
+def expired(guard: Guard, folder: Path) -> zenoh.Config:
+    """An operator whose certificate ended yesterday."""
+    folder.mkdir()
+    ca, operator = guard.keys / "ca", guard.keys / "operator"
+    old, request, purpose = (str(folder / name) for name in ("old.pem", "request", "purpose"))
+    Path(purpose).write_text("basicConstraints = CA:FALSE\nextendedKeyUsage = clientAuth\n")
+    openssl("req", "-new", "-key", str(operator / "key.pem"), "-subj", "/CN=operator", "-out", request)
+    sign = ["x509", "-req", "-in", request, "-CA", str(ca / "certificate.pem"), "-CAkey", str(ca / "key.pem")]
+    assert openssl(*sign, "-set_serial", "7", "-days", "-1", "-extfile", purpose, "-out", old).returncode == 0
+    config = guard.config("operator")
+    config.insert_json5("transport/link/tls/connect_certificate", json.dumps(old))
+    return config
+
+
+def without(guard: Guard, folder: Path) -> zenoh.Config:
+    """A client without a certificate."""
+    config = guard.config("operator")
+    config.insert_json5("transport/link/tls/enable_mtls", "false")
+    return config
+
+
+def unencrypted(guard: Guard, folder: Path) -> zenoh.Config:
+    """A client without TLS."""
+    return session.configuration("client", connect=guard.system.endpoint)
+
+
+def daemons(guard: Guard, folder: Path) -> zenoh.Config:
+    """A client with the daemon's own certificate and key, which are valid for listening only."""
+    config = guard.config("operator")
+    for name, file in (("connect_certificate", "certificate.pem"), ("connect_private_key", "key.pem")):
+        config.insert_json5(f"transport/link/tls/{name}", json.dumps(str(guard.keys / "daemon" / file)))
+    return config

@@ -1,0 +1,103 @@
+"""A process that forks commands of hyperbit, so that a test can start many: `python -m tests.system.stack.nursery`.
+
+The argument is "executor" or "planner"; what that command needs is imported once. The arms' files that follow are
+prepared once, too. Each line on standard input starts a command: its arguments, its log file and its environment as a
+list in JSON; the id of its process is printed. The interface "virtual" of arms' files is the emulated one here.
+"""
+
+import ctypes
+import importlib
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+
+import can.interfaces
+
+from tests import emulated  # noqa: F401
+
+PR_SET_PDEATHSIG = 1  # of linux/prctl.h
+NEEDED = {
+    "executor": ("controller.executor.__main__",),
+    "planner": (
+        "controller.commands.operate.run",
+        "controller.gateway.daemon",
+        "filterpy.kalman",
+        "tests.system.stack.patience",
+    ),
+}
+
+
+def execute(arguments: list[str]) -> int:
+    """The process of `hyperbit execute`."""
+    from controller.executor.__main__ import main
+
+    return main(arguments)
+
+
+def run(arguments: list[str]) -> int:
+    """The process of `hyperbit run`."""
+    import typer
+
+    from controller.commands.operate.run import run
+
+    single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    single.command("run")(run)
+    single(arguments)
+    return 0
+
+
+COMMANDS = {"executor": execute, "planner": run}
+
+
+def prepare(file: Path) -> None:
+    """Loads the kernels' machine code and an arm's densities."""
+    from controller.arm.arm import load
+    from controller.commands.common import densities_of
+    from controller.search.solver import Solver
+
+    arm = load(file)
+    Solver(arm.reduced, densities_of(arm, silent=True)).prepare()
+
+
+def become(kind: str, arguments: list[str], log: str, environment: dict[str, str]) -> None:
+    """Runs a command in this process, which ends with the nursery."""
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    os.setpgid(0, 0)  # not a session of its own: Linux 6.18 lets such a process wait for seconds on a busy machine
+    file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    for number, target in ((nothing, 0), (file, 1), (file, 2)):
+        os.dup2(number, target)
+    os.environ |= environment
+    code = 70  # an internal error
+    try:
+        code = COMMANDS[kind](arguments)
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else 1
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+    finally:
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def main(kind: str, *files: str) -> None:
+    can.interfaces.BACKENDS["virtual"] = ("tests.emulated", "EmulatedBus")
+    for name in NEEDED[kind]:
+        importlib.import_module(name)
+    for file in files:
+        prepare(Path(file))
+    prctl = ctypes.CDLL(None).prctl
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # ended children need no wait
+    print("ready", flush=True)
+    for line in sys.stdin:
+        child = os.fork()
+        if child == 0:
+            prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+            become(kind, *json.loads(line))
+        print(child, flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
