@@ -92,6 +92,7 @@ class Lss:
         self._master.network = self  # the package's master uses only send_message of its network
         self._master.RESPONSE_TIMEOUT = 0.001  # the answers are there before it waits
         self._exchange, self._timeout, self._tries = exchange, _LSS_TIMEOUT, _TRIES
+        self._silent = False  # whether the last request had no answer that was due
         self._identity: dict[int, bytes] = {}  # answers with the parts of the selected board's identity, by first byte
 
     def send_message(self, cob_id: int, data: bytes, remote: bool = False) -> None:
@@ -100,7 +101,7 @@ class Lss:
         Raises:
             LssRefused: several boards answer differently.
         """
-        due = data[0] in ListMessageNeedResponse
+        self._silent = due = data[0] in ListMessageNeedResponse
         code = _ANSWERS.get(data[0], data[0]) if due else None
         for _ in range(self._tries if due else 1):
             heard = {answer for answer in self._exchange(bytes(data), code, self._timeout) if answer}
@@ -110,6 +111,7 @@ class Lss:
             if own:
                 if data[0] in _PARTS:
                     self._identity[data[0]] = own[0]
+                self._silent = False
                 self._master.on_message_received(_ANSWER, own[0], 0.0)
                 return
 
@@ -197,7 +199,7 @@ class Lss:
         try:
             answer = request()
         except LssError as error:
-            if "No LSS response" in str(error):
+            if self._silent:
                 raise LssSilent(f"{what}: no board answers by LSS") from None
             raise LssRefused(f"{what}: the board refuses ({error})") from None
         return answer if isinstance(answer, int) else 0
