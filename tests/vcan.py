@@ -139,7 +139,7 @@ def queueless() -> str | None:
 
 
 def give_way(bus: can.BusABC, priority: int) -> None:
-    """Lets the frames of a bus of the kernel leave first or last; they have no place in line on others."""
+    """Sets the priority of a socket's frames on the kernel's bus; an emulated bus has no priorities."""
     if isinstance(bus, SocketcanBus):
         bus.socket.setsockopt(socket.SOL_SOCKET, socket.SO_PRIORITY, priority)
 

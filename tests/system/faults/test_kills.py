@@ -1,6 +1,6 @@
 """Planner, executor or both are killed at each moment of a goal's life: each accepted goal has one result.
 
-Here each moment has one kill. `python -m tests.system.kills` has many.
+Here each moment has one kill. `python -m tests.system.kills` kills many times at each moment.
 """
 
 import itertools
