@@ -188,7 +188,7 @@ class SdoClient:
             self._doubled += 1
 
     def _count_answer(self) -> None:
-        """Counts an answered transfer; after _WINDOW transfers, decides whether the board needs each request twice."""
+        """Counts a transfer that was asked once; after _WINDOW of them, decides `twice`."""
         if self._answered == _WINDOW:
             self.twice = self._doubled >= _MOST_TWICE
             self._answered = self._doubled = 0
