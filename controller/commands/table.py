@@ -88,6 +88,12 @@ GROUPS = {
             "List the obstacles, or replace those that were sent before; the file's remain. Nothing moves.",
             "hyperbit obstacles planar16 --none",
         ),
+        "poses": CommandEntry(
+            "use.poses",
+            "poses",
+            "List the named poses of an arm, save one, or remove one; `send --pose` goes there. Nothing moves.",
+            "hyperbit poses planar16 --save pick",
+        ),
         "fault": CommandEntry(
             "use.fault",
             "fault",

@@ -13,6 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import zenoh
 
 from controller.arm.arm import Arm
@@ -21,9 +22,11 @@ from controller.flight_recorder import FlightRecorder, Label
 from controller.gateway.arrivals import RepeatedGoals
 from controller.gateway.claim import Claim
 from controller.gateway.outbox import Outbox, ResultHooks
-from controller.gateway.server import Server
+from controller.gateway.poses import Poses
+from controller.gateway.server import GatewayParts, Server
 from controller.host.journal import fields_of_fault
 from controller.host.notify import Notifier
+from controller.manipulator.notation import format_configuration
 from controller.network.session import lease, reachable
 from controller.planning.core.core import OPAQUE
 from controller.planning.core.events import Recorded
@@ -117,7 +120,7 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
         link = ExecutorLink(socket, name, digest, simulated=simulated)
         planner = closing.enter_context(planning(arm, densities, link, services, recorder, simulated=simulated))
         claim.confirm()
-        server = Server(session, name, planner, outbox, goals, tracker=arm.settings.tracker is not None)
+        server = Server(session, name, GatewayParts(planner, outbox, goals, saved_poses(arm, ledger)))
         closing.callback(server.close)
         planner.loop.start()  # not before the keys are declared: who receives a state may send a request
         gc.collect()
@@ -129,6 +132,12 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
             log.warning("%s", warning)
         log.info("serving the arm %s%s", name, ", whose boards are simulated" if simulated else "")
         yield daemon
+
+
+def saved_poses(arm: Arm, ledger: Path) -> Poses:
+    """Returns the poses of an arm, which are kept beside its ledger; "home" has all modules in their first state."""
+    first = np.zeros(len(arm.manipulator.modules), np.int64)
+    return Poses(ledger.with_name(f"{ledger.stem}.poses.json"), format_configuration(arm.manipulator, first))
 
 
 class Warnings:

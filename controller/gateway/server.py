@@ -8,13 +8,14 @@ from collections.abc import Collection
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple, cast
 
 import msgspec
 import zenoh
 
 from controller.gateway.arrivals import FloodBrake, Rate, RepeatedGoals, Reply
 from controller.gateway.outbox import Outbox
+from controller.gateway.poses import Poses, decode_poses
 from controller.motion.decoding.goal import GoalMessage, Undecodable
 from controller.planning.core.events import CancelMessage, Key, Message, Payload, SetpointArrived, TipArrived, refused
 from controller.planning.loop import Receive
@@ -33,6 +34,23 @@ MOST_TEXT = 500  # characters of a payload that is no JSON, in a note
 # Who receives a request: the arm that is named in full, also each arm that a wildcard matches, or whoever is meant by
 # an expression that may not even name the key, as `hyperbit/**`.
 Reach = Literal["named", "each arm", "all"]
+ServedKey = Key | Literal["poses"]
+
+
+class GatewayParts(NamedTuple):
+    """What answers the requests of one arm.
+
+    Attributes:
+        planner: receives most requests.
+        outbox: sends the answers.
+        goals: recognizes repeated goals.
+        poses: the saved poses.
+    """
+
+    planner: Planner
+    outbox: Outbox
+    goals: RepeatedGoals
+    poses: Poses
 
 
 class Server:
@@ -44,17 +62,12 @@ class Server:
     Args:
         session: open session.
         arm: name of the arm.
-        planner: receives the requests.
-        outbox: sends the answers.
-        goals: recognizes repeated goals.
-        tracker: whether measured tips are accepted.
+        parts: what answers the requests.
     """
 
-    def __init__(
-        self, session: zenoh.Session, arm: str, planner: Planner, outbox: Outbox, goals: RepeatedGoals, *, tracker: bool
-    ) -> None:
-        self._session, self._prefix = session, f"hyperbit/{arm}"
-        self._planner, self._outbox, self._goals = planner, outbox, goals
+    def __init__(self, session: zenoh.Session, arm: str, parts: GatewayParts) -> None:
+        self._session, self._prefix, self._parts = session, f"hyperbit/{arm}", parts
+        self._outbox, planner = parts.outbox, parts.planner
         self._declared = ExitStack()
         self._refusals, self._logged_refusals = Rate(MOST_REFUSALS), Rate(1)  # of puts
         self._command("stop", "each arm")
@@ -65,11 +78,12 @@ class Server:
         self._command("degrade")
         self._command("obstacles")
         self._command("fault")
+        self._command("poses")
         self._query("plan")
         self._query("arm")
         mailboxes = planner.loop.mailboxes
         mailboxes.set(SetpointArrived, self._mailbox("setpoint"))
-        if tracker:
+        if planner.decoder.tracker:
             mailboxes.set(TipArrived, self._mailbox("measured_tip"))
         self._declared.callback(session.liveliness().declare_token(f"{self._prefix}/alive").undeclare)
 
@@ -77,16 +91,16 @@ class Server:
         """Undeclares all keys, the liveliness token first."""
         self._declared.close()
 
-    def _command(self, key: Key, reach: Reach = "named") -> None:
+    def _command(self, key: ServedKey, reach: Reach = "named") -> None:
         """Accepts commands on `key`, by query and by put."""
         way = self._query(key, reach)
         on_put = partial(way.receive, deliver=self._publish_refusal)
         self._declared.callback(self._session.declare_subscriber(way.name, on_put).undeclare)
 
-    def _query(self, key: Key, reach: Reach = "all") -> "Way":
+    def _query(self, key: ServedKey, reach: Reach = "all") -> "Way":
         """Answers queries on `key`."""
-        kind = Description if key == "arm" else Way
-        way = kind(self._prefix, key, reach, self._planner, self._outbox, self._goals)
+        kind = {"arm": Description, "poses": PosesWay}.get(key, Way)
+        way = kind(self._prefix, key, reach, self._parts)
         self._declared.callback(self._session.declare_queryable(way.name, way.on_query).undeclare)
         return way
 
@@ -143,14 +157,14 @@ class Way:
     Args:
         prefix: of all keys, "hyperbit/<arm>".
         key: of the requests.
-        reach: who receives a request. For the others see `Server`.
+        reach: who receives a request.
+        parts: what answers it.
     """
 
-    def __init__(
-        self, prefix: str, key: Key, reach: Reach, planner: Planner, outbox: Outbox, goals: RepeatedGoals
-    ) -> None:
-        self.name, self._key, self._reach = f"{prefix}/{key}", key, reach
-        self._planner, self._outbox, self._goals = planner, outbox, goals
+    def __init__(self, prefix: str, key: ServedKey, reach: Reach, parts: GatewayParts) -> None:
+        self.name, self._reach = f"{prefix}/{key}", reach
+        self._key = cast(Key, key)  # `PosesWay` alone has another key, and gives the planner nothing
+        self._planner, self._outbox, self._goals, self._poses = parts
         self._brake, self._notes = FloodBrake(), Rate(MOST_NOTES)
         self._unanswered = set[Arrival]()  # an arrival is removed once, atomically
 
@@ -228,7 +242,18 @@ class Description(Way):
     def _describe(self, arrival: Arrival, static: Payload, running: bool, live: Payload) -> None:
         daemon = {"host": socket.gethostname(), "pid": os.getpid()}
         parts = {name: value for name, value in live.items() if running or name != "running"}
-        self._answer(arrival, {**static, **parts, "daemon": daemon})
+        self._answer(arrival, {**static, **parts, "poses": self._poses.listed(), "daemon": daemon})
+
+
+class PosesWay(Way):
+    """The way of requests on `poses`, which the planner's core does not know."""
+
+    def _request(self, arrival: Arrival) -> None:
+        self._check_named(arrival.name, named=True)
+        message = decode_poses(arrival.payload)
+        if message.goal is not None:
+            self._planner.decoder.decode("goal", msgspec.json.encode(message.goal))
+        self._answer(arrival, self._poses.change(message))
 
 
 def content(payload: zenoh.ZBytes | None) -> bytes:

@@ -94,6 +94,21 @@ class Client:
         """Calls `callback` with each message on `key`: state, feedback, result or diagnostics."""
         return self._session.declare_subscriber(f"{self._prefix}/{key}", lambda sample: callback(decoded(sample)))
 
+    def next_message(self, key: str, timeout: float = 10.0) -> Message:
+        """Returns the next message on `key`.
+
+        Raises:
+            Unanswered: no message came within `timeout` [s].
+        """
+        news: queue.SimpleQueue[Message] = queue.SimpleQueue()
+        subscriber = self.subscribe(key, news.put)
+        try:
+            return news.get(timeout=timeout)
+        except queue.Empty:
+            raise Unanswered(f"no {key} from arm {self._arm!r} for {timeout:g} s") from None
+        finally:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+
     def alive(self, timeout: float = 1.0) -> bool:
         """Returns whether the daemon's liveliness token exists."""
         return any(reply.ok for reply in self._session.liveliness().get(f"{self._prefix}/alive", timeout=timeout))

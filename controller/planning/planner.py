@@ -96,10 +96,15 @@ class _NamedGoal(msgspec.Struct):
 
 
 class RequestDecoder:
-    """Decodes the requests for one arm. For any thread."""
+    """Decodes the requests for one arm. For any thread.
+
+    Attributes:
+        tracker: whether measured tips are accepted.
+    """
 
     def __init__(self, arm: Arm) -> None:
         manipulator, tracker = arm.manipulator, arm.settings.tracker
+        self.tracker = tracker is not None
         self._actuators, self._dimension = manipulator.actuators, manipulator.dimension
         self._base = manipulator.base[: manipulator.dimension, 3].tolist()
         self._farthest = manipulator.length + (tracker.clamp if tracker else 0.0)  # of a tip from the base

@@ -187,6 +187,13 @@ class Reason(enum.Enum):
         "the request is malformed; no details are given while many bad requests arrive",
         "send one request a second, then the answer says what is wrong",
     )
+    UNKNOWN_POSE = "unknown-pose", "remove: there is no saved pose {name}; saved are {known}"
+    TOO_MANY_POSES = "too-many-poses", "save: an arm has at most {most} saved poses", "remove one: hyperbit poses {arm}"
+    POSES_UNWRITTEN = (
+        "poses-unwritten",
+        "the saved poses cannot be changed: {why}",
+        "free or mend the disk; rename a file that is damaged",
+    )
     BUSY = "busy", "busy: {most} {what} are waiting already", "wait for the answers"
     INTERNAL_ERROR = "internal-error", "internal error, see the journal", REPORT
     PLANNING_FAILED = "planning-failed", "internal error while planning, see the journal", REPORT

@@ -5,6 +5,8 @@ import socket
 import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -12,7 +14,8 @@ import zenoh
 
 from controller.gateway.arrivals import RepeatedGoals, Reply
 from controller.gateway.outbox import Outbox, ResultHooks
-from controller.gateway.server import Server
+from controller.gateway.poses import Poses
+from controller.gateway.server import GatewayParts, Server
 from controller.motion.decoding.goal import GoalMessage, parse
 from controller.network import session
 from controller.network.client import Client
@@ -43,6 +46,7 @@ class FakePlanner:
         self.holding = threading.Event()
         self.waiting: list[tuple[Reply, Payload]] = []
         self.receive: dict[str, Callable[[], bytes | None]] = {}
+        self.tracker = True
         self.loop = self.decoder = self.mailboxes = self
 
     def decode(self, key: str, payload: bytes) -> Message:
@@ -108,8 +112,9 @@ class Gateway:
         self.server = self.serve()
         stack.callback(lambda: self.server.close())
 
-    def serve(self, *, tracker: bool = True) -> Server:
-        return Server(self.session, ARM, self.planner, self.outbox, self.goals, tracker=tracker)  # type: ignore[arg-type]
+    def serve(self) -> Server:
+        poses = Poses(Path(self._stack.enter_context(TemporaryDirectory())) / "a.poses.json", "00")
+        return Server(self.session, ARM, GatewayParts(self.planner, self.outbox, self.goals, poses))  # type: ignore[arg-type]
 
     def other(self) -> zenoh.Session:
         """A session of a client."""

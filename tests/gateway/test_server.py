@@ -84,7 +84,7 @@ def test_arm_has_besides_what_its_query_wants(gateway: Gateway) -> None:
     assert "drawing" in described
     for payload in (b"no JSON", b"[]", b'{"with": 1}', b'"drawing"', b"\xff", b"[" * 100_000):
         (described,) = asked(gateway.other(), f"{PREFIX}/arm", payload)
-        assert described.keys() == {"name", "dimension", "limits", "daemon"}
+        assert described.keys() == {"name", "dimension", "limits", "poses", "daemon"}
     (described,) = asked(gateway.other(), f"{PREFIX}/arm", b'{"with": ["running"]}')
     assert described["running"] is None
 
@@ -118,7 +118,8 @@ def test_a_put_by_a_wildcard_displaces_no_sample(gateway: Gateway, key: str) -> 
 def test_without_a_tracker_measured_tips_are_not_declared(gateway: Gateway) -> None:
     gateway.server.close()
     gateway.planner.receive.clear()
-    gateway.server = gateway.serve(tracker=False)
+    gateway.planner.tracker = False
+    gateway.server = gateway.serve()
     assert list(gateway.planner.receive) == ["setpoint"]
 
 

@@ -37,6 +37,7 @@ def send(
     configuration: Annotated[
         str | None, typer.Option(help="Configuration to go to: module states, base first.")
     ] = None,
+    pose: Annotated[str | None, typer.Option(metavar="NAME", help="Named pose to go to, see `poses`.")] = None,
     path_tolerance: Annotated[
         float | None, typer.Option(help="Follow straight lines between waypoints within this distance.")
     ] = None,
@@ -45,8 +46,8 @@ def send(
     as_json: AsJson = False,
 ) -> None:
     """Send a goal and follow it to its result; Ctrl-C cancels the goal."""
-    if [file, to, configuration].count(None) != 2:
-        raise InputFaults(Path("send"), ["give one of a goal's file, --to and --configuration"])
+    if [file, to, configuration, pose].count(None) != 3:
+        raise InputFaults(Path("send"), ["give one of a goal's file, --to, --configuration and --pose"])
     goal = {} if file is None else read_goal(file)
     if configuration is not None:
         goal["waypoints"] = [{"configuration": configuration}]
@@ -55,7 +56,11 @@ def send(
     numbers = 0 if to is None else to.count(",") + 1
     if to is not None and numbers != 3:
         goal["waypoints"] = [waypoint(to, 2 if numbers < 3 else 3)]
+    from controller.commands.use import poses
+
     with connected(arm, connect, zenoh_file) as client:
+        if pose is not None:
+            goal = {**poses.goal_of(client, arm, pose), **goal}
         if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
             goal["waypoints"] = [waypoint(to, client.request("arm")["dimension"])]
         result = run_goal(client, goal, as_json)

@@ -70,7 +70,7 @@ def test_lock_is_degrade(hyperbit, gateway, command):
 
 def test_send_takes_one_kind_of_goal(hyperbit, gateway):
     code, _, err = hyperbit("send", "a", "--configuration", FIRST, "--to", "1,2", "--connect", gateway.endpoint)
-    assert (code, "give one of a goal's file, --to and --configuration" in err) == (2, True)
+    assert (code, "give one of a goal's file, --to, --configuration and --pose" in err) == (2, True)
 
 
 def test_plan_describes_a_configuration_without_a_search(hyperbit, own_folders):

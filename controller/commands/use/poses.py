@@ -1,0 +1,85 @@
+"""The command `poses`: lists, saves and removes named poses of a running arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from controller.armfile.strict import InputFaults
+from controller.commands.common import ENDPOINT, ArmName, AsJson, CommandFailed, Connect, ZenohFile, print_json
+from controller.commands.connection import ask, connected
+from controller.commands.use.send import read_goal
+
+if TYPE_CHECKING:
+    from controller.network.client import Client
+
+SAVE = "Save a pose under this name, in place of an earlier one: the goal of FILE, or the arm's present configuration."
+FILE = "File of the goal to save: YAML, JSON or CSV, as `send` takes it."
+
+
+def poses(
+    arm: ArmName,
+    file: Annotated[Path | None, typer.Argument(metavar="FILE", help=FILE, show_default=False)] = None,
+    save: Annotated[str | None, typer.Option(metavar="NAME", help=SAVE, show_default=False)] = None,
+    remove: Annotated[str | None, typer.Option(metavar="NAME", help="Remove a saved pose.", show_default=False)] = None,
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """List the named poses of an arm, save one, or remove one; `send --pose` goes there. Nothing moves."""
+    if (save is not None and remove is not None) or (file is not None and save is None):
+        raise InputFaults(Path("poses"), ["give --save NAME [FILE], or --remove NAME, or neither"])
+    goal = None if file is None else read_goal(file)
+    with connected(arm, connect, zenoh_file) as client:
+        if save is not None:
+            ask(client, arm, "poses", {"save": save, "goal": goal or present(client, arm)}, as_json)
+        elif remove is not None:
+            ask(client, arm, "poses", {"remove": remove}, as_json)
+        else:
+            print_poses(client.request("arm")["poses"], as_json)
+
+
+def present(client: Client, arm: str) -> dict[str, Any]:
+    """Returns a goal with the arm's present configuration.
+
+    Raises:
+        CommandFailed: the measured states are no configuration.
+    """
+    state = client.next_message("state")
+    if state["configuration"] is None:
+        raise CommandFailed(f"{arm} is in no configuration: {state['reason']}", "save a goal's file instead")
+    return {"waypoints": [{"configuration": state["configuration"]}]}
+
+
+def print_poses(listed: list[dict[str, Any]], as_json: bool) -> None:
+    """Prints poses, a line each."""
+    for pose in listed:
+        if as_json:
+            print_json(pose)
+            continue
+        waypoints = pose["goal"]["waypoints"]
+        more = "" if len(waypoints) == 1 else f", and {len(waypoints) - 1} more waypoints"
+        typer.echo(f"{pose['name']}: {shown(waypoints[0])}{more}")
+
+
+def shown(waypoint: dict[str, Any]) -> str:
+    """Returns a waypoint in words."""
+    if "configuration" in waypoint:
+        return f"configuration {waypoint['configuration']}"
+    position = ", ".join(f"{x:g}" for x in waypoint["position"])
+    return f"({position})" + (" with an orientation" if waypoint.get("orientation") is not None else "")
+
+
+def goal_of(client: Client, arm: str, name: str) -> dict[str, Any]:
+    """Returns the goal of a saved pose.
+
+    Raises:
+        CommandFailed: there is no such pose.
+    """
+    known = {pose["name"]: pose["goal"] for pose in client.request("arm")["poses"]}
+    if name not in known:
+        raise CommandFailed(f"{arm} has no pose {name!r}; it has {', '.join(known)}", f"hyperbit poses {arm}")
+    goal: dict[str, Any] = known[name]
+    return goal

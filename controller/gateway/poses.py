@@ -1,0 +1,142 @@
+"""Named poses of an arm: goals that operators saved, kept in a file beside the ledger. "home" is always among them."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import threading
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta, Struct
+
+from controller.motion.decoding.setpoint import parse
+from controller.planning.core.events import Payload, done
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
+
+log = logging.getLogger(__name__)
+
+MOST_POSES, MOST_BYTES = 200, 100_000  # of an arm, and of a payload
+HOME = "home"
+
+Name = Annotated[str, Meta(pattern=r"^[\w.-]([\w .-]{0,38}[\w.-])?\Z")]
+SavedGoal = dict[str, Any]  # the payload of a goal without id and stamp
+
+
+class PosesMessage(Struct, forbid_unknown_fields=True, frozen=True):
+    """The payload of `poses`: one pose to save or to remove.
+
+    Attributes:
+        save: name of the pose that is saved; a pose of this name is replaced.
+        goal: its goal, needed with `save`.
+        remove: name of the pose that is removed.
+    """
+
+    save: Name | None = None
+    goal: SavedGoal | None = None
+    remove: Name | None = None
+
+
+class Poses:
+    """The named poses of one arm. For any thread.
+
+    A change is written to the file before it is answered. A file that cannot be read is kept and reported, and no
+    pose is saved then.
+
+    Args:
+        path: of the file.
+        home: the configuration of "home", unless an operator saves another one.
+    """
+
+    def __init__(self, path: Path, home: str) -> None:
+        self._path, self._lock = path, threading.Lock()
+        self._home: SavedGoal = {"waypoints": [{"configuration": home}]}
+        self._saved: dict[str, SavedGoal] = {}
+        self._problem: str | None = None
+        try:
+            self._saved = msgspec.json.decode(path.read_bytes(), type=dict[Name, SavedGoal])
+        except FileNotFoundError:
+            pass
+        except (OSError, msgspec.MsgspecError, UnicodeError) as error:
+            self._problem = f"{path} cannot be read: {error}"
+            log.error("the saved poses are not known: %s", self._problem)
+
+    def listed(self) -> list[Payload]:
+        """Returns all poses, home first, the others by name, each with its `name` and `goal`."""
+        with self._lock:
+            every = {HOME: self._home, **dict(sorted(self._saved.items()))}
+        return [{"name": name, "goal": goal} for name, goal in every.items()]
+
+    def change(self, message: PosesMessage) -> Payload:
+        """Saves or removes a pose; returns the answer.
+
+        Raises:
+            Refusal: there is no such pose, there are too many, or the file cannot be written.
+        """
+        with self._lock:
+            saved = dict(self._saved)
+            if message.save is not None and message.goal is not None:
+                saved[message.save], words = message.goal, f"saved pose {message.save!r}"
+            elif saved.pop(message.remove or "", None) is None:
+                known = ", ".join(sorted(saved)) or "none"
+                raise Refusal(Reason.UNKNOWN_POSE, name=repr(message.remove), known=known)
+            else:
+                words = f"removed pose {message.remove!r}"
+            if len(saved) > MOST_POSES:
+                raise Refusal(Reason.TOO_MANY_POSES, most=MOST_POSES)
+            self._write(saved)
+            self._saved = saved
+        return done(words)
+
+    def _write(self, saved: dict[str, SavedGoal]) -> None:
+        """Replaces the file; a power failure leaves the old one or the new one.
+
+        Raises:
+            Refusal: the file cannot be written.
+        """
+        if self._problem is not None:
+            raise Refusal(Reason.POSES_UNWRITTEN, why=self._problem)
+        fresh = self._path.with_suffix(".new")
+        try:
+            with fresh.open("wb") as file:
+                file.write(msgspec.json.format(msgspec.json.encode(saved), indent=1))
+                file.flush()
+                os.fsync(file.fileno())
+            fresh.replace(self._path)
+            with contextlib.closing(Folder(self._path.parent)) as folder:
+                os.fsync(folder.fileno)
+        except OSError as error:
+            raise Refusal(Reason.POSES_UNWRITTEN, why=f"{self._path}: {error.strerror}") from None
+
+
+class Folder:
+    """An open folder, whose new entries can be written to the disk.
+
+    Attributes:
+        fileno: its file descriptor.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.fileno = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+
+    def close(self) -> None:
+        """Closes the folder."""
+        os.close(self.fileno)
+
+
+def decode_poses(payload: bytes) -> PosesMessage:
+    """Returns the message in a `poses` payload; the goal's own fields are not checked.
+
+    Raises:
+        Refusal: the payload is invalid; the message names the field. No other exception is raised.
+    """
+    message = parse(payload, PosesMessage, "poses", MOST_BYTES)
+    saves, removes = message.save is not None and message.goal is not None, message.remove is not None
+    if saves == removes or (message.save is None) != (message.goal is None):
+        raise Refusal(Reason.INVALID_FIELDS, faults="either save and goal, or remove, are needed")
+    if message.goal is not None and (extra := {"id", "stamp"} & message.goal.keys()):
+        raise Refusal(Reason.INVALID_FIELDS, faults=f"goal.{min(extra)}: a saved goal has none")
+    return message
