@@ -25,6 +25,7 @@ from controller.panel.requests import (
     ObstaclesRequest,
     PageRequest,
     PlanRequest,
+    PoseRequest,
     ReleaseControlRequest,
     ResetRequest,
     SeekRequest,
@@ -144,6 +145,11 @@ class ArmPage:
                 return await self._command("obstacles", {"regions": regions})
             case FaultRequest(fault=fault):
                 return await self._command("fault", {"fault": fault})
+            case PoseRequest(save=save, goal=goal, remove=remove):
+                change = {"save": save, "goal": goal, "remove": remove}
+                answer = await self._command("poses", {k: v for k, v in change.items() if v is not None})
+                self._view.describe_again()
+                return answer
             case GoalRequest(goal=goal):
                 named = {**goal, "id": f"{self._page.person.name}-{secrets.token_hex(3)}"}
                 answer = await self._command("goal", named)

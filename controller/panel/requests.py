@@ -63,6 +63,14 @@ class FaultRequest(NumberedRequest, tag="fault"):
     fault: Annotated[str, Meta(min_length=1, max_length=200)]
 
 
+class PoseRequest(NumberedRequest, tag="pose"):
+    """Save a goal as a named pose, or remove a pose."""
+
+    save: Annotated[str, Meta(max_length=100)] | None = None
+    goal: dict[str, Any] | None = None
+    remove: Annotated[str, Meta(max_length=100)] | None = None
+
+
 class PlanRequest(NumberedRequest, tag="plan"):
     """Plan a goal without running it."""
 
@@ -92,7 +100,7 @@ class SeekRequest(NumberedRequest, tag="seek"):
 UrgentRequest = StopRequest | CancelRequest
 FreeRequest = UrgentRequest | TakeControlRequest | ReleaseControlRequest | PlanRequest | GoalFileRequest | SeekRequest
 ControlRequest = (  # need control
-    ResetRequest | JogRequest | LockRequest | ObstaclesRequest | FaultRequest | GoalRequest
+    ResetRequest | JogRequest | LockRequest | ObstaclesRequest | FaultRequest | PoseRequest | GoalRequest
 )
 PageRequest = FreeRequest | ControlRequest
 

@@ -70,6 +70,28 @@ def test_a_goal_is_planned_by_a_click_and_reached_by_go(page: Page) -> None:
     shown.says("#wear", "switches in all")
 
 
+def test_a_named_pose_is_saved_planned_and_removed(page: Page) -> None:
+    shown = page()
+    type_goal(shown, 0.55, 2.9)
+    shown.says("#goal .plan", "switches", "stage")
+    shown.press("#goal .poses summary")
+    shown.says("#pose", "home")
+    shown.says("#goal .poses .hint", "the goal above")
+    shown.type("#pose-name", "pick")
+    shown.press("#save-pose")
+    shown.says("#pose", "home", "pick")
+    shown.run("document.querySelector('#pose').value = 'home'")
+    shown.press("#use-pose")
+    shown.says("#goal .plan", "configuration 0000000000000000")
+    shown.run("document.querySelector('#pose').value = 'pick'")
+    shown.press("#use-pose")
+    eventually(lambda: "configuration 0000000000000000" not in shown.text("#goal .plan"))
+    shown.says("#goal .plan", "switches", "stage")
+    shown.press("#remove-pose")
+    eventually(lambda: "pick" not in shown.text("#pose"))
+    shown.says("#log", "anna asked for poses", "saved pose 'pick'", "removed pose 'pick'")
+
+
 def test_a_pose_takes_a_second_drag_and_a_curve_a_click_for_each_point(page: Page) -> None:
     shown = page()
     canvas = shown.one(".stage canvas")

@@ -16,6 +16,7 @@ COMMANDS = [
     ("jog", {"actuator": "5.left", "state": "extended"}),
     ("lock", {"actuator": "5.left", "state": 0}),
     ("obstacles", {"regions": []}),
+    ("pose", {"remove": "pick"}),
     ("plan", {"goal": GOAL}),
     ("go", {"goal": GOAL}),
     ("file", {"text": "waypoints: []"}),

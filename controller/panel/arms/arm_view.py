@@ -23,7 +23,18 @@ ASK_AGAIN = 2.0  # [s] after an arm did not answer
 SILENT = 5.0  # [s] without a state, after which an arm without liveliness token counts as gone
 SHOWN = (  # of the payload of `arm`
     *("name", "version", "dimension", "length", "base", "actuators", "states", "tolerance", "travel_time", "rest_time"),
-    *("inrush", "method", "on_stop", "on_loss", "obstacles", "sent_obstacles", "body_radius", "limits", "daemon"),
+    *(
+        "inrush",
+        "method",
+        "on_stop",
+        "on_loss",
+        "obstacles",
+        "sent_obstacles",
+        "poses",
+        "body_radius",
+        "limits",
+        "daemon",
+    ),
     *("simulated", "simulation"),
 )
 
@@ -214,6 +225,10 @@ class ArmView:
         self.publish("bodies", bodies)
 
     # --- requests to the daemon
+
+    def describe_again(self) -> None:
+        """Requests the arm's description, because it has changed."""
+        self._ask()
 
     def _ask(self, *wanted: str) -> None:
         """Requests the arm's description with further parts; one request at a time."""

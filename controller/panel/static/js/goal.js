@@ -3,6 +3,7 @@
 import { inWords } from "./connection.js";
 import { el, fill, number, numberField } from "./dom.js";
 import { situation } from "./editor.js";
+import { showPoses } from "./poses.js";
 
 const CERTIFICATES = {
   optimal: "proven optimal: no collision-free configuration costs less",
@@ -27,6 +28,7 @@ export function showGoal(connection, editor, notify) {
     el("div", { class: "buttons" }, bar, cancel, clear),
     why,
     el("label", { class: "upload" }, "Goal file ", upload),
+    showPoses(connection, editor, notify),
     words,
     message,
   );
