@@ -8,6 +8,9 @@ import signal
 import subprocess
 import sys
 
+from controller.commands.connection import connected
+from controller.commands.operate import demo
+
 
 def test_list_names_the_arms_that_have_a_daemon(hyperbit, endpoint):
     code, out, err = hyperbit("list", "--connect", endpoint)
@@ -35,6 +38,8 @@ def test_watch_prints_changes_as_lines_in_a_pipe(hyperbit, endpoint):
         hyperbit("reset", "planar16", "--connect", endpoint)
         watching.send_signal(signal.SIGINT)
         assert watching.wait(20) == 0
+    with connected("planar16", endpoint, None) as client:
+        demo.wait_until_ready(client)
     assert " ready (simulated): " in first
     assert " stopped (simulated): " in second
     assert "; tip (" in second

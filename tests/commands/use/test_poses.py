@@ -7,7 +7,8 @@ import json
 
 def test_a_pose_is_saved_sent_listed_and_removed(hyperbit, endpoint, tmp_path):
     connect = ("--connect", endpoint)
-    assert hyperbit("send", "planar16", "--configuration", "0" * 15 + "2", *connect)[0] == 0
+    code, out, err = hyperbit("send", "planar16", "--configuration", "0" * 15 + "2", *connect)
+    assert (code, err) == (0, ""), out
     assert hyperbit("poses", "planar16", "--save", "tilted", *connect) == (0, "saved pose 'tilted'\n", "")
     file = tmp_path / "goal.csv"
     file.write_text("x,y,t\n0.5,2.8,0\n0.4,2.8,1\n")
