@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import logging
+import os
 import socket
 import threading
 from pathlib import Path
@@ -58,8 +60,9 @@ def owner_of(port: int) -> str | None:
                 fields = line.split()
                 if fields[3] == LISTENING and int(fields[1].rpartition(":")[2], 16) == port:
                     inodes.add(f"socket:[{fields[9]}]")
-    for process in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):  # of another user, or just ended
-            if any(str(each.readlink()) in inodes for each in (process / "fd").iterdir()):
+    for link in glob.iglob("/proc/[0-9]*/fd/[0-9]*"):  # skips folders of other users, and of processes that end
+        with contextlib.suppress(OSError):  # just closed
+            if os.readlink(link) in inodes:
+                process = Path(link).parents[1]
                 return f"{(process / 'comm').read_text().strip()} (process {process.name})"
     return None
