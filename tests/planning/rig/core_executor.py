@@ -66,7 +66,7 @@ class CoreExecutor:
             self._clients[ClientId(self._accepted, 1)] = connection
         for client, connection in list(self._clients.items()):
             if connection in readable:
-                if data := connection.recv(70_000):
+                if data := received(connection):
                     self._do(FromClient(client, decode_down(data)))
                 else:
                     del self._clients[client]
@@ -78,3 +78,11 @@ class CoreExecutor:
             if isinstance(action, ToClient) and action.client in self._clients:
                 with contextlib.suppress(OSError):
                     self._clients[action.client].send(encode(action.message), socket.MSG_DONTWAIT)
+
+
+def received(connection: socket.socket) -> bytes:
+    """Returns the next packet; b"" if the planner has closed the connection, with or without unread packets."""
+    try:
+        return connection.recv(70_000)
+    except ConnectionResetError:
+        return b""
