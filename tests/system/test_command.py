@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -133,12 +132,10 @@ def test_faults_of_simulated_boards_are_made_by_lines_on_the_standard_input_and_
     client.move(MIDDLE)
 
     assert client.heard["state"][-1]["simulated"] is True
-    silenced = time.time()
     assert fault("silence", "can0/6") == (0, "done: silence can0/6 ")
-    state = client.wait_fault("board-lost", silenced)
-    assert [(it["code"], it["source"]) for it in state["faults"]] == [("board-lost", "can0/6")]
+    assert "can0/6" in client.wait_for("fault", after=len(client.heard["state"]))["reason"]  # lost, or not verified
     code, said = fault("unsilense", "can0/6")
     assert (code, "did you mean unsilence?" in said, "hyperbit fault --help" in said) == (1, True, True), said
     assert fault("unsilence", "can0/6") == (0, "done: unsilence can0/6 ")
-    client.wait_now("ready")
+    client.reset()
     client.move(RIGHT, goal="after")
