@@ -33,7 +33,7 @@ def text() -> str:
     """Returns the text of the catalog."""
     entries = {}
     for code, advice in ADVICE.items():
-        action = advice.replace("Then hold Reset", "Then run `hyperbit reset`")
+        action = str(advice).replace("Then hold Reset", "Then run `hyperbit reset`")
         where = "At @HYPERBIT_SOURCE@ of the arm @HYPERBIT_ARM@." if code in WARNINGS else FAULT
         entries[code] = (f"Fault {code} at @HYPERBIT_SOURCE@", f"{where}\n{action}")
     for kind, explanation in OTHERS.items():

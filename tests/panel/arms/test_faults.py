@@ -1,6 +1,7 @@
 """Advice for faults: one for each board."""
 
-from controller.panel.arms.faults import ADVICE, ITSELF, advised
+from controller.executor.core.modes import CLEARING
+from controller.panel.arms.faults import ADVICE, After, advised
 
 
 def advices(*faults: tuple[str, str]) -> list[str]:
@@ -8,9 +9,9 @@ def advices(*faults: tuple[str, str]) -> list[str]:
 
 
 def test_each_source_has_one_advice() -> None:
-    assert advices(("stuck", "5.left"), ("interlock", "can0/1")) == [ADVICE["stuck"], ADVICE["interlock"]]
+    assert advices(("stuck", "5.left"), ("interlock", "can0/1")) == [str(ADVICE["stuck"]), str(ADVICE["interlock"])]
     first, second = advices(("stuck", "5.left"), ("unexpected-motion", "5.left"))
-    assert (first, second) == (ADVICE["stuck"], "")
+    assert (first, second) == (str(ADVICE["stuck"]), "")
 
 
 def test_contrary_advices_become_one_that_says_what_to_mend_and_to_reset() -> None:
@@ -18,4 +19,8 @@ def test_contrary_advices_become_one_that_says_what_to_mend_and_to_reset() -> No
         first, second = advices(*((code, "can0/3") for code in order))
         assert first == "Check the board's supply and wires. Then hold Reset."
         assert second == ""
-    assert advices(("bus-off", "can0"), ("bus-busy", "can0"))[0].endswith(ITSELF)
+    assert advices(("bus-off", "can0"), ("bus-busy", "can0"))[0].endswith(After.ITSELF.value)
+
+
+def test_the_faults_that_end_by_themselves_are_those_of_the_executor() -> None:
+    assert {code for code, advice in ADVICE.items() if advice.after is After.ITSELF} == CLEARING
