@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import threading
@@ -19,7 +18,8 @@ from controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 
-MOST_POSES, MOST_BYTES = 200, 100_000  # of an arm, and of a payload
+MOST_POSES = 200  # of an arm
+MOST_BYTES, MOST_STORED = 100_000, 500_000  # of a payload, and of all poses: each answer to `arm` has them
 HOME = "home"
 
 Name = Annotated[str, Meta(pattern=r"^[\w.-]([\w .-]{0,38}[\w.-])?\Z")]
@@ -92,39 +92,25 @@ class Poses:
         return done(words)
 
     def _write(self, saved: dict[str, SavedGoal]) -> None:
-        """Replaces the file; a power failure leaves the old one or the new one.
+        """Replaces the file; a crash leaves the old one or the new one.
 
         Raises:
             Refusal: the file cannot be written.
         """
         if self._problem is not None:
             raise Refusal(Reason.POSES_UNWRITTEN, why=self._problem)
+        content = msgspec.json.format(msgspec.json.encode(saved), indent=1)
+        if len(content) > MOST_STORED:
+            raise Refusal(Reason.TOO_LARGE, what="the saved poses", size=len(content), most=MOST_STORED)
         fresh = self._path.with_suffix(".new")
         try:
             with fresh.open("wb") as file:
-                file.write(msgspec.json.format(msgspec.json.encode(saved), indent=1))
+                file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
             fresh.replace(self._path)
-            with contextlib.closing(Folder(self._path.parent)) as folder:
-                os.fsync(folder.fileno)
         except OSError as error:
             raise Refusal(Reason.POSES_UNWRITTEN, why=f"{self._path}: {error.strerror}") from None
-
-
-class Folder:
-    """An open folder, whose new entries can be written to the disk.
-
-    Attributes:
-        fileno: its file descriptor.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.fileno = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-
-    def close(self) -> None:
-        """Closes the folder."""
-        os.close(self.fileno)
 
 
 def decode_poses(payload: bytes) -> PosesMessage:

@@ -59,6 +59,16 @@ def test_an_arm_has_only_so_many_poses(file: Path, monkeypatch: pytest.MonkeyPat
     assert names(poses) == ["home", "a", "b"]
 
 
+def test_all_poses_together_have_a_bounded_size(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(poses_module, "MOST_STORED", 200)
+    poses = Poses(file, "00")
+    poses.change(PosesMessage(save="a", goal=PICK))
+    with pytest.raises(Refusal, match="the saved poses") as refused:
+        poses.change(PosesMessage(save="b", goal={"waypoints": [{"position": [0.5, 2.8]}] * 20}))
+    assert refused.value.reason is Reason.TOO_LARGE
+    assert names(poses) == ["home", "a"]
+
+
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"a": 5}', b'{"": {}}', b"\xff"])
 def test_a_damaged_file_is_kept_and_told(file: Path, content: bytes) -> None:
     file.write_bytes(content)
