@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 TIMEOUT = 1.0  # [s] for the answer of a daemon
-STATES = ("contracted", "extended", "free")
 
 
 def complete_arms(ctx: Any, incomplete: str) -> list[str]:
@@ -51,7 +50,9 @@ def complete_changes(ctx: Any, incomplete: str) -> list[str]:
 
 def states_of(command: str | None) -> tuple[str, ...]:
     """Returns the states that a command accepts; `jog` frees nothing."""
-    return STATES[:2] if command == "jog" else STATES
+    from controller.commands.use.actuators import STATES
+
+    return STATES if command == "jog" else (*STATES, "free")
 
 
 def actuators_of(ctx: Any) -> list[str]:

@@ -70,16 +70,3 @@ def shown(waypoint: dict[str, Any]) -> str:
         return f"configuration {waypoint['configuration']}"
     position = ", ".join(f"{x:g}" for x in waypoint["position"])
     return f"({position})" + (" with an orientation" if waypoint.get("orientation") is not None else "")
-
-
-def goal_of(client: Client, arm: str, name: str) -> dict[str, Any]:
-    """Returns the goal of a saved pose.
-
-    Raises:
-        CommandFailed: there is no such pose.
-    """
-    known = {pose["name"]: pose["goal"] for pose in client.request("arm")["poses"]}
-    if name not in known:
-        raise CommandFailed(f"{arm} has no pose {name!r}; it has {', '.join(known)}", f"hyperbit poses {arm}")
-    goal: dict[str, Any] = known[name]
-    return goal

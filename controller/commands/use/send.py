@@ -14,6 +14,7 @@ from controller.commands.common import (
     ENDPOINT,
     ArmName,
     AsJson,
+    CommandFailed,
     Connect,
     ZenohFile,
     parse_goal,
@@ -56,11 +57,9 @@ def send(
     numbers = 0 if to is None else to.count(",") + 1
     if to is not None and numbers != 3:
         goal["waypoints"] = [waypoint(to, 2 if numbers < 3 else 3)]
-    from controller.commands.use import poses
-
     with connected(arm, connect, zenoh_file) as client:
         if pose is not None:
-            goal = {**poses.goal_of(client, arm, pose), **goal}
+            goal = {**goal_of_pose(client, arm, pose), **goal}
         if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
             goal["waypoints"] = [waypoint(to, client.request("arm")["dimension"])]
         result = run_goal(client, goal, as_json)
@@ -89,6 +88,19 @@ def read_goal(file: Path) -> dict[str, Any]:
     if faults:
         raise InputFaults(file, faults)
     return {"waypoints": waypoints}
+
+
+def goal_of_pose(client: Client, arm: str, name: str) -> dict[str, Any]:
+    """Returns the goal of a saved pose.
+
+    Raises:
+        CommandFailed: there is no such pose.
+    """
+    known = {pose["name"]: pose["goal"] for pose in client.request("arm")["poses"]}
+    if name not in known:
+        raise CommandFailed(f"{arm} has no pose {name!r}; it has {', '.join(known)}", f"hyperbit poses {arm}")
+    goal: dict[str, Any] = known[name]
+    return goal
 
 
 def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, Any]:
