@@ -232,7 +232,7 @@ def test_a_cancel_of_a_waiting_goal_lets_the_running_one_go_on(desk: Desk) -> No
         (10, 9, 9, "9 switches instead of 10: the plan was improved while the arm moved"),
         (10, None, 9, "9 switches instead of 10: the plan was improved while the arm moved"),
         (10, 10, 8, "8 switches instead of 10: stages that were late were joined"),
-        (10, 10, 12, "12 switches instead of 10: actuators of unknown state were switched, too"),
+        (10, 10, 12, "12 switches instead of 10: actuators that were not in their expected states were switched, too"),
     ],
 )
 def test_a_result_tells_why_its_switches_are_not_those_of_the_answer(

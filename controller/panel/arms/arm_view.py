@@ -23,19 +23,8 @@ ASK_AGAIN = 2.0  # [s] after an arm did not answer
 SILENT = 5.0  # [s] without a state, after which an arm without liveliness token counts as gone
 SHOWN = (  # of the payload of `arm`
     *("name", "version", "dimension", "length", "base", "actuators", "states", "tolerance", "travel_time", "rest_time"),
-    *(
-        "inrush",
-        "method",
-        "on_stop",
-        "on_loss",
-        "obstacles",
-        "sent_obstacles",
-        "poses",
-        "body_radius",
-        "limits",
-        "daemon",
-    ),
-    *("simulated", "simulation"),
+    *("inrush", "method", "on_stop", "on_loss", "obstacles", "sent_obstacles", "body_radius", "limits", "daemon"),
+    *("poses", "simulated", "simulation"),
 )
 
 

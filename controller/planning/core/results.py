@@ -258,7 +258,7 @@ def why_not_as_planned(planned: PlanProof | None, improved: PlanProof | None, sw
     elif switches < planned.switches:
         why = "stages that were late were joined"
     else:
-        why = "actuators of unknown state were switched, too"
+        why = "actuators that were not in their expected states were switched, too"
     return f"{switches} switches instead of {planned.switches}: {why}"
 
 
