@@ -61,12 +61,15 @@ def test_a_daemon_joins_a_router_that_comes_later_and_again_after_its_loss(tmp_p
         closing.callback(daemon.terminate)
         eventually(lambda: "waiting for the Zenoh router" in (tmp_path / "log").read_text())
         for _ in range(2):
-            with zenoh.open(configuration("router", listen=endpoint)):
-                with connected("planar16", endpoint, None) as client:
-                    eventually(client.alive)
-                    demo.wait_until_ready(client)
-                    result = client.run({"waypoints": [{"position": [0.5, 2.8]}]})
+            with zenoh.open(configuration("router", listen=endpoint)), connected("planar16", endpoint, None) as client:
+                eventually(client.alive)
+                demo.wait_until_ready(client)
+                result = client.run({"waypoints": [{"position": [0.5, 2.8]}]})
                 assert result["status"] == "succeeded"
+                client.request("goal", {"waypoints": [{"configuration": "0" * 15 + "2", "t": 1.0}]})
+        with zenoh.open(configuration("router", listen=endpoint)), connected("planar16", endpoint, None) as client:
+            eventually(client.alive)  # it has finished the goal without the router, or does so now
+            eventually(lambda: client.next_message("state")["configuration"] == "0" * 15 + "2")
 
 
 def test_a_router_and_a_configuration_exclude_each_other(hyperbit) -> None:  # type: ignore[no-untyped-def]
