@@ -3,9 +3,9 @@
 python -m tests.benchmarks.page.panel [--stops 30] [--seconds 20] [--json PATH]
 
 Stops interrupt a goal of 48 switches, one at a time (`inrush: 1`), so that SYNCs follow each other closely. A stop's
-time begins with the request's first byte. It ends with the goal's last SYNC on the bus, 0 if none came after the
-request, and, as the operator sees it, when a client of its own hears the state `stopped`. Boards, executor, planner and
-panel are processes of their own; all read the same clock.
+time begins with the request's first byte. It ends with the goal's last SYNC on the bus, and is 0 if none came after
+the request. As the operator sees it, the time ends when a client of its own hears the state `stopped`. Boards,
+executor, planner and panel are processes of their own; all read the same clock.
 """
 
 import json

@@ -2,8 +2,8 @@
 
 A pixel is a cell of the position, a square or a cube, times a cell of the rotation. Cells of SO(2) are equal arcs, the
 index periodic. Cells of SO(3) are the cubes of an even grid in the cubochoric cube (Rosca, Morawiec, De Graef 2014, A
-new method of constructing a grid in the space of 3D rotations), whose map to rotations keeps volumes: all cells have
-the same measure, exactly.
+new method of constructing a grid in the space of 3D rotations). The map from this cube to rotations keeps volumes, so
+all cells have the same measure, exactly.
 
 Of the six-dimensional pixels few ever have points, so a level is a table: sorted keys, and a hash table while it fills.
 """
