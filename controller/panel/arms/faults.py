@@ -102,7 +102,9 @@ UNKNOWN = FaultAdvice("See the journal: journalctl -u hyperbit -u hyperbit-execu
 
 
 def advised(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Returns the faults, each with `advice`; of several faults of one source, only the first has one.
+    """Returns the faults, each with `advice` and `reset`, whether it needs a reset.
+
+    Of several faults of one source, only the first has an advice.
 
     A source whose faults do not all end by themselves needs a reset: its advice says so, whatever the first fault says.
     """
@@ -111,7 +113,9 @@ def advised(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         codes.setdefault(str(fault.get("source")), []).append(str(fault.get("code")))
     for fault in faults:
         of_source = codes.pop(str(fault.get("source")), None)
-        result.append({**fault, "advice": "" if of_source is None else str(common_advice(of_source))})
+        advice = "" if of_source is None else str(common_advice(of_source))
+        reset = ADVICE.get(str(fault.get("code")), UNKNOWN).after is After.RESET
+        result.append({**fault, "advice": advice, "reset": reset})
     return result
 
 

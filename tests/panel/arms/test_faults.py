@@ -24,3 +24,8 @@ def test_contrary_advices_become_one_that_says_what_to_mend_and_to_reset() -> No
 
 def test_the_faults_that_end_by_themselves_are_those_of_the_executor() -> None:
     assert {code for code, advice in ADVICE.items() if advice.after is After.ITSELF} == CLEARING
+
+
+def test_a_fault_that_needs_a_reset_says_so() -> None:
+    faults = advised([{"code": code, "source": "can0/3"} for code in ("board-rebooted", "board-lost", "degraded")])
+    assert [fault["reset"] for fault in faults] == [True, False, False]

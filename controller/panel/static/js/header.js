@@ -20,10 +20,10 @@ export function showHeader(name, connection, notify) {
   connection.on("state", (state) => {
     part("mode").dataset.mode = state.mode;
     part("mode").textContent = `${MARKS[state.mode] ?? "?"} ${state.mode}`;
-    part("reason").textContent = state.reason;
+    part("reason").textContent = part("reason").title = state.reason;
     part("simulated").hidden = !state.simulated;
     document.title = `${connection.latest.timeline ? "Replay: " : ""}${MARKS[state.mode] ?? "?"} ${name}: ${state.mode}`;
-    part("reset").classList.toggle("wanted", state.mode === "fault" || state.mode === "stopped");
+    part("reset").classList.toggle("wanted", state.mode === "stopped" || (state.mode === "fault" && state.faults.some((fault) => fault.reset)));
   });
   connection.on("you", () => {
     const viewer = !connection.mayCommand;
