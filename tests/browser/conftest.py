@@ -44,19 +44,26 @@ def eventually(what: Callable[[], T], told: Callable[[], str] = lambda: "") -> T
 class World:
     """The arms `flat`, in the plane, and `mixed`, in space, and the panel that shows both.
 
+    Args:
+        folder: of all files.
+        closing: ends the processes.
+        slow: fields of the file of a third arm, `slow`, in the plane; none: there is no such arm.
+
     Attributes:
         planners: process of each arm.
         endpoints: Zenoh endpoint of each arm.
         url: of the panel.
     """
 
-    def __init__(self, folder: Path, closing: ExitStack) -> None:
+    def __init__(self, folder: Path, closing: ExitStack, slow: dict[str, Any] | None = None) -> None:
         self.planners: dict[str, subprocess.Popen[str]] = {}
         self.endpoints: dict[str, str] = {}
         self._folder, self._closing = folder, closing
-        for kind, name in (("planar", "flat"), ("mixed", "mixed")):
+        for kind, name, fields in (("planar", "flat", {}), ("mixed", "mixed", {}), ("planar", "slow", slow)):
+            if fields is None:
+                continue
             own = self.folder(name)
-            arms.write(own, kind, name, {"channel": "can0"}, {})
+            arms.write(own, kind, name, {"channel": "can0"}, fields)
             self.endpoints[name] = free_endpoint()
             command = ["run", str(own / "arm.yaml"), "--simulate", "--listen", self.endpoints[name]]
             self.planners[name] = self.start(command, own)

@@ -45,7 +45,13 @@ def test_in_a_fault_the_last_known_pose_is_drawn_and_the_unknown_is_marked(troub
     eventually(lambda: shown.run(DRAWN, MEASURED) > 300)
     assert shown.run(DRAWN, UNKNOWN) == 0
     measured = [None if 6 <= k < 12 else 1 for k in range(COUNT)]
-    told(trouble, shown, **FAULT, measured=measured)
+    lost = {"code": "board-lost", "source": "can0/1", "message": "silent"}
+    told(
+        trouble, shown, **{**FAULT, "reason": "stuck, too"}, measured=measured, faults=[lost, {**lost, "code": "stuck"}]
+    )
+    assert shown.one("#reset.wanted")
+    told(trouble, shown, **FAULT, measured=measured, faults=[lost])
+    assert not shown.all("#reset.wanted"), "a reset does not end this fault"
     eventually(lambda: shown.run(DRAWN, UNKNOWN) > 50)
     assert shown.run(DRAWN, MEASURED) > 300
     assert len(shown.all(".cell.unknown")) == 6
@@ -108,6 +114,19 @@ def test_go_waits_while_another_goal_runs_or_the_arm_is_not_ready(trouble: Troub
     assert shown.text("#goal .why") == ""
 
 
+def test_a_goal_that_cannot_be_planned_does_not_go(trouble: Trouble, driver: object) -> None:
+    accepted = trouble.daemon.answer
+    trouble.daemon.answer = {"accepted": False, "code": -2, "message": "waypoints[0].position: out of reach"}
+    try:
+        shown = opened(trouble, driver, reason="a goal far away")
+        type_goal(shown, 9.0, 9.0)
+        shown.says("#goal .plan", "✗ out of reach")
+        shown.says("#goal .why", "cannot be planned")
+        assert not enabled(shown)
+    finally:
+        trouble.daemon.answer = accepted
+
+
 def test_a_goal_of_this_page_may_be_replaced(trouble: Trouble, driver: object) -> None:
     shown = planned(trouble, driver)
     shown.press("#go")
@@ -131,3 +150,11 @@ def test_the_deviation_is_an_outline(trouble: Trouble, driver: object) -> None:
     inside = shown.run(pixel, round(0.62 * box["width"]), round(0.22 * box["height"]))
     assert inside[3] == 0, "the region within the outline is not covered"
     shown.says(".legend", "greatest deviation on the way", "unit of the arm's file")
+
+
+def test_locks_of_one_kind_stand_together_with_one_advice(trouble: Trouble, driver: object) -> None:
+    locks = [{"code": "degraded", "source": name, "message": f"{name} is locked"} for name in ("1.left", "7.right")]
+    shown = opened(trouble, driver, reason="a long reason " * 40, faults=locks)
+    shown.says("#faults", "1.left, 7.right", "1.left is locked", "7.right is locked")
+    assert len(shown.all("#faults .advice")) == 1
+    assert shown.run("return document.querySelector('header').offsetHeight") < 100, "the reason takes two lines"

@@ -45,7 +45,7 @@ def paper_arm() -> Arm:
 
 
 class PlayedDaemon:
-    """A fake daemon of one arm.
+    """A fake daemon of one arm; it listens at an endpoint, or is a client of a router there.
 
     Attributes:
         asked: key and payload of each request except `arm`.
@@ -53,21 +53,30 @@ class PlayedDaemon:
         planned: further fields of a planned waypoint.
     """
 
-    def __init__(self, endpoint: str) -> None:
+    def __init__(self, endpoint: str, name: str = ARM, *, mode: str = "peer") -> None:
         arm = paper_arm()
-        self.manipulator = arm.manipulator
-        self.told = {**description(arm), "drawing": drawing(arm), "limits": [], "sent_obstacles": [], "running": None}
+        self.manipulator, self._name = arm.manipulator, name
+        self.told = {
+            **description(arm),
+            "name": name,
+            "drawing": drawing(arm),
+            "limits": [],
+            "sent_obstacles": [],
+            "running": None,
+        }
         self.asked: list[tuple[str, Message]] = []
         self.gate = threading.Event()
         self.gate.set()
         self.planned: Message = {}
         self.answer: Message = {"accepted": True, "code": 0, "message": "done"}
-        self._session = zenoh.open(session.configuration("peer", listen=endpoint))
+        self._session = zenoh.open(
+            session.configuration(mode, **{"connect" if mode == "client" else "listen": endpoint})
+        )
         self._keys: list[Any] = [
-            self._session.declare_queryable(f"hyperbit/{ARM}/{key}", self._answer)
+            self._session.declare_queryable(f"hyperbit/{name}/{key}", self._answer)
             for key in ("arm", "plan", "goal", "jog", "stop", "cancel", "reset", "degrade", "obstacles", "fault")
         ]
-        self._token: Any = self._session.liveliness().declare_token(f"hyperbit/{ARM}/alive")
+        self._token: Any = self._session.liveliness().declare_token(f"hyperbit/{name}/alive")
 
     def _answer(self, query: zenoh.Query) -> None:
         key = str(query.key_expr).rpartition("/")[2]
@@ -106,7 +115,7 @@ class PlayedDaemon:
 
     def put(self, key: str, payload: Message) -> None:
         """Publishes a message."""
-        self._session.put(f"hyperbit/{ARM}/{key}", json.dumps(payload).encode())
+        self._session.put(f"hyperbit/{self._name}/{key}", json.dumps(payload).encode())
 
     def die(self) -> None:
         """Removes the liveliness token."""

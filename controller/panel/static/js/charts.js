@@ -77,7 +77,7 @@ export function showWear(connection) {
     bars([counts.map((_, k) => k), counts]);
     const most = counts.indexOf(Math.max(...counts));
     const total = counts.reduce((sum, count) => sum + count, 0);
-    const busiest = labels()[most] === undefined ? "" : `; most: ${labels()[most]} with ${counts[most]}`;
+    const busiest = labels()[most] === undefined || total === 0 ? "" : `; most: ${labels()[most]} with ${counts[most]}`;
     words.textContent = `${total} switches in all${busiest}.`;
   };
   connection.on("diagnostics", describe);

@@ -15,7 +15,7 @@ export function showControl(connection, notify) {
   card.append(holder, who, others, el("div", { class: "buttons" }, take, release, out));
   take.addEventListener("click", async () => notify(await connection.ask({ do: "take" }), "Control"));
   release.addEventListener("click", async () => notify(await connection.ask({ do: "release" }), "Control"));
-  connection.on("presence", ({ control, pages, you }) => {
+  connection.on("presence", ({ control, you }) => {
     const mine = control.page === you;
     const words = control.name === null
       ? "Nobody has control; the first command takes it."
@@ -24,7 +24,14 @@ export function showControl(connection, notify) {
     card.classList.toggle("foreign", control.name !== null && !mine);
     take.hidden = mine || !connection.mayCommand;
     release.hidden = !mine;
-    const { name, role } = connection.latest.you ?? {};
-    fill(who, `You are ${name}, ${role}. ${pages === 1 ? "One page is" : `${pages} pages are`} open.`);
+    describeMe();
   });
+  connection.on("you", describeMe); // it may come after the presence
+
+  function describeMe() {
+    const { you, presence } = connection.latest;
+    if (!you || !presence) return;
+    const pages = presence.pages === 1 ? "One page is" : `${presence.pages} pages are`;
+    fill(who, `You are ${you.name}, ${you.role}. ${pages} open.`);
+  }
 }

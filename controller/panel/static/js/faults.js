@@ -1,4 +1,4 @@
-// Faults, each with advice.
+// Faults with advice; faults of one kind and one advice stand together.
 
 import { el, fill } from "./dom.js";
 
@@ -14,11 +14,21 @@ export function showFaults(connection) {
     fill(
       card,
       el("h2", {}, mode === "fault" ? "▲ Fault" : "Warnings"),
-      ...faults.map((fault) =>
+      ...grouped(faults).map(({ code, advice, of }) =>
         el("div", { class: "fault" },
-          el("p", {}, el("b", {}, `${fault.code} `), el("span", { class: "faint" }, fault.source)),
-          el("p", {}, fault.message),
-          fault.advice ? el("p", { class: "advice" }, `→ ${fault.advice}`) : null)),
+          el("p", {}, el("b", {}, `${code} `), el("span", { class: "faint" }, of.map((fault) => fault.source).join(", "))),
+          ...of.map((fault) => el("p", {}, fault.message)),
+          advice ? el("p", { class: "advice" }, `→ ${advice}`) : null)),
     );
   });
+}
+
+function grouped(faults) {
+  const groups = new Map();
+  for (const fault of faults) {
+    const key = `${fault.code}\n${fault.advice}`;
+    if (!groups.has(key)) groups.set(key, { code: fault.code, advice: fault.advice, of: [] });
+    groups.get(key).of.push(fault);
+  }
+  return [...groups.values()];
 }

@@ -91,8 +91,8 @@ export function showGoal(connection, editor, notify) {
     const running = !go.disabled && editor.state?.mode === "executing";
     const note = running ? "Go replaces the running goal." : editor.goal === null ? "" : obstacle;
     if (why.textContent !== note) why.textContent = note;
-    words.classList.toggle("late", !editor.upToDate);
-    brief.textContent = editor.goal === null ? "Touch the picture to place a goal." : note || inBrief(editor.validPlan);
+    words.classList.toggle("late", editor.goal !== null && !editor.upToDate);
+    brief.textContent = editor.goal === null ? "Touch the picture to place a goal." : obstacle === REFUSED ? withoutField(editor.plan.message) : note || inBrief(editor.validPlan);
     if (editor.goal !== null && JSON.stringify(editor.goal) !== about) message.textContent = "";
     if (!fields.contains(document.activeElement)) fill(fields, ...inputs(editor, arm));
     fill(words, ...planInWords(editor));
@@ -138,6 +138,8 @@ function inputs(editor, arm) {
   return result;
 }
 
+const REFUSED = "This goal cannot be planned.";
+
 // Why Go is not possible now; "" if it is. Go starts only what the plan shows, or replaces a goal of this page.
 function goObstacle(editor, sent) {
   const { state } = editor;
@@ -147,11 +149,17 @@ function goObstacle(editor, sent) {
       : `The arm carries out ${state.goal ? `the goal ${state.goal}` : "a motion"}: wait, or press Hold now. The goal is planned when the arm is ready.`;
   }
   if (!editor.ready) return `The arm is not ready (${state.mode}). The goal is planned when it is.`;
-  return editor.upToDate ? "" : "Planning from the present state …";
+  if (!editor.upToDate) return "Planning from the present state …";
+  return editor.plan.accepted ? "" : REFUSED;
+}
+
+// A refusal's words without the field of a goal's first waypoint, which the page does not show.
+function withoutField(message) {
+  return message.replace(/^waypoints\[0\]\.\w+: /, "");
 }
 
 function inBrief(plan) {
-  if (!plan?.accepted) return plan === null ? "" : inWords(plan);
+  if (!plan?.accepted) return "";
   const count = `${plan.switches} ${plan.switches === 1 ? "switch" : "switches"}`;
   return plan.certificate === "optimal" ? `${count}, proven optimal` : count;
 }
@@ -165,7 +173,7 @@ function planInWords(editor) {
     return [el("p", { class: "hint" }, hint)];
   }
   if (plan === null) return [];
-  if (!plan.accepted) return [el("p", { class: "bad" }, `✗ ${inWords(plan)}`)];
+  if (!plan.accepted) return [el("p", { class: "bad" }, `✗ ${withoutField(inWords(plan))}`)];
   const waypoints = plan.waypoints.filter((waypoint) => !waypoint.between);
   const last = waypoints[waypoints.length - 1];
   const weighted = plan.cost !== undefined && plan.cost !== plan.switches;

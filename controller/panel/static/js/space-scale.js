@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { digitsOf, niceStep } from "./scale.js";
 
-const NUMBERS = 0.024; // height of a number, as a share of the picture's height
+const HEIGHT = 17; // [pixels] of a number on the screen, with its margin
 const PIXELS = 64; // height of a number's texture
 
 export class Scale {
@@ -14,9 +14,9 @@ export class Scale {
     scene.add(this.group);
   }
 
-  // Builds the scale in a colour; again only if the colour has changed.
-  paint(edge, text) {
-    const now = `${edge} ${text}`;
+  // Builds the scale in its colours; again only if a colour or the pixel's size at distance 1 has changed.
+  paint(edge, text, pixel) {
+    const now = `${edge} ${text} ${pixel}`;
     if (now === this.shown) return;
     this.shown = now;
     for (const part of this.group.children) {
@@ -34,7 +34,7 @@ export class Scale {
     grid.rotation.x = Math.PI / 2;
     grid.position.set(...middle, floor);
     const [left, right] = [-1, 1].map((side) => middle.map((x) => x + side * count * step));
-    const add = (words, ...at) => this.group.add(numeral(words, text, at));
+    const add = (words, ...at) => this.group.add(numeral(words, text, at, HEIGHT * pixel));
     const tick = (value) => value.toFixed(digitsOf(step));
     for (let k = -count; k <= count; k += 1) {
       add(tick(middle[0] + k * step), middle[0] + k * step, left[1] - 0.3 * step, floor);
@@ -51,7 +51,7 @@ export class Scale {
 }
 
 // A text of constant size on the screen that faces the camera.
-function numeral(words, colour, at) {
+function numeral(words, colour, at, height) {
   const canvas = document.createElement("canvas");
   const context = canvas.getContext("2d");
   const font = `${PIXELS * 0.72}px system-ui, sans-serif`;
@@ -65,7 +65,7 @@ function numeral(words, colour, at) {
   const map = new THREE.CanvasTexture(canvas);
   map.colorSpace = THREE.SRGBColorSpace;
   const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map, sizeAttenuation: false, depthWrite: false }));
-  sprite.scale.set((NUMBERS * canvas.width) / PIXELS, NUMBERS, 1);
+  sprite.scale.set((height * canvas.width) / PIXELS, height, 1);
   sprite.position.set(...at);
   return sprite;
 }

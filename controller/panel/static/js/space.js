@@ -8,6 +8,9 @@ import { Bars, capsule, cloud, frameOf, obstacleMesh } from "./space-parts.js";
 import { Scale } from "./space-scale.js";
 import { View } from "./view.js";
 
+const HALF_ANGLE = 0.4; // tangent of half the vertical field of view, in a picture that is wide enough
+const WIDE = 1.12; // width by height of a picture that is wide enough for the scale
+
 export class SpaceView extends View {
   constructor(stage, arm, editor) {
     super();
@@ -23,7 +26,7 @@ export class SpaceView extends View {
     const sun = new THREE.DirectionalLight(0xffffff, 1.4);
     sun.position.set(2, -3, 5);
     this.scene.add(sun);
-    this.camera = new THREE.PerspectiveCamera(40, 1, arm.length / 500, arm.length * 50);
+    this.camera = new THREE.PerspectiveCamera(1, 1, arm.length / 500, arm.length * 50);
     this.camera.up.set(0, 0, 1);
     this.orbit = new OrbitControls(this.camera, this.canvas);
     this.orbit.addEventListener("change", () => this.draw());
@@ -79,6 +82,9 @@ export class SpaceView extends View {
       this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
       this.renderer.setSize(width, height, false);
       this.camera.aspect = width / height;
+      const half = HALF_ANGLE * Math.max(1, WIDE / this.camera.aspect); // a narrow picture shows the whole scale, too
+      this.camera.fov = (360 / Math.PI) * Math.atan(half);
+      this.pixel = (2 * half) / height;
       this.camera.updateProjectionMatrix();
     }
     const style = getComputedStyle(this.stage);
@@ -96,7 +102,7 @@ export class SpaceView extends View {
     this.input.follow(last);
     this.paintPath(colour("goal"));
     this.paintRegions(colour("obstacle"));
-    this.scale.paint(colour("edge"), colour("faint"));
+    this.scale.paint(colour("edge"), colour("faint"), this.pixel);
     this.renderer.render(this.scene, this.camera);
   }
 
