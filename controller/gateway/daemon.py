@@ -10,6 +10,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +32,7 @@ from controller.network.session import lease, reachable
 from controller.planning.core.core import OPAQUE
 from controller.planning.core.events import Recorded
 from controller.planning.ledger import Ledger, PublishedResults, published_path
+from controller.planning.ledger_file import find
 from controller.planning.link import ExecutorLink, Inbox
 from controller.planning.loop import Services
 from controller.planning.planner import planning
@@ -120,7 +122,8 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
         link = ExecutorLink(socket, name, digest, simulated=simulated)
         planner = closing.enter_context(planning(arm, densities, link, services, recorder, simulated=simulated))
         claim.confirm()
-        server = Server(session, name, GatewayParts(planner, outbox, goals, saved_poses(arm, ledger)))
+        parts = GatewayParts(planner, outbox, goals, saved_poses(arm, ledger), partial(find, ledger))
+        server = Server(session, name, parts)
         closing.callback(server.close)
         planner.loop.start()  # not before the keys are declared: who receives a state may send a request
         gc.collect()

@@ -3,12 +3,13 @@
 import logging
 import os
 import socket
+import sqlite3
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple, cast
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import msgspec
 import zenoh
@@ -17,7 +18,17 @@ from controller.gateway.arrivals import FloodBrake, Rate, RepeatedGoals, Reply
 from controller.gateway.outbox import Outbox
 from controller.gateway.poses import Poses, decode_poses
 from controller.motion.decoding.goal import GoalMessage, Undecodable
-from controller.planning.core.events import CancelMessage, Key, Message, Payload, SetpointArrived, TipArrived, refused
+from controller.motion.decoding.setpoint import parse
+from controller.planning.core.events import (
+    CancelMessage,
+    Key,
+    Message,
+    Payload,
+    SetpointArrived,
+    TipArrived,
+    done,
+    refused,
+)
 from controller.planning.loop import Receive
 from controller.planning.planner import Planner
 from controller.refusals.reasons import Reason
@@ -29,12 +40,14 @@ MOST_SAMPLES = 64  # of a mailbox; a full one drops its oldest
 MOST_UNANSWERED = 100  # requests on one key; a planner refuses more than 16 goals by itself, if it is not too slow
 MOST_REFUSALS = 50  # refusals of puts published in one second
 MOST_NOTES = 50  # notes in one second on refused requests
+MOST_QUERY = 1_000  # bytes of a query on `result`
+LEDGER_FIELDS = ("status", "code", "message", "switches")  # of a result, in the answer to a query on `result`
 MOST_TEXT = 500  # characters of a payload that is no JSON, in a note
 
 # Who receives a request: the arm that is named in full, also each arm that a wildcard matches, or whoever is meant by
 # an expression that may not even name the key, as `hyperbit/**`.
 Reach = Literal["named", "each arm", "all"]
-ServedKey = Key | Literal["poses"]
+ServedKey = Key | Literal["poses", "result"]
 
 
 class GatewayParts(NamedTuple):
@@ -45,12 +58,14 @@ class GatewayParts(NamedTuple):
         outbox: sends the answers.
         goals: recognizes repeated goals.
         poses: the saved poses.
+        find: returns the ledger's row of a goal, None if there is none; raises sqlite3.Error.
     """
 
     planner: Planner
     outbox: Outbox
     goals: RepeatedGoals
     poses: Poses
+    find: Callable[[str], Payload | None]
 
 
 class Server:
@@ -81,6 +96,7 @@ class Server:
         self._command("poses")
         self._query("plan")
         self._query("arm")
+        self._query("result")
         mailboxes = planner.loop.mailboxes
         mailboxes.set(SetpointArrived, self._mailbox("setpoint"))
         if planner.decoder.tracker:
@@ -99,7 +115,7 @@ class Server:
 
     def _query(self, key: ServedKey, reach: Reach = "all") -> "Way":
         """Answers queries on `key`."""
-        kind = {"arm": Description, "poses": PosesWay}.get(key, Way)
+        kind = {"arm": Description, "poses": PosesWay, "result": ResultWay}.get(key, Way)
         way = kind(self._prefix, key, reach, self._parts)
         self._declared.callback(self._session.declare_queryable(way.name, way.on_query).undeclare)
         return way
@@ -135,6 +151,12 @@ class Server:
             log.warning("more than %d puts in a second are refused: %s", MOST_REFUSALS, answer["message"])
 
 
+class ResultQuery(msgspec.Struct, forbid_unknown_fields=True):
+    """Payload of a query on `result`: the goal's id."""
+
+    id: Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
+
+
 @dataclass(eq=False, frozen=True)
 class Arrival:
     """A request as it came."""
@@ -163,8 +185,8 @@ class Way:
 
     def __init__(self, prefix: str, key: ServedKey, reach: Reach, parts: GatewayParts) -> None:
         self.name, self._reach = f"{prefix}/{key}", reach
-        self._key = cast(Key, key)  # `PosesWay` alone has another key, and gives the planner nothing
-        self._planner, self._outbox, self._goals, self._poses = parts
+        self._key = cast(Key, key)  # `PosesWay` and `ResultWay` have another key, and give the planner nothing
+        self._planner, self._outbox, self._goals, self._poses, self._find = parts
         self._brake, self._notes = FloodBrake(), Rate(MOST_NOTES)
         self._unanswered = set[Arrival]()  # an arrival is removed once, atomically
 
@@ -254,6 +276,24 @@ class PosesWay(Way):
         if message.goal is not None:
             self._planner.decoder.decode("goal", msgspec.json.encode(message.goal))
         self._answer(arrival, self._poses.change(message))
+
+
+class ResultWay(Way):
+    """The way of queries on `result`: the ledger knows how a goal ended, also if its client was away."""
+
+    def _request(self, arrival: Arrival) -> None:
+        goal = parse(arrival.payload, ResultQuery, "result", MOST_QUERY).id
+        try:
+            row = self._find(goal)
+        except sqlite3.Error as error:
+            raise Refusal(Reason.LEDGER_UNREADABLE, why=str(error)) from None
+        if row is None:
+            raise Refusal(Reason.UNKNOWN_GOAL, goal=goal)
+        ended = row["ended"] is not None
+        result = {"id": goal, **{name: row[name] for name in LEDGER_FIELDS}} if ended else None
+        self._answer(
+            arrival, {**done("the goal has ended" if ended else "the goal has no result yet"), "result": result}
+        )
 
 
 def content(payload: zenoh.ZBytes | None) -> bytes:

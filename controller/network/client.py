@@ -56,7 +56,7 @@ class Client:
         self._opened.clear()
 
     def request(self, key: str, payload: Mapping[str, Any] | None = None, timeout: float = 10.0) -> Message:
-        """Returns the daemon's answer on `key`: goal, jog, cancel, stop, reset, degrade, obstacles, fault, plan or arm.
+        """Returns the daemon's answer on `key`, such as goal, stop, plan or arm.
 
         Raises:
             no answer came within `timeout` seconds, or the daemon does not accept this client's requests.

@@ -28,6 +28,7 @@ LATER_COLUMNS = ("program", "instance")  # files of earlier versions lack them
 INDICES = """
 DROP INDEX IF EXISTS unfinished;
 CREATE UNIQUE INDEX IF NOT EXISTS identities ON goals (instance, program);
+CREATE INDEX IF NOT EXISTS ids ON goals (id);
 """
 LOST = """
 UPDATE goals SET ended = ?, status = 'lost', message = 'an earlier version recorded no result'
@@ -184,6 +185,18 @@ def read(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
         switches = {row["actuator"]: row["count"] for row in connection.execute("SELECT * FROM switches")}
         goals = [dict(row) for row in connection.execute("SELECT * FROM goals ORDER BY number DESC LIMIT 1000")]
     return switches, goals
+
+
+def find(path: Path, goal: str) -> dict[str, Any] | None:
+    """Returns the row of the newest goal with this id; None if there is none. A row without `ended` has no result yet.
+
+    Raises:
+        sqlite3.Error: the file is missing, or is no ledger.
+    """
+    with closing(readable(path)) as connection:
+        connection.row_factory = sqlite3.Row
+        row = connection.execute("SELECT * FROM goals WHERE id = ? ORDER BY number DESC", (plain(goal),)).fetchone()
+    return None if row is None else dict(row)
 
 
 def readable(path: Path) -> sqlite3.Connection:

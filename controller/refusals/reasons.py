@@ -187,6 +187,8 @@ class Reason(enum.Enum):
         "the request is malformed; no details are given while many bad requests arrive",
         "send one request a second, then the answer says what is wrong",
     )
+    UNKNOWN_GOAL = "unknown-goal", "the ledger has no goal {goal}: it was not accepted, or is not written yet"
+    LEDGER_UNREADABLE = "ledger-unreadable", "the ledger cannot be read: {why}", "see the warnings: hyperbit list"
     UNKNOWN_POSE = "unknown-pose", "remove: there is no saved pose {name}; saved are {known}"
     TOO_MANY_POSES = "too-many-poses", "save: an arm has at most {most} saved poses", "remove one: hyperbit poses {arm}"
     POSES_UNWRITTEN = (

@@ -2,6 +2,7 @@
 
 import json
 import socket
+import sqlite3
 import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
@@ -105,6 +106,8 @@ class Gateway:
     def __init__(self, stack: ExitStack, endpoint: str) -> None:
         self._stack, self.endpoint = stack, endpoint
         self.planner, self.goals, self.published = FakePlanner(), RepeatedGoals(), list[Any]()
+        self.rows: dict[str, Payload] = {}
+        self.readable = True
         self.session = stack.enter_context(zenoh.open(session.configuration("peer", listen=endpoint)))
         hooks = ResultHooks(self.goals.ended, lambda *result: None, self.published.append)
         self.outbox = Outbox(self.session, f"hyperbit/{ARM}", hooks, lambda message: None)
@@ -114,7 +117,14 @@ class Gateway:
 
     def serve(self) -> Server:
         poses = Poses(Path(self._stack.enter_context(TemporaryDirectory())) / "a.poses.json", "00")
-        return Server(self.session, ARM, GatewayParts(self.planner, self.outbox, self.goals, poses))  # type: ignore[arg-type]
+        parts = GatewayParts(self.planner, self.outbox, self.goals, poses, self.find)  # type: ignore[arg-type]
+        return Server(self.session, ARM, parts)
+
+    def find(self, goal: str) -> Payload | None:
+        """The ledger's row of a goal."""
+        if not self.readable:
+            raise sqlite3.OperationalError("unable to open database file")
+        return self.rows.get(goal)
 
     def other(self) -> zenoh.Session:
         """A session of a client."""

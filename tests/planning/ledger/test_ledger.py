@@ -9,7 +9,7 @@ import pytest
 from controller.planning import ledger_file
 from controller.planning.core.events import AcceptanceEntry, Identity, OpenGoal, Record, ResultEntry
 from controller.planning.ledger import Ledger
-from controller.planning.ledger_file import owed, read
+from controller.planning.ledger_file import find, owed, read
 from tests.planning.ledger.records import EXECUTOR, NAMES, REACHED, SOON, accepted, ended, statuses
 from tests.waiting import eventually
 
@@ -177,3 +177,18 @@ def test_what_cannot_be_written_is_kept_and_written_later(tmp_path: Path) -> Non
     assert switches == {"1.left": 1}
     assert [goal["status"] for goal in goals] == ["succeeded"]
     assert reported == [2, 3]
+
+
+def test_the_newest_goal_of_an_id_is_found(ledger: Ledger, path: Path) -> None:
+    ledger.record(accepted(1, "a"))
+    ledger.record(ended(1, ResultEntry(1.9e9, "succeeded", 0, "reached", 12)))
+    ledger.record(accepted(2, "a"))
+    ledger.record(ended(2, ResultEntry(1.9e9, "aborted", -4, "stuck", 1)))
+    ledger.record(accepted(3, "b"))
+    ledger.close()
+    found, running = find(path, "a"), find(path, "b")
+    assert found is not None
+    assert (found["status"], found["code"], found["message"], found["switches"]) == ("aborted", -4, "stuck", 1)
+    assert running is not None
+    assert running["ended"] is None
+    assert find(path, "c") is None
