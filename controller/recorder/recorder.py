@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from controller.network.listener import Listener, ReceivedMessage
+from controller.pictures.scene import FoxgloveScene
 from controller.recorder.event_log import EventLog, LogLine
 from controller.recorder.folder import Folder
-from controller.recorder.listener import Listener, LogClock, ReceivedMessage
-from controller.recorder.recording import Recording
-from controller.recorder.scene import FoxgloveScene
+from controller.recorder.recording import LogClock, Recording
 from controller.recorder.schemas import LOG, SCENE, TOPICS, TRANSFORMS
 
 log = logging.getLogger(__name__)

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import time
 from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
@@ -104,3 +105,18 @@ class Recording:
             channel = self._writer.register_channel(topic, "json", self._schemas[name])
             self._channels[topic] = channel
         return channel
+
+
+class LogClock:
+    """Clock of log times: UNIX time at the start, advanced by CLOCK_MONOTONIC, so that log times never step back."""
+
+    def __init__(self) -> None:
+        self._offset = time.time_ns() - time.monotonic_ns()
+
+    def at(self, monotonic: int) -> int:
+        """Returns the log time [ns] of a monotonic time [ns]."""
+        return monotonic + self._offset
+
+    def now(self) -> int:
+        """Returns the present log time [ns]."""
+        return self.at(time.monotonic_ns())

@@ -11,7 +11,7 @@ from mcap.stream_reader import StreamReader
 
 from controller.arm.arm import Arm, load
 from controller.arm.description import description, drawing, file
-from controller.recorder.listener import ReceivedMessage
+from controller.network.listener import ReceivedMessage
 from tests.keys import DEPLOY
 
 SECOND = 1_000_000_000  # [ns]

@@ -10,7 +10,7 @@ from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.json_format import ParseDict
 
 from controller.arm.arm import load
-from controller.recorder.scene import FoxgloveScene
+from controller.pictures.scene import FoxgloveScene
 from controller.recorder.schemas import FOXGLOVE, LOG, SCENE, TIME, TRANSFORMS, Schema
 from tests.keys import DEPLOY
 from tests.recorder.samples import state, told

@@ -2,11 +2,12 @@
 
 import json
 import random
+import time
 from pathlib import Path
 
 import pytest
 
-from controller.recorder.recording import Recording
+from controller.recorder.recording import LogClock, Recording
 from controller.recorder.repair import repair, unfinished
 from tests.recorder.samples import SECOND, names, read, read_by_another, read_unfinished, recovered_by_another
 
@@ -113,3 +114,11 @@ def test_a_file_that_nobody_can_write_is_told_as_such(tmp_path: Path) -> None:
         Recording(tmp_path / "a.mcap")
     with pytest.raises(FileNotFoundError):
         Recording(tmp_path / "none" / "a.mcap")
+
+
+def test_log_times_are_unix_times_that_no_step_of_the_clock_reorders(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, before = LogClock(), time.time_ns()
+    assert abs(clock.now() - before) < 60 * 10**9
+    monkeypatch.setattr(time, "time_ns", lambda: 0)
+    assert abs(clock.now() - before) < 60 * 10**9
+    assert clock.at(5) - clock.at(3) == 2

@@ -10,9 +10,9 @@ import pytest
 import yaml
 
 from controller.arm.arm import load
+from controller.network.listener import Listener
 from controller.recorder.folder import Folder
 from controller.recorder.history import RecordedChange, RecordedGoal, history
-from controller.recorder.listener import Listener
 from controller.recorder.reader import RecordingReader
 from controller.recorder.recorder import Limits, Recorder
 from controller.recorder.regression import ArmFailed, Compared, arm_file, compare, compared, simulated

@@ -55,7 +55,7 @@ def record_messages(
     session: zenoh.Session, recorder: Recorder, frames: CanLog | None, process: RecorderProcess
 ) -> None:
     """Records the messages of the arm, and writes its frames once a second, until the process is to end."""
-    from controller.recorder.listener import Listener
+    from controller.network.listener import Listener
 
     flushed = time.monotonic()
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration, Manipulator
+from controller.manipulator.described import described
+from controller.manipulator.manipulator import Configuration
 from controller.manipulator.module import Module
 from controller.manipulator.notation import parse_configuration
 
@@ -36,24 +37,10 @@ class Drawing:
         Raises:
             KeyError, TypeError, ValueError: the answer has another form.
         """
-        kinds, planar = answer["drawing"]["kinds"], answer["dimension"] == 2
-        names: list[list[str]] = [[] for _ in answer["frames"]]
-        for label in answer["actuators"]:
-            module, _, name = label.partition(".")
-            names[int(module) - 1].append(name)
-        modules = [
-            Module(
-                np.array(frames, dtype=float),
-                np.array(kinds[kind]["bits"], dtype=np.uint8),
-                tuple(own),
-                np.array(kinds[kind]["body"], dtype=float),
-                planar,
-            )
-            for frames, kind, own in zip(answer["frames"], answer["drawing"]["modules"], names, strict=True)
-        ]
-        self.manipulator = Manipulator(modules, np.array(answer["base"], dtype=float))
+        self.manipulator = described(answer)
+        modules = self.manipulator.modules
         self.lines = [module.body.shape[1] for module in modules]
-        self._starts = np.cumsum([0, *(len(own) for own in names)])
+        self._starts = np.cumsum([0, *(len(module.actuators) for module in modules)])
         self._digits = DIGITS - int(np.floor(np.log10(max(self.manipulator.length, 1e-9))))
 
     def of_actuators(self, states: Sequence[int | None], guesses: Sequence[int | None] = ()) -> list[float] | None:

@@ -1,7 +1,6 @@
-"""What the recorder hears over Zenoh: all keys of its arm, requests by name, and when the daemon comes and goes."""
+"""What a listener hears over Zenoh: all keys of its arm, requests by name, and when the daemon comes and goes."""
 
 import json
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,9 +8,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from controller.network import listener as listening
 from controller.network import session
-from controller.recorder import listener as listening
-from controller.recorder.listener import Listener, LogClock, ReceivedMessage
+from controller.network.listener import Listener, ReceivedMessage
 from tests.waiting import eventually
 
 ARM = json.dumps({"name": "a"}).encode()
@@ -97,11 +96,3 @@ def test_what_nobody_writes_does_not_fill_the_memory(
     listener._put("state", bytes(10))
     assert len(listener.receive_messages(0.0)) == 1
     listener.close()
-
-
-def test_log_times_are_unix_times_that_no_step_of_the_clock_reorders(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, before = LogClock(), time.time_ns()
-    assert abs(clock.now() - before) < 60 * 10**9
-    monkeypatch.setattr(time, "time_ns", lambda: 0)
-    assert abs(clock.now() - before) < 60 * 10**9
-    assert clock.at(5) - clock.at(3) == 2

@@ -7,7 +7,7 @@ import pytest
 
 from controller.arm.arm import load
 from controller.manipulator import frames
-from controller.recorder.scene import MEASURED, TRAVELLING, UNKNOWN, FoxgloveScene, quaternion, rgba, turn_to
+from controller.pictures.scene import MEASURED, TRAVELLING, UNKNOWN, FoxgloveScene, quaternion, rgba, turn_to
 from controller.recorder.schemas import FOXGLOVE, SCENE, TRANSFORMS
 from tests.keys import DEPLOY
 from tests.recorder.samples import planar, state, told

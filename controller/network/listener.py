@@ -1,4 +1,4 @@
-"""Zenoh subscriptions to all keys of an arm, queued for the recorder's thread."""
+"""Zenoh subscriptions to all keys of an arm, queued for one thread."""
 
 import threading
 import time
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import zenoh
 
-MOST_WAITING = 64 << 20  # bytes of payloads that wait to be written
+MOST_WAITING = 64 << 20  # bytes of payloads that wait to be read
 ARM_TIMEOUT = 10.0  # [s] for the daemon to describe the arm
 PARTS = b'{"with": ["drawing", "file"]}'
 
@@ -27,7 +27,7 @@ class ReceivedMessage(NamedTuple):
 
 
 class Listener:
-    """Subscribes to all keys of one arm. Callbacks only queue messages, so that Zenoh never waits for the disk.
+    """Subscribes to all keys of one arm. Callbacks only queue messages, so that Zenoh never waits for the reader.
 
     Args:
         session: open session.
@@ -89,18 +89,3 @@ class Listener:
             self._bytes += len(data)
             self._waiting.append(item)
             self._news.notify()
-
-
-class LogClock:
-    """Clock of log times: UNIX time at the start, advanced by CLOCK_MONOTONIC, so that log times never step back."""
-
-    def __init__(self) -> None:
-        self._offset = time.time_ns() - time.monotonic_ns()
-
-    def at(self, monotonic: int) -> int:
-        """Returns the log time [ns] of a monotonic time [ns]."""
-        return monotonic + self._offset
-
-    def now(self) -> int:
-        """Returns the present log time [ns]."""
-        return self.at(time.monotonic_ns())
