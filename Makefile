@@ -51,6 +51,19 @@ vcan-test: $(VENV)/installed
 page-test: $(VENV)/kernels $(VENV)/page
 	$(BIN)/pytest tests/browser $(ARGS)
 
+# The wire of ROS 2 beside ROS 2's own Python packages, without rmw_zenoh, which has none. They need 540 MB, and Python 3.11.
+.PHONY: ros2-test
+ros2-test: $(VENV)/installed $(VENV)/ros2-jazzy/installed $(VENV)/ros2-kilted/installed
+	$(BIN)/pytest tests/ros2/oracle $(ARGS)
+
+$(VENV)/ros2-jazzy/installed: RCLPY := 7.1.6
+$(VENV)/ros2-kilted/installed: RCLPY := 9.1.2
+$(VENV)/ros2-%/installed:
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/pip install --quiet 'ros-rclpy[fastrtps]==$(RCLPY)' $(addprefix ros-,action-msgs diagnostic-msgs nav-msgs \
+		rcl-interfaces sensor-msgs std-srvs test-msgs trajectory-msgs visualization-msgs)
+	touch $@
+
 check: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

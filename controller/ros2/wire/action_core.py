@@ -1,0 +1,218 @@
+"""The core of an action server: `step(event, now) -> actions`, without clock, I/O or threads.
+
+The states and transitions are those of rcl_action, see goal_state_machine.c and action_server.c of ros2/rcl.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from controller.ros2.wire.action_events import (
+    Action,
+    AnswerCancel,
+    AnswerGoal,
+    AnswerResult,
+    AskCancel,
+    AskGoal,
+    CancelCode,
+    CancelDecided,
+    CancelRequested,
+    Event,
+    FeedbackGiven,
+    GoalDecided,
+    GoalInfo,
+    GoalRequested,
+    PublishFeedback,
+    PublishStatus,
+    ResultRequested,
+    ServerClosed,
+    Status,
+    StatusChanged,
+    TellCanceling,
+)
+
+NO_UUID = bytes(16)
+MOST_GOALS = 64  # that are known at once; ended ones are forgotten early if there are more
+ACTIVE = (Status.ACCEPTED, Status.EXECUTING, Status.CANCELING)
+CANCELABLE = (Status.ACCEPTED, Status.EXECUTING)
+# From which states a goal may come to a state.
+BEFORE: dict[Status, tuple[Status, ...]] = {
+    Status.EXECUTING: (Status.ACCEPTED,),
+    Status.SUCCEEDED: (Status.EXECUTING, Status.CANCELING),
+    Status.ABORTED: (Status.EXECUTING, Status.CANCELING),
+    Status.CANCELED: (Status.CANCELING,),
+}
+
+
+class IllegalTransition(RuntimeError):
+    """The server's program asked for a transition that a goal in its state does not have."""
+
+
+@dataclass
+class Goal:
+    """What is known of a goal.
+
+    Attributes:
+        request: of the goal, which is answered when it is decided.
+        goal: as it came with the event.
+        status: UNKNOWN until it is decided.
+        stamp: time of acceptance [ns since 1970].
+        ended: when it ended [s], on the clock of `now`.
+        result: of an ended goal.
+        waiting: requests for the result.
+    """
+
+    request: int
+    goal: Any
+    status: Status = Status.UNKNOWN
+    stamp: int = 0
+    ended: float = 0.0
+    result: Any = None
+    waiting: list[int] = field(default_factory=list)
+
+
+class ActionCore:
+    """All goals of one action server.
+
+    Attributes:
+        goals: by id, in the order of their requests.
+
+    Args:
+        result_timeout: how long the result of an ended goal is kept [s].
+        most_goals: number of goals that are known at once.
+    """
+
+    def __init__(self, result_timeout: float = 10.0, most_goals: int = MOST_GOALS) -> None:
+        self.goals: dict[bytes, Goal] = {}
+        self._result_timeout, self._most_goals = result_timeout, most_goals
+        self._closed = False
+
+    def step(self, event: Event, now: float) -> list[Action]:
+        """Returns what follows from an event.
+
+        Args:
+            event: what happened.
+            now: time on a clock that never goes back [s].
+
+        Raises:
+            IllegalTransition: an event of the program does not suit the goal's state. No goal has changed.
+        """
+        for uuid in [uuid for uuid, goal in self.goals.items() if self._expired(goal, now)]:
+            del self.goals[uuid]
+        match event:
+            case GoalRequested():
+                return list(self._request(event))
+            case GoalDecided():
+                return list(self._decide(event))
+            case StatusChanged():
+                return list(self._change(event, now))
+            case FeedbackGiven():
+                active = self.status(event.uuid) in ACTIVE
+                return [PublishFeedback(event.uuid, event.feedback)] if active else []
+            case CancelRequested():
+                return [self._cancel(event)]
+            case CancelDecided():
+                return list(self._decide_cancel(event))
+            case ResultRequested():
+                return list(self._ask_result(event))
+            case ServerClosed():
+                return list(self._close(event, now))
+
+    def status(self, uuid: bytes) -> Status:
+        """Returns the state of a goal."""
+        return self.goals[uuid].status if uuid in self.goals else Status.UNKNOWN
+
+    def infos(self, chosen: Callable[[Goal], bool] = lambda goal: True) -> tuple[GoalInfo, ...]:
+        """Returns all accepted goals, or the chosen ones of them."""
+        accepted = ((uuid, goal) for uuid, goal in self.goals.items() if goal.status is not Status.UNKNOWN)
+        return tuple(GoalInfo(uuid, goal.stamp, goal.status) for uuid, goal in accepted if chosen(goal))
+
+    def _expired(self, goal: Goal, now: float) -> bool:
+        ended = goal.status in (Status.SUCCEEDED, Status.CANCELED, Status.ABORTED)
+        return ended and now - goal.ended > self._result_timeout
+
+    def _request(self, event: GoalRequested) -> Iterator[Action]:
+        if len(self.goals) >= self._most_goals:
+            ended = [it for it, goal in self.goals.items() if goal.status > Status.CANCELING]
+            if ended:
+                del self.goals[min(ended, key=lambda it: self.goals[it].ended)]
+        if self._closed or event.uuid in self.goals or len(self.goals) >= self._most_goals:
+            yield AnswerGoal(event.request, accepted=False)
+            return
+        self.goals[event.uuid] = Goal(event.request, event.goal)
+        yield AskGoal(event.goal)
+
+    def _decide(self, event: GoalDecided) -> Iterator[Action]:
+        goal = self.goals.get(event.uuid)
+        if goal is None or goal.status is not Status.UNKNOWN:
+            raise IllegalTransition(f"goal {event.uuid.hex()} does not wait for a decision")
+        if not event.accepted:
+            del self.goals[event.uuid]
+            yield AnswerGoal(goal.request, accepted=False)
+            return
+        goal.status, goal.stamp = Status.ACCEPTED, event.stamp
+        yield AnswerGoal(goal.request, accepted=True, stamp=goal.stamp)
+        yield PublishStatus(self.infos())
+
+    def _change(self, event: StatusChanged, now: float) -> Iterator[Action]:
+        old = self.status(event.uuid)
+        if event.status is Status.EXECUTING and old is Status.CANCELING:
+            return  # a cancel came between acceptance and execution, of which the program need not know
+        if old not in BEFORE[event.status]:
+            raise IllegalTransition(f"goal {event.uuid.hex()} is {old.name}, it cannot become {event.status.name}")
+        goal = self.goals[event.uuid]
+        goal.status = event.status
+        if event.status > Status.CANCELING:
+            goal.ended, goal.result = now, event.result
+            waiting, goal.waiting = goal.waiting, []
+            for request in waiting:
+                yield AnswerResult(request, goal.status, goal.result)
+        yield PublishStatus(self.infos())
+
+    def _cancel(self, event: CancelRequested) -> Action:
+        """Returns the question which goals may be canceled, or the answer if there are none."""
+        status = self.status(event.uuid)
+        if event.uuid != NO_UUID and event.stamp == 0:
+            if status is Status.UNKNOWN:
+                return AnswerCancel(event.request, CancelCode.UNKNOWN_GOAL)
+            if status not in CANCELABLE:
+                return AnswerCancel(event.request, CancelCode.TERMINATED)
+            return AskCancel(event.request, (self.goals[event.uuid].goal,))
+        everything = event.uuid == NO_UUID and event.stamp == 0
+        goals = tuple(
+            goal.goal
+            for uuid, goal in self.goals.items()
+            if goal.status in CANCELABLE and (everything or goal.stamp <= event.stamp or uuid == event.uuid)
+        )
+        return AskCancel(event.request, goals) if goals else AnswerCancel(event.request, CancelCode.NONE)
+
+    def _decide_cancel(self, event: CancelDecided) -> Iterator[Action]:
+        chosen = [uuid for uuid in event.uuids if self.status(uuid) in CANCELABLE]
+        for uuid in chosen:
+            self.goals[uuid].status = Status.CANCELING
+        code = CancelCode.NONE if chosen else CancelCode.TERMINATED if event.uuids else CancelCode.REJECTED
+        infos = tuple(GoalInfo(uuid, self.goals[uuid].stamp, Status.CANCELING) for uuid in chosen)
+        yield AnswerCancel(event.request, code, infos)
+        if chosen:
+            yield PublishStatus(self.infos())
+        for uuid in chosen:
+            yield TellCanceling(self.goals[uuid].goal)
+
+    def _ask_result(self, event: ResultRequested) -> Iterator[Action]:
+        goal = self.goals.get(event.uuid)
+        if goal is None or goal.status is Status.UNKNOWN:
+            yield AnswerResult(event.request, Status.UNKNOWN, None)
+        elif goal.status in ACTIVE:
+            goal.waiting.append(event.request)
+        else:
+            yield AnswerResult(event.request, goal.status, goal.result)
+
+    def _close(self, event: ServerClosed, now: float) -> Iterator[Action]:
+        self._closed = True
+        for uuid, goal in list(self.goals.items()):
+            if goal.status is Status.UNKNOWN:
+                yield from self._decide(GoalDecided(uuid, accepted=False, stamp=0))
+            elif goal.status in ACTIVE:
+                if goal.status is Status.ACCEPTED:
+                    goal.status = Status.EXECUTING
+                yield from self._change(StatusChanged(uuid, Status.ABORTED, event.result), now)

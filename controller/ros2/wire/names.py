@@ -1,0 +1,81 @@
+"""Names of ROS 2, and how rmw_zenoh writes them in keys."""
+
+import re
+
+SLASH = "%"  # stands for a slash inside one field of a liveliness token
+MOST_LETTERS = 255  # of a name, as in rmw
+TOKEN = r"(?!\w*__)[A-Za-z_]\w*"
+NAME = re.compile(rf"(?:/|~/)?{TOKEN}(?:/{TOKEN})*", re.ASCII)
+NAMESPACE = re.compile(rf"/|(?:/{TOKEN})+", re.ASCII)
+NODE = re.compile(TOKEN, re.ASCII)
+TYPE = re.compile(r"([a-z]\w*)/(msg|srv|action)/([A-Z]\w*)", re.ASCII)
+RULE = "letters, digits and single underscores, no digit first, parts separated by one slash"
+
+
+class BadName(ValueError):
+    """A name is none of ROS 2."""
+
+
+def resolve(name: str, namespace: str, node: str) -> str:
+    """Returns the absolute name of a topic, service or action.
+
+    Args:
+        name: absolute ("/tf"), relative to the namespace ("goal") or private to the node ("~/goal").
+        namespace: absolute name of the node's namespace; "/" if it has none.
+        node: the node's name.
+
+    Raises:
+        BadName: `name` is no name of ROS 2.
+    """
+    if not NAME.fullmatch(name) or len(name) > MOST_LETTERS:
+        raise BadName(f"{name!r} is no name of a topic, service or action: {RULE}")
+    if name.startswith("/"):
+        return name
+    prefix = namespace.rstrip("/")
+    return f"{prefix}/{node}{name[1:]}" if name.startswith("~") else f"{prefix}/{name}"
+
+
+def check_node(name: str, namespace: str) -> None:
+    """Checks a node's name and its namespace.
+
+    Raises:
+        BadName: one of them is not allowed.
+    """
+    if not NODE.fullmatch(name) or len(name) > MOST_LETTERS:
+        raise BadName(f"{name!r} is no name of a node: letters, digits and single underscores, no digit first")
+    if not NAMESPACE.fullmatch(namespace) or len(namespace) > MOST_LETTERS:
+        raise BadName(f"{namespace!r} is no namespace: a slash, then {RULE}")
+
+
+def mangle(name: str) -> str:
+    """Returns a name as one field of a liveliness token."""
+    return name.replace("/", SLASH)
+
+
+def demangle(field: str) -> str:
+    """Returns the name that `mangle` was given."""
+    return field.replace(SLASH, "/")
+
+
+def dds_type(name: str) -> str:
+    """Returns a type's name in keys: std_msgs/msg/String is std_msgs::msg::dds_::String_.
+
+    Raises:
+        BadName: `name` has another form.
+    """
+    parts = TYPE.fullmatch(name)
+    if not parts:
+        raise BadName(f"{name!r} is no type: it has the form package/msg/Name, package/srv/Name or package/action/Name")
+    return f"{parts[1]}::{parts[2]}::dds_::{parts[3]}_"
+
+
+def data_key(domain: int, name: str, type_name: str, type_hash: str) -> str:
+    """Returns the key of a topic's samples or of a service's queries.
+
+    Args:
+        domain: ROS_DOMAIN_ID.
+        name: absolute name.
+        type_name: such as std_msgs/msg/String.
+        type_hash: RIHS01 hash of the type.
+    """
+    return f"{domain}/{name.strip('/')}/{dds_type(type_name)}/{type_hash}"

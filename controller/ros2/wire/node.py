@@ -1,0 +1,144 @@
+"""A node: where publishers, subscribers, services, clients and action servers are made."""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Protocol, Self, TypeVar
+
+from controller.ros2.wire import names
+from controller.ros2.wire import qos as presets
+from controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
+from controller.ros2.wire.qos import Qos
+from controller.ros2.wire.services import Client, Request, Service
+from controller.ros2.wire.session import Session
+from controller.ros2.wire.tokens import Endpoint, Kind, Token
+from controller.ros2.wire.topics import Publisher, Received, Subscriber
+from controller.ros2.wire.types import Types
+
+
+class Closable(Protocol):
+    """What a node has made."""
+
+    def close(self) -> None:
+        """Ends it."""
+
+
+T = TypeVar("T", bound=Closable)
+
+
+class Node:
+    """A node of ROS 2.
+
+    Attributes:
+        token: the node's.
+        types: the types of its distribution; `types.register` adds others.
+
+    Args:
+        session: open session.
+        name: the node's name.
+        namespace: absolute; "/" is none.
+        domain: ROS_DOMAIN_ID.
+        distro: distribution of the others: jazzy, kilted or lyrical.
+        enclave: of ROS 2's security; "/" is none.
+
+    Raises:
+        BadName: name or namespace is not allowed.
+        UnknownType: the distribution is not supported.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        name: str,
+        namespace: str = "/",
+        domain: int = 0,
+        distro: str = "jazzy",
+        enclave: str = "/",
+    ) -> None:
+        names.check_node(name, namespace)
+        self.types = Types(distro)
+        self._session = session
+        number = session.next_number()
+        self.token = Token(domain, session.zid, number, number, Kind.NODE, name, namespace, enclave or "/")
+        self._token = session.zenoh.liveliness().declare_token(self.token.text)
+        self._made: list[Closable] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def publisher(self, topic: str, type_name: str, qos: Qos = presets.DEFAULT) -> Publisher:
+        """Returns a publisher.
+
+        Args:
+            topic: absolute name, or relative to namespace ("tf") or node ("~/state").
+            type_name: such as std_msgs/msg/String.
+            qos: quality of service.
+
+        Raises:
+            BadName: the topic's name is not allowed.
+            UnknownType: the type is not known.
+        """
+        token, key = self._endpoint(Kind.PUBLISHER, topic, type_name, qos)
+        return self._keep(Publisher(self._session.zenoh, token, key, type_name, self.types))
+
+    def subscriber(
+        self, topic: str, type_name: str, callback: Callable[[Received], None], qos: Qos = presets.DEFAULT
+    ) -> Subscriber:
+        """Returns a subscriber, which hands each message to `callback`; arguments and errors as for a publisher."""
+        token, key = self._endpoint(Kind.SUBSCRIBER, topic, type_name, qos)
+        return self._keep(Subscriber(self._session.zenoh, token, key, type_name, callback, self.types))
+
+    def service(self, name: str, type_name: str, handler: Callable[[Request], None]) -> Service:
+        """Returns a service, which hands each request to `handler`; arguments and errors as for a publisher."""
+        token, key = self._endpoint(Kind.SERVICE, name, type_name, presets.DEFAULT)
+        return self._keep(Service(self._session.zenoh, token, key, type_name, handler, self.types))
+
+    def client(self, name: str, type_name: str) -> Client:
+        """Returns a client of a service; arguments and errors as for a publisher."""
+        token, key = self._endpoint(Kind.CLIENT, name, type_name, presets.DEFAULT)
+        return self._keep(Client(self._session.zenoh, token, key, type_name, self.types))
+
+    def action_server(
+        self, name: str, type_name: str, on_goal: Callable[[GoalHandle], None], policy: Policy = Policy()
+    ) -> ActionServer:
+        """Returns an action server, which hands each goal to `on_goal`; it accepts or rejects the goal, then or later.
+
+        Args:
+            name: of the action; absolute, or relative to namespace or node.
+            type_name: such as control_msgs/action/FollowJointTrajectory.
+            on_goal: called with each new goal, in a thread of Zenoh's.
+            policy: which goals may be canceled, and how long results are kept.
+
+        Raises:
+            BadName: the name is not allowed.
+            UnknownType: the type is not known.
+        """
+        return self._keep(ActionServer(self, name, type_name, on_goal, policy))
+
+    def dropped(self) -> dict[str, Counter[str]]:
+        """Returns the number of dropped messages by endpoint's name, then by reason."""
+        found: dict[str, Counter[str]] = {}
+        for it in self._made:
+            if isinstance(it, Subscriber | Service) and it.token.endpoint:
+                found.setdefault(it.token.endpoint.name, Counter()).update(it.dropped)
+        return found
+
+    def close(self) -> None:
+        """Ends the node and all that it has made; active goals are aborted."""
+        for it in reversed(self._made):
+            it.close()
+        self._token.undeclare()  # type: ignore[no-untyped-call]
+
+    def _endpoint(self, kind: Kind, name: str, type_name: str, qos: Qos) -> tuple[Token, str]:
+        """Returns token and key of a new endpoint."""
+        absolute = names.resolve(name, self.token.namespace, self.token.node)
+        type_hash = self.types.hash(type_name)
+        endpoint = Endpoint(absolute, names.dds_type(type_name), type_hash, qos)
+        token = self.token._replace(id=self._session.next_number(), kind=kind, endpoint=endpoint)
+        return token, names.data_key(self.token.domain, absolute, type_name, type_hash)
+
+    def _keep(self, made: T) -> T:
+        self._made.append(made)
+        return made

@@ -1,0 +1,171 @@
+"""Services and their clients."""
+
+import contextlib
+import itertools
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from controller.ros2.wire.attachments import Attachment
+from controller.ros2.wire.cdr import serialize
+from controller.ros2.wire.tokens import Token
+from controller.ros2.wire.topics import Dropped, Received, receive
+from controller.ros2.wire.types import Types
+
+MOST_OPEN = 64  # requests of a service that wait for their reply
+LOG = logging.getLogger(__name__)
+
+
+class NoReply(TimeoutError):
+    """No service answered in time."""
+
+
+class Request:
+    """One request of a service's client. It is replied to once, now or later, from any thread.
+
+    Attributes:
+        received: the request's message, and whose it is.
+    """
+
+    def __init__(self, received: Received, reply: Callable[[Any], None]) -> None:
+        self.received = received
+        self.message = received.message
+        self._reply = reply
+
+    def reply(self, value: Any) -> None:
+        """Sends the response, or the response that has these fields by name. Further replies are ignored.
+
+        Raises:
+            BadMessage: a field is missing, or its value does not fit; the request stays open.
+        """
+        self._reply(value)
+
+
+class Service:
+    """Hands the requests of one service to a handler, one after another, in a thread of Zenoh's.
+
+    Attributes:
+        dropped: number of requests that were dropped, by reason: attachment, size, content, open if too many were open,
+            or callback if the handler raised before it replied. A dropped request has no reply.
+
+    Args:
+        session: Zenoh session.
+        token: the service's.
+        key: of the queries.
+        name: type of the service.
+        handler: called with each request; replies then or later.
+        types: all types.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        token: Token,
+        key: str,
+        name: str,
+        handler: Callable[[Request], None],
+        types: Types,
+    ) -> None:
+        self.token = token
+        self.dropped: Counter[str] = Counter()  # changed by the one thread that calls back
+        self._key, self._name, self._handler, self._types = key, name, handler, types
+        self._lock, self._numbers = threading.Lock(), itertools.count()
+        self._open: dict[int, zenoh.Query] = {}
+        # Clients of rmw_zenoh query services that are complete only.
+        self._queryable = session.declare_queryable(key, self._on_query, complete=True)
+        self._token = session.liveliness().declare_token(token.text)
+
+    @property
+    def open(self) -> int:
+        """Number of requests that wait for their reply."""
+        return len(self._open)
+
+    def close(self) -> None:
+        """Ends the service; open requests get no reply."""
+        with contextlib.suppress(zenoh.ZError):
+            self._token.undeclare()  # type: ignore[no-untyped-call]
+            self._queryable.undeclare()  # type: ignore[no-untyped-call]
+        with self._lock:
+            self._open.clear()
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        number = next(self._numbers)
+        try:
+            received = receive(query.payload, query.attachment, f"{self._name}_Request", self._types)
+            with self._lock:
+                if len(self._open) >= MOST_OPEN:
+                    raise Dropped("open")
+                self._open[number] = query
+            self._handler(Request(received, lambda value: self._reply(number, received, value)))
+        except Dropped as error:
+            self.dropped[error.reason] += 1
+        except Exception:
+            with self._lock:
+                replied = self._open.pop(number, None) is None
+            if not replied:
+                self.dropped["callback"] += 1
+            LOG.exception("the handler of %s failed", self.token.text)
+
+    def _reply(self, number: int, received: Received, value: Any) -> None:
+        data = serialize(value, f"{self._name}_Response", self._types)
+        with self._lock:
+            query = self._open.pop(number, None)
+        if query is None:
+            return
+        attachment = Attachment(received.sequence, time.time_ns(), received.gid).data
+        with contextlib.suppress(zenoh.ZError), query:  # the client or the session is gone
+            query.reply(self._key, data, attachment=attachment)
+
+
+class Client:
+    """Calls one service. Threads may share it; not for a callback, since it waits.
+
+    Args:
+        session: Zenoh session.
+        token: the client's.
+        key: of the queries.
+        name: type of the service.
+        types: all types.
+    """
+
+    def __init__(self, session: zenoh.Session, token: Token, key: str, name: str, types: Types) -> None:
+        self.token = token
+        self._session, self._key, self._name, self._types = session, key, name, types
+        self._numbers, self._gid = itertools.count(1), token.gid
+        self._token = session.liveliness().declare_token(token.text)
+
+    def call(self, value: Any, timeout: float = 10.0) -> Received:
+        """Returns the first response to a request; several services of one name all get it.
+
+        Args:
+            value: the request, or its fields by name.
+            timeout: longest time to wait [s].
+
+        Raises:
+            BadMessage: a field is missing, or its value does not fit.
+            NoReply: no valid response came.
+        """
+        data = serialize(value, f"{self._name}_Request", self._types)
+        replies = self._session.get(
+            self._key,
+            payload=data,
+            attachment=Attachment(next(self._numbers), time.time_ns(), self._gid).data,
+            target=zenoh.QueryTarget.ALL_COMPLETE,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=timeout,
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                with contextlib.suppress(Dropped):
+                    return receive(reply.ok.payload, reply.ok.attachment, f"{self._name}_Response", self._types)
+        raise NoReply(f"no service answered on {self._key} within {timeout:g} s")
+
+    def close(self) -> None:
+        """Ends the client."""
+        with contextlib.suppress(zenoh.ZError):
+            self._token.undeclare()  # type: ignore[no-untyped-call]

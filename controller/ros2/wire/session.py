@@ -1,0 +1,98 @@
+"""The Zenoh session of ROS 2's network: a client of the router that `ros2 run rmw_zenoh_cpp rmw_zenohd` starts.
+
+Peers behind the router would exchange no data with rmw_zenoh's sessions before they link up, so a client it is.
+"""
+
+import itertools
+import json
+import threading
+from typing import Self
+
+import zenoh
+
+from controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Token, parse
+
+ROUTER = "tcp/localhost:7447"
+MOST_FRAGMENTS = 2_000_000  # bytes that Zenoh puts together to one message, roughly; it drops longer ones
+LONGEST_PAUSE = 4.0  # [s] between two attempts to reach the router
+
+
+class NoRouter(ConnectionError):
+    """The router does not answer."""
+
+
+class Session:
+    """An open session. After a loss of the router it connects by itself, and Zenoh declares everything again.
+
+    Attributes:
+        zenoh: the session of eclipse-zenoh.
+        zid: its id, as tokens have it.
+
+    Args:
+        router: Zenoh endpoint of the router.
+        timeout: longest time to wait for the router [s]; a client of Zenoh cannot begin without one.
+
+    Raises:
+        NoRouter: no router answered in time, or the endpoint has the wrong form.
+    """
+
+    def __init__(self, router: str = ROUTER, timeout: float = 10.0) -> None:
+        try:
+            self.zenoh = zenoh.open(configuration(router, timeout))
+        except zenoh.ZError as error:
+            reason = str(error).split(" at /")[0].strip()
+            raise NoRouter(f"no router at {router!r} within {timeout:g} s: {reason}") from None
+        self.zid = str(self.zenoh.zid())
+        self._numbers = itertools.count()
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the session, with everything that was declared in it."""
+        self.zenoh.close()  # type: ignore[no-untyped-call]
+
+    def next_number(self) -> str:
+        """Returns the number of a new node or endpoint of this session."""
+        with self._lock:
+            return str(next(self._numbers))
+
+    def connected(self) -> bool:
+        """Returns whether the session has a connection to the router."""
+        return bool(self.zenoh.info.routers_zid())
+
+    def tokens(self, domain: int = 0, timeout: float = 2.0) -> list[Token]:
+        """Returns the tokens of all nodes and endpoints in a domain; keys that are none are left out.
+
+        Args:
+            domain: ROS_DOMAIN_ID.
+            timeout: longest time to wait for the answer [s].
+        """
+        found: dict[Token, None] = {}  # the session's own come twice
+        for reply in self.zenoh.liveliness().get(f"{ADMIN_SPACE}/{domain}/**", timeout=timeout):
+            if reply.ok is not None:
+                try:
+                    found[parse(str(reply.ok.key_expr))] = None
+                except BadToken:
+                    continue
+        return list(found)
+
+
+def configuration(router: str, timeout: float) -> zenoh.Config:
+    """Returns the configuration of a client of a router, with the timestamps that caches of publishers need."""
+    settings: dict[str, object] = {
+        "mode": "client",
+        "connect": {
+            "endpoints": [router],
+            "timeout_ms": round(timeout * 1e3),
+            "retry": {"period_init_ms": 500, "period_max_ms": round(LONGEST_PAUSE * 1e3), "period_increase_factor": 2},
+        },
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "timestamping": {"enabled": True},
+        "transport": {"link": {"rx": {"max_message_size": MOST_FRAGMENTS}}},
+    }
+    return zenoh.Config.from_json5(json.dumps(settings))

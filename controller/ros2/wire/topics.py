@@ -1,0 +1,190 @@
+"""Publishers and subscribers."""
+
+import contextlib
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import zenoh
+import zenoh.ext
+
+from controller.ros2.wire import attachments
+from controller.ros2.wire.attachments import Attachment, BadAttachment
+from controller.ros2.wire.cdr import MOST_BYTES, BadMessage, deserialize, serialize
+from controller.ros2.wire.qos import History, Qos
+from controller.ros2.wire.tokens import Token
+from controller.ros2.wire.types import Types
+
+HEARTBEAT = 0.5  # [s]; how often a publisher tells the number of its last sample, as rmw_zenoh
+LOG = logging.getLogger(__name__)
+
+
+class Received(NamedTuple):
+    """A message from the network.
+
+    Attributes:
+        message: the message; its numbers may be NaN or infinite.
+        sequence: its number at its source.
+        source_time: when the source sent it [ns since 1970].
+        gid: of the source, 16 bytes; `Token.gid` of its token.
+    """
+
+    message: Any
+    sequence: int
+    source_time: int
+    gid: bytes
+
+
+class Dropped(Exception):
+    """A message from the network cannot be used.
+
+    Args:
+        reason: under which it is counted: attachment, size or content.
+    """
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+def receive(payload: zenoh.ZBytes | None, attachment: zenoh.ZBytes | None, name: str, types: Types) -> Received:
+    """Returns what a sample, query or reply holds.
+
+    Args:
+        payload: its bytes.
+        attachment: the bytes beside it.
+        name: type of the message.
+        types: all types.
+
+    Raises:
+        Dropped: it is no message of this type.
+    """
+    try:
+        source = attachments.parse(None if attachment is None else attachment.to_bytes())
+    except BadAttachment as error:
+        LOG.debug("%s: %s", name, error)
+        raise Dropped("attachment") from None
+    if payload is not None and len(payload) > MOST_BYTES:
+        raise Dropped("size")
+    try:
+        message = deserialize(b"" if payload is None else payload.to_bytes(), name, types)
+    except BadMessage as error:
+        LOG.debug("%s", error)
+        raise Dropped("content") from None
+    return Received(message, *source)
+
+
+class Publisher:
+    """Publishes messages on one topic. Threads may share it.
+
+    Args:
+        session: Zenoh session.
+        token: the publisher's.
+        key: of the samples.
+        name: type of the messages.
+        types: all types.
+    """
+
+    def __init__(self, session: zenoh.Session, token: Token, key: str, name: str, types: Types) -> None:
+        assert token.endpoint
+        self.token = token
+        self._name, self._types, self._gid = name, types, token.gid
+        self._lock, self._sequence = threading.Lock(), 0
+        self._publisher = zenoh.ext.declare_advanced_publisher(session, key, **_publishing(token.endpoint.qos))
+        self._token = session.liveliness().declare_token(token.text)
+
+    def publish(self, value: Any) -> None:
+        """Publishes a message, or the message that has these fields by name. On a closed session nothing happens.
+
+        Raises:
+            BadMessage: a field is missing, or its value does not fit.
+        """
+        data = serialize(value, self._name, self._types)
+        with self._lock:
+            self._sequence += 1
+            attachment = Attachment(self._sequence, time.time_ns(), self._gid).data
+            with contextlib.suppress(zenoh.ZError):
+                self._publisher.put(data, attachment=attachment)
+
+    def close(self) -> None:
+        """Ends the publisher; its transient-local messages are gone."""
+        with contextlib.suppress(zenoh.ZError):  # the session is closed
+            self._token.undeclare()  # type: ignore[no-untyped-call]
+            self._publisher.undeclare()  # type: ignore[no-untyped-call]
+
+
+class Subscriber:
+    """Hands the messages of one topic to a callback, one after another, in a thread of Zenoh's.
+
+    Attributes:
+        dropped: number of messages that were dropped, by reason: attachment, size, content, or callback if it raised.
+
+    Args:
+        session: Zenoh session.
+        token: the subscriber's.
+        key: of the samples.
+        name: type of the messages.
+        callback: called with each message. While it runs, up to 256 messages wait; after these the session waits.
+        types: all types.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        token: Token,
+        key: str,
+        name: str,
+        callback: Callable[[Received], None],
+        types: Types,
+    ) -> None:
+        assert token.endpoint
+        self.token = token
+        self.dropped: Counter[str] = Counter()  # changed by the one thread that calls back
+        self._name, self._callback, self._types = name, callback, types
+        options = _subscribing(token.endpoint.qos)
+        self._subscriber = zenoh.ext.declare_advanced_subscriber(session, key, self._on_sample, **options)
+        self._token = session.liveliness().declare_token(token.text)
+
+    def close(self) -> None:
+        """Ends the subscriber."""
+        with contextlib.suppress(zenoh.ZError):
+            self._token.undeclare()  # type: ignore[no-untyped-call]
+            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        try:
+            self._callback(receive(sample.payload, sample.attachment, self._name, self._types))
+        except Dropped as error:
+            self.dropped[error.reason] += 1
+        except Exception:
+            self.dropped["callback"] += 1
+            LOG.exception("the callback of %s failed", self.token.text)
+
+
+def _publishing(qos: Qos) -> Mapping[str, Any]:
+    """Returns the options of a Zenoh publisher, as rmw_zenoh sets them."""
+    keep_all = qos.reliable and qos.history is History.KEEP_ALL
+    options: dict[str, Any] = {
+        "congestion_control": zenoh.CongestionControl.BLOCK if keep_all else zenoh.CongestionControl.DROP,
+        "reliability": zenoh.Reliability.RELIABLE if qos.reliable else zenoh.Reliability.BEST_EFFORT,
+    }
+    if qos.transient_local:
+        options |= {"cache": zenoh.ext.CacheConfig(max_samples=qos.depth), "publisher_detection": True}
+        if qos.reliable:
+            detection = zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT)
+            options["sample_miss_detection"] = detection
+    return options
+
+
+def _subscribing(qos: Qos) -> Mapping[str, Any]:
+    """Returns the options of a Zenoh subscriber, as rmw_zenoh sets them."""
+    if not qos.transient_local:
+        return {}
+    history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth)
+    options: dict[str, Any] = {"history": history, "subscriber_detection": True}
+    if qos.reliable:
+        options["recovery"] = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
+    return options

@@ -1,0 +1,179 @@
+"""ROS 2's own messages, hashes and action server beside those of the wire: make ros2-test."""
+
+import json
+import os
+import queue
+import random
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import FieldDesc
+
+from controller.ros2.wire import qos
+from controller.ros2.wire.action_server import GoalHandle, Policy
+from controller.ros2.wire.cdr import deserialize, message, serialize
+from controller.ros2.wire.node import Node
+from controller.ros2.wire.session import Session
+from controller.ros2.wire.topics import Received
+from controller.ros2.wire.types import Types
+from tests.ros2.oracle.script import ABORTED, CANCELED, REJECTED_ORDER, SUCCEEDED, UNCANCELABLE_ORDER, script
+from tests.ros2.wire.conftest import Router
+from tests.waiting import PATIENCE, eventually
+
+ENVIRONMENTS = Path(__file__).parents[3] / ".venv"
+ORACLE = Path(__file__).with_name("with_rclpy.py")
+FIBONACCI = "test_msgs/action/Fibonacci"
+DEFINITION = "int32 order\n---\nint32[] sequence\n---\nint32[] sequence\n"
+ABSENT = ("tf2_msgs", "control_msgs")  # packages without wheels
+PLACEHOLDER, EMPTY = "structure_needs_at_least_one_member", b"\0\1\0\0\0"  # of a message without fields
+# If the program lets none of the chosen goals be canceled, rclcpp_action answers 1, as the wire does, and rclpy 0.
+DIFFERENT = {"rejected cancel": ([1, []], [0, []])}
+LARGEST = {"int8": 7, "int16": 15, "int32": 31, "int64": 63, "uint8": 8, "uint16": 16, "uint32": 32, "uint64": 64}
+
+
+@pytest.fixture(params=["jazzy", "kilted"])
+def distribution(request: pytest.FixtureRequest) -> str:
+    name: str = request.param
+    if not (ENVIRONMENTS / f"ros2-{name}").exists():
+        pytest.skip("ROS 2's wheels are not installed: make ros2-test")
+    return name
+
+
+def asked(distribution: str, job: str, text: str = "") -> Any:
+    """Returns what the oracle prints."""
+    python = ENVIRONMENTS / f"ros2-{distribution}" / "bin" / "python"
+    settings = {**os.environ, "ROS_DOMAIN_ID": str(os.getpid() % 90 + 10), "ROS_LOCALHOST_ONLY": "1"}
+    for name in ("PYTHONPATH", "ZENOH_CONFIG_OVERRIDE"):
+        settings.pop(name, None)
+    done = subprocess.run([python, ORACLE, job], input=text, capture_output=True, text=True, env=settings, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return json.loads(done.stdout)
+
+
+def filled(desc: FieldDesc, types: Types, draw: random.Random) -> Any:
+    """Returns a random value of a field."""
+    if desc[0] == Nodetype.NAME:
+        entries = types.store.get_msgdef(desc[1]).fields
+        return {name: filled(entry, types, draw) for name, entry in entries if name != PLACEHOLDER}
+    if desc[0] == Nodetype.BASE:
+        kind = desc[1][0]
+        if kind == "string":
+            return "".join(draw.choices("aé/ ", k=draw.randrange(4)))
+        if kind == "bool":
+            return draw.random() < 0.5
+        if kind.startswith("float"):
+            return float(draw.randrange(-(2**20), 2**20)) / 8
+        return draw.randrange(2 ** LARGEST.get(kind, 7))
+    element, length = desc[1]
+    count = length if desc[0] == Nodetype.ARRAY else draw.randrange(4)
+    return [filled(element, types, draw) for _ in range(count)]
+
+
+def test_ros_2_reads_all_messages_and_has_the_same_hashes(distribution: str) -> None:
+    types, draw = Types(distribution), random.Random(1)
+    names = [name for name in types.hashes if name.split("/")[0] not in ABSENT]
+    parts = [it for name in names for it in ((name,) if "/msg/" in name else (f"{name}_Request", f"{name}_Response"))]
+    sent = []
+    for name in parts:
+        for _ in range(10):
+            value = message(filled((Nodetype.NAME, name), types, draw), name, types)
+            sent.append((name, serialize(value, name, types)))
+    told = asked(distribution, "messages", json.dumps([[name, data.hex()] for name, data in sent]))
+    assert len(told) == len(sent) > 800
+    for (name, data), (type_hash, answer) in zip(sent, told, strict=True):
+        if name in types.hashes:
+            assert type_hash == types.hash(name), name
+        # rclpy's buffers may have further bytes, and bytes of any value between the fields.
+        back = deserialize(bytes.fromhex(answer)[: len(data)], name, types)
+        if data != EMPTY:  # its one byte may have any value, too
+            assert serialize(back, name, types) == data, name
+
+
+class Side:
+    """The script's side of the wire: an action server of one node, and a client of another."""
+
+    def __init__(self, session: Session, other: Session, distribution: str) -> None:
+        self.handles: dict[int, GoalHandle] = {}
+        self.states: list[list[list[int]]] = []
+        self.heard: queue.Queue[Received] = queue.Queue()
+        server, client = Node(session, "server", distro=distribution), Node(other, "client", distro=distribution)
+        description = ENVIRONMENTS / f"ros2-{distribution}" / "share" / f"{FIBONACCI}.json"
+        hashes = {it["type_name"]: it["hash_string"] for it in json.loads(description.read_text())["type_hashes"]}
+        for node in (server, client):
+            node.types.register(FIBONACCI, DEFINITION, hashes)
+        policy = Policy(may_cancel=lambda it: it.goal.order != UNCANCELABLE_ORDER)
+        server.action_server("fibonacci", FIBONACCI, self.on_goal, policy)
+        base = "/fibonacci/_action"
+        self.goal = client.client(f"{base}/send_goal", f"{FIBONACCI}_SendGoal")
+        self.result = client.client(f"{base}/get_result", f"{FIBONACCI}_GetResult")
+        self.cancels = client.client(f"{base}/cancel_goal", "action_msgs/srv/CancelGoal")
+        client.subscriber(f"{base}/status", "action_msgs/msg/GoalStatusArray", self.on_status, qos.LATCHED)
+        client.subscriber(f"{base}/feedback", f"{FIBONACCI}_FeedbackMessage", self.heard.put)
+        eventually(lambda: len(other.tokens()) == 12)
+
+    def on_goal(self, goal: GoalHandle) -> None:
+        if goal.goal.order == REJECTED_ORDER:
+            goal.reject()
+            return
+        goal.accept()
+        goal.execute()
+        self.handles[goal.uuid[0]] = goal
+
+    def on_status(self, received: Received) -> None:
+        goals = received.message.status_list
+        self.states.append([[int(it.goal_info.goal_id.uuid[0]), it.status] for it in goals])
+
+    def send_goal(self, uuid: list[int], order: int) -> bool:
+        request = {"goal_id": {"uuid": uuid}, "goal": {"order": order}}
+        return bool(self.goal.call(request, PATIENCE).message.accepted)
+
+    def ask_result(self, uuid: list[int]) -> Any:
+        got: queue.Queue[Received] = queue.Queue()
+        call = lambda: got.put(self.result.call({"goal_id": {"uuid": uuid}}, PATIENCE))  # noqa: E731
+        threading.Thread(target=call).start()
+
+        def result() -> list[Any]:
+            response = got.get(timeout=PATIENCE).message
+            return [response.status, response.result.sequence.tolist()]
+
+        return result
+
+    def cancel(self, uuid: list[int], sec: int) -> list[Any]:
+        request = {"goal_info": {"goal_id": {"uuid": uuid}, "stamp": {"sec": sec}}}
+        response = self.cancels.call(request, PATIENCE).message
+        return [response.return_code, [int(it.goal_id.uuid[0]) for it in response.goals_canceling]]
+
+    def end(self, uuid: list[int], how: int, sequence: list[int]) -> None:
+        handle = eventually(lambda: self.handles.get(uuid[0]))
+        assert handle
+        {SUCCEEDED: handle.succeed, CANCELED: handle.canceled, ABORTED: handle.abort}[how]({"sequence": sequence})
+
+    def feedback(self, uuid: list[int], sequence: list[int]) -> list[Any]:
+        handle = eventually(lambda: self.handles.get(uuid[0]))
+        assert handle
+        handle.feedback({"sequence": sequence})
+        heard = self.heard.get(timeout=PATIENCE).message
+        return [int(heard.goal_id.uuid[0]), heard.feedback.sequence.tolist()]
+
+    def until(self, uuid: list[int], status: int) -> list[list[int]]:
+        return eventually(lambda: next((it for it in self.states if [uuid[0], status] in it), []))
+
+
+@pytest.fixture
+def side(distribution: str) -> Iterator[Side]:
+    router = Router()
+    with Session(router.endpoint, PATIENCE) as session, Session(router.endpoint, PATIENCE) as other:
+        yield Side(session, other, distribution)
+    router.stop()
+
+
+def test_actions_behave_as_those_of_rclpy(distribution: str, side: Side) -> None:
+    expected, seen = asked(distribution, "action"), script(side)
+    assert [it[0] for it in seen] == [it[0] for it in expected]
+    different = {ours[0]: (ours[1], theirs[1]) for ours, theirs in zip(seen, expected, strict=True) if ours != theirs}
+    assert different == DIFFERENT
