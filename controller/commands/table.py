@@ -100,20 +100,22 @@ GROUPS = {
             "Play a fault in the boards of a simulated arm, or end it; an arm with real boards refuses.",
             "hyperbit fault planar16 silence can0/5",
         ),
+    },
+    "Show, record and connect an arm": {
         "panel": CommandEntry(
-            "use.panel",
+            "serve.panel",
             "panel",
             "Serve the operator's web page, which shows and commands all connected arms, until SIGTERM.",
             "hyperbit panel",
         ),
         "record": CommandEntry(
-            "use.record",
+            "serve.record",
             "record",
             "Record the messages of an arm, and the requests to it, to MCAP files until SIGTERM.",
             "hyperbit record planar16",
         ),
         "replay": CommandEntry(
-            "use.replay",
+            "serve.replay",
             "replay",
             "Publish a recording again below another key prefix, or repeat its goals on a simulated arm and compare.",
             "hyperbit replay --goals recording.mcap",

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from controller.armfile.strict import InputFaults
+from controller.commands.serve.record import parse_size
 from controller.commands.use import record_events
-from controller.commands.use.record import parse_size
 from tests.commands.conftest import Told
 from tests.keys import DEPLOY
 
@@ -41,7 +41,7 @@ def test_bad_input_gives_a_message(told: Told, tmp_path: Path) -> None:
 
 def test_recording_needs_neither_kernels_nor_pictures() -> None:
     script = (
-        "import sys, controller.commands.use.record, controller.recorder.recorder, controller.network.listener\n"
+        "import sys, controller.commands.serve.record, controller.recorder.recorder, controller.network.listener\n"
         "print([name for name in ('numba', 'scipy', 'matplotlib', 'canopen', 'can') if name in sys.modules])"
     )
     told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
@@ -53,7 +53,7 @@ def test_the_daemon_needs_nothing_of_the_recorder() -> None:
         "import sys\nsys.modules['mcap'] = None\n"
         "import controller.gateway.daemon, controller.executor.process.run\n"
         "import controller.commands.operate.run, controller.cli\n"
-        "from controller.commands.use.record import require\n"
+        "from controller.commands.serve.record import require\n"
         "print(any(name.startswith('controller.recorder') for name in sys.modules))"
     )
     told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

@@ -9,14 +9,8 @@ import typer
 
 from controller.armfile.strict import InputFaults
 from controller.commands.common import ENDPOINT, ArmName, CommandFailed, Connect, ZenohFile, arm_name
-from controller.commands.use.recorder_process import (
-    RecorderProcess,
-    can_log,
-    new_recorder,
-    opened_folder,
-    opened_session,
-    record_messages,
-)
+from controller.commands.serve.arm_process import ArmProcess, opened_session
+from controller.commands.serve.recorder_process import can_log, new_recorder, opened_folder, record_messages
 
 UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 SMALLEST = 100_000  # bytes; least value of --size and --keep
@@ -50,7 +44,7 @@ def record(
     limits = parse_size(size, "--size"), seconds_of(minutes)
     most_kept = None if keep is None else parse_size(keep, "--keep")
     require("mcap")
-    process = RecorderProcess(name)
+    process = ArmProcess(name)
     with opened_folder(folder, name, most_kept) as place, can_log(Path(arm) if can else None) as frames:
         process.notifier.notify("READY=1")
         with opened_session(connect, zenoh_file, process) as session:
@@ -65,7 +59,7 @@ def save_events(arm: str, folder: Path) -> None:
     Raises:
         CommandFailed: nothing was saved.
     """
-    from controller.commands.use.record_events import record_events
+    from controller.commands.serve.record_events import record_events
 
     saved, missing = record_events(arm, folder)
     for path in saved:

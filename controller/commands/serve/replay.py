@@ -14,7 +14,7 @@ import typer
 from controller.armfile.strict import InputFaults
 from controller.commands import common
 from controller.commands.common import AsJson, CommandFailed, arm_name, print_json
-from controller.commands.use.record import require
+from controller.commands.serve.record import require
 
 if TYPE_CHECKING:
     from controller.recorder.reader import RecordingReader

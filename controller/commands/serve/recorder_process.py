@@ -1,11 +1,8 @@
-"""The process of the command `record`: folder, buses, session with the daemon, and the loop that records."""
+"""The process of the command `record`: folder, buses, and the loop that records."""
 
 from __future__ import annotations
 
 import contextlib
-import logging
-import signal
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from controller.armfile.strict import InputFaults
 from controller.commands.common import CommandFailed
+from controller.commands.serve.arm_process import ArmProcess
 
 if TYPE_CHECKING:
     import zenoh
@@ -21,39 +19,10 @@ if TYPE_CHECKING:
     from controller.recorder.folder import Folder
     from controller.recorder.recorder import Recorder
 
-RETRY = 1.0  # [s] between attempts to reach the daemon
 FLUSH_EVERY = 1.0  # [s] between two writes of frames
 
 
-class RecorderProcess:
-    """The process of the recorder: its end by SIGTERM or SIGINT, and its notifications to systemd.
-
-    Attributes:
-        arm: name of the recorded arm.
-        ending: set when the process is to end.
-        notifier: sends notifications.
-
-    Args:
-        arm: name of the recorded arm, which the process's log names.
-    """
-
-    def __init__(self, arm: str) -> None:
-        from controller.host.journal import start_logging
-        from controller.host.notify import Notifier
-
-        start_logging({"HYPERBIT_ARM": arm})
-        self.arm, self.ending, self.notifier = arm, threading.Event(), Notifier()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: self.ending.set())
-
-    def feed_watchdog(self) -> None:
-        """Tells systemd that the process runs."""
-        self.notifier.notify("WATCHDOG=1")
-
-
-def record_messages(
-    session: zenoh.Session, recorder: Recorder, frames: CanLog | None, process: RecorderProcess
-) -> None:
+def record_messages(session: zenoh.Session, recorder: Recorder, frames: CanLog | None, process: ArmProcess) -> None:
     """Records the messages of the arm, and writes its frames once a second, until the process is to end."""
     from controller.network.listener import Listener
 
@@ -113,7 +82,7 @@ def can_log(file: Path | None) -> Iterator[CanLog | None]:
 
 
 def new_recorder(
-    folder: Folder, limits: tuple[int, float], frames: CanLog | None, process: RecorderProcess, *, fsync: bool
+    folder: Folder, limits: tuple[int, float], frames: CanLog | None, process: ArmProcess, *, fsync: bool
 ) -> Recorder:
     """Returns a recorder. The log of the frames continues beside each new recording.
 
@@ -132,45 +101,3 @@ def new_recorder(
             frames.begin(recording.with_suffix(CAN_LOG))
 
     return Recorder(process.arm, folder, Limits(*limits), fsync=fsync, began=began)
-
-
-@contextlib.contextmanager
-def opened_session(connect: str, zenoh_file: Path | None, process: RecorderProcess) -> Iterator[zenoh.Session | None]:
-    """Opens a session with a daemon as soon as one is there.
-
-    Args:
-        connect: Zenoh endpoint of the daemon.
-        zenoh_file: Zenoh configuration, instead of the endpoint.
-        process: of the recorder; its end ends the wait.
-
-    Yields:
-        The session, or None if the process is to end before a daemon was there.
-
-    Raises:
-        InputFaults: the Zenoh configuration is wrong.
-    """
-    import zenoh
-
-    from controller.network import session
-
-    zenoh.init_log_from_env_or("error")
-    warned = False
-    while True:
-        try:
-            config = session.from_file(zenoh_file) if zenoh_file else session.configuration("client", connect=connect)
-        except ValueError as error:
-            raise InputFaults(Path("--zenoh"), [str(error)]) from None
-        try:
-            live = zenoh.open(config)
-            break
-        except zenoh.ZError as error:
-            if not warned:
-                warned = True
-                where, why = zenoh_file or connect, session.reason(error)
-                logging.getLogger(__name__).warning("no daemon at %s yet, waiting for one: %s", where, why)
-        process.feed_watchdog()
-        if process.ending.wait(RETRY):
-            yield None
-            return
-    with live:
-        yield live
