@@ -4,6 +4,7 @@ import struct
 import threading
 import time
 import uuid
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import zenoh
@@ -80,12 +81,16 @@ class Canceled(NamedTuple):
     goals: list[bytes]
 
 
-def trajectory(joint: str, positions: list[float]) -> bytes:
-    """The fields of a goal: one joint, one point a second for each position, no tolerances."""
-    out = Bytes().put("i", 0).put("I", 0).text("").put("I", 1).text(joint)
-    out.put("I", len(positions))
-    for second, position in enumerate(positions):
-        out.put("I", 1).put("d", position).put("I", 0, 0, 0).put("i", second + 1).put("I", 0)
+def trajectory(joints: Sequence[str], points: Sequence[Sequence[float]], step: float = 1.0) -> bytes:
+    """The fields of a goal: positions of the joints, the first after `step` seconds; no tolerances."""
+    out = Bytes().put("i", 0).put("I", 0).text("").put("I", len(joints))
+    for joint in joints:
+        out.text(joint)
+    out.put("I", len(points))
+    for k, positions in enumerate(points, 1):
+        nanoseconds = round(k * step * 1e9)
+        out.put("I", len(positions)).put("d", *positions).put("I", 0, 0, 0)
+        out.put("i", nanoseconds // 10**9).put("I", nanoseconds % 10**9)
     out.put("i", 0).put("I", 0).text("").put("I", 0, 0)  # the trajectory of joints with several degrees of freedom
     out.put("I", 0, 0, 0, 0)  # tolerances
     return bytes(out.put("i", 0).put("I", 0).data)
@@ -147,9 +152,14 @@ class Client:
     def send_goal(self, goal: bytes | None = None, joint: str = "joint1") -> tuple[bytes, bool, int]:
         """Returns the goal's id, whether it was accepted, and the seconds of its stamp."""
         goal = goal or uuid.uuid4().bytes
-        answer = self.call(f"send_goal/{SEND_GOAL}", HEADER + goal + trajectory(joint, [0.5, 1.0]))
+        answer = self.send(goal, trajectory([joint], [[0.5], [1.0]]))
         assert answer
-        return goal, bool(answer.get("B")), answer.get("i")
+        return goal, *answer
+
+    def send(self, goal: bytes, fields: bytes) -> tuple[bool, int] | None:
+        """Sends a goal; returns whether it was accepted, and the seconds of its stamp; None if there is no answer."""
+        answer = self.call(f"send_goal/{SEND_GOAL}", HEADER + goal + fields)
+        return (bool(answer.get("B")), answer.get("i")) if answer else None
 
     def cancel(self, goal: bytes = bytes(16), sec: int = 0, nanosec: int = 0) -> Canceled:
         payload = HEADER + goal + struct.pack("<iI", sec, nanosec)

@@ -22,6 +22,7 @@ from controller.ros2.wire.action_events import (
     GoalDecided,
     GoalInfo,
     GoalRequested,
+    GoalRestored,
     PublishFeedback,
     PublishStatus,
     ResultRequested,
@@ -32,6 +33,7 @@ from controller.ros2.wire.action_events import (
 )
 
 NO_UUID = bytes(16)
+RESTORED = -1  # number of the request of a restored goal, which was answered before
 MOST_GOALS = 64  # that are known at once; ended ones are forgotten early if there are more
 ACTIVE = (Status.ACCEPTED, Status.EXECUTING, Status.CANCELING)
 CANCELABLE = (Status.ACCEPTED, Status.EXECUTING)
@@ -102,6 +104,11 @@ class ActionCore:
         match event:
             case GoalRequested():
                 return list(self._request(event))
+            case GoalRestored():
+                if event.uuid in self.goals:
+                    raise IllegalTransition(f"goal {event.uuid.hex()} is known already")
+                self.goals[event.uuid] = Goal(RESTORED, event.goal, Status.EXECUTING, event.stamp)
+                return [PublishStatus(self.infos())]
             case GoalDecided():
                 return list(self._decide(event))
             case StatusChanged():

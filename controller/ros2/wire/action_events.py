@@ -33,6 +33,14 @@ class GoalRequested(NamedTuple):
     goal: Any
 
 
+class GoalRestored(NamedTuple):
+    """A server before this one had accepted this goal, at `stamp` [ns since 1970]; it is executing."""
+
+    uuid: bytes
+    goal: Any
+    stamp: int
+
+
 class GoalDecided(NamedTuple):
     """The program accepts or rejects a goal; `stamp` is the time of acceptance [ns since 1970]."""
 
@@ -86,6 +94,7 @@ class ServerClosed(NamedTuple):
 
 Event = (
     GoalRequested
+    | GoalRestored
     | GoalDecided
     | StatusChanged
     | FeedbackGiven

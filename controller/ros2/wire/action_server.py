@@ -126,6 +126,20 @@ class ActionServer:
         with self._lock:
             return self._core.status(uuid)
 
+    def restore(self, uuid: bytes, stamp: int) -> GoalHandle:
+        """Returns a goal that a server before this one had accepted; it is executing, and its message is not known.
+
+        Args:
+            uuid: id of the goal, 16 bytes.
+            stamp: when it was accepted [ns since 1970].
+
+        Raises:
+            IllegalTransition: the goal is known already.
+        """
+        handle = GoalHandle(uuid, None, self)
+        self.step(events.GoalRestored(uuid, handle, stamp))
+        return handle
+
     def close(self, result: Any = None) -> None:
         """Rejects what is not decided, and aborts all active goals with this result, or an empty one."""
         self.step(events.ServerClosed(self._result({} if result is None else result)))

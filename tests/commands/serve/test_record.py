@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from controller.armfile.strict import InputFaults
+from controller.commands.serve import record_events
 from controller.commands.serve.record import parse_size
-from controller.commands.use import record_events
 from tests.commands.conftest import Told
 from tests.keys import DEPLOY
 
