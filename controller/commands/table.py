@@ -120,6 +120,12 @@ GROUPS = {
             "Publish a recording again below another key prefix, or repeat its goals on a simulated arm and compare.",
             "hyperbit replay --goals recording.mcap",
         ),
+        "ros2": CommandEntry(
+            "serve.ros2",
+            "ros2",
+            "Show an arm to a ROS 2 system as a node, without ROS on this computer, until SIGTERM.",
+            "hyperbit ros2 planar16",
+        ),
     },
     "Operate the daemon": {
         "run": CommandEntry(

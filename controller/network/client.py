@@ -90,6 +90,10 @@ class Client:
             raise Unanswered(f"the daemon of arm {self._arm!r} did not accept this {key}: {why}")
         raise Unanswered(f"no daemon for arm {self._arm!r} answered on {self._prefix}/{key}")
 
+    def put(self, key: str, payload: bytes) -> None:
+        """Publishes a payload on `key`: setpoint or measured_tip. There is no answer."""
+        self._session.put(f"{self._prefix}/{key}", payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+
     def subscribe(self, key: str, callback: Callable[[Message], None]) -> zenoh.Subscriber[None]:
         """Calls `callback` with each message on `key`: state, feedback, result or diagnostics."""
         return self._session.declare_subscriber(f"{self._prefix}/{key}", lambda sample: callback(decoded(sample)))

@@ -1,0 +1,135 @@
+"""The command `ros2`: shows an arm to a ROS 2 system as a node."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from controller.armfile.strict import InputFaults
+from controller.commands.common import ENDPOINT, ArmName, CommandFailed, Connect, ZenohFile, arm_name
+from controller.commands.serve.arm_process import RETRY, ArmProcess, opened_session
+
+if TYPE_CHECKING:
+    import zenoh
+
+    from controller.ros2.arm_node import Settings
+    from controller.ros2.wire.session import Session
+
+ROS = "Zenoh endpoint of ROS 2's router, which `ros2 run rmw_zenoh_cpp rmw_zenohd` starts."
+DOMAIN = "ROS_DOMAIN_ID of the ROS 2 system."
+DISTRO = "Distribution of the ROS 2 system: jazzy, kilted or lyrical."
+NAMESPACE = "Namespace of the node. Default: the arm's name."
+WORLD = "Name of the world's frame in /tf."
+ORIENTATION = "Goals on goal_pose and goal_path count with their orientation; else the arm chooses its own."
+GONE_WITHIN = 15.0  # [s] in which the token of a bridge that was killed disappears
+ROUTER_TIMEOUT = 2.0  # [s]
+log = logging.getLogger(__name__)
+
+
+def ros2(
+    arm: ArmName,
+    ros: Annotated[str, typer.Option(metavar="ENDPOINT", help=ROS)] = "tcp/localhost:7447",
+    domain: Annotated[int, typer.Option(min=0, max=232, help=DOMAIN)] = 0,
+    distro: Annotated[str, typer.Option(help=DISTRO)] = "jazzy",
+    namespace: Annotated[str, typer.Option(help=NAMESPACE, show_default=False)] = "",
+    world: Annotated[str, typer.Option(help=WORLD)] = "world",
+    orientation: Annotated[bool, typer.Option("--orientation", help=ORIENTATION)] = False,
+    connect: Connect = ENDPOINT,
+    zenoh_file: ZenohFile = None,
+) -> None:
+    """Show an arm to a ROS 2 system as a node, without ROS on this computer, until SIGTERM."""
+    name = arm_name(arm)
+    try:
+        from controller.ros2.arm_node import Settings, node_name
+        from controller.ros2.wire import names
+        from controller.ros2.wire.types import Types, UnknownType
+    except ImportError as error:
+        raise CommandFailed(str(error), "install the libraries of ROS 2: pip install 'hyperbit[ros2]'") from None
+    try:
+        Types(distro)
+    except UnknownType as error:
+        raise InputFaults(Path("--distro"), [str(error)]) from None
+    settings = Settings(namespace, domain, distro, world, orientation)
+    try:
+        names.check_node(*node_name(name, namespace))
+    except names.BadName as error:
+        raise InputFaults(Path("--namespace"), [str(error)]) from None
+    process = ArmProcess(name)
+    process.notifier.notify("READY=1")
+    with opened_session(connect, zenoh_file, process) as session:
+        if session is None:
+            return
+        with ros_session(ros, process) as network:
+            if network is not None:
+                check_alone(network, name, settings, process)
+                serve(session, network, name, settings, process)
+
+
+def serve(session: zenoh.Session, network: Session, arm: str, settings: Settings, process: ArmProcess) -> None:
+    """Runs the bridge until the process is to end."""
+    from controller.host.folders import state_folder
+    from controller.network.client import Client
+    from controller.network.listener import Listener
+    from controller.ros2.bridge import Bridge
+    from controller.ros2.goal_book import GoalBook
+
+    book = GoalBook(state_folder() / f"{arm}.ros2.json")
+    with contextlib.ExitStack() as closing:
+        listener = closing.enter_context(contextlib.closing(Listener(session, arm)))
+        client = closing.enter_context(contextlib.closing(Client(session, arm)))
+        bridge = closing.enter_context(contextlib.closing(Bridge(listener, client, network, book, settings)))
+        bridge.run(process.ending.is_set, process.feed_watchdog)
+        process.notifier.notify("STOPPING=1")
+
+
+@contextlib.contextmanager
+def ros_session(endpoint: str, process: ArmProcess) -> Iterator[Session | None]:
+    """Opens a session of ROS 2's network once its router is there; yields None if the process is to end before."""
+    from controller.ros2.wire.session import NoRouter
+    from controller.ros2.wire.session import Session as RosSession
+
+    warned = False
+    while not process.ending.is_set():
+        try:
+            network = RosSession(endpoint, ROUTER_TIMEOUT)
+        except NoRouter as error:
+            if not warned:
+                warned = True
+                log.warning("waiting for ROS 2's router, ros2 run rmw_zenoh_cpp rmw_zenohd: %s", error)
+            process.feed_watchdog()
+            process.ending.wait(RETRY)
+            continue
+        with network:
+            yield network
+        return
+    yield None
+
+
+def check_alone(network: Session, arm: str, settings: Settings, process: ArmProcess) -> None:
+    """Checks that no other bridge has this node; the token of one that was killed may still be there for a while.
+
+    Raises:
+        CommandFailed: there is another bridge. /rosout says so, too.
+    """
+    from controller.ros2.arm_node import node_name, tell
+    from controller.ros2.wire.tokens import Kind
+
+    node, namespace = node_name(arm, settings.namespace)
+    until = time.monotonic() + GONE_WITHIN
+    while any(
+        (it.kind, it.node, it.namespace) == (Kind.NODE, node, namespace) for it in network.tokens(settings.domain)
+    ):
+        if time.monotonic() > until:
+            text = f"another node {namespace}/{node} is there on domain {settings.domain}: two bridges of one name?"
+            tell(network, settings, f"hyperbit_{os.getpid()}", text)
+            raise CommandFailed(text, "end the other one, or give this one another --namespace")
+        process.feed_watchdog()
+        if process.ending.wait(RETRY):
+            return

@@ -1,0 +1,226 @@
+"""The arm as one node of ROS 2: what it publishes, what it subscribes to, its services and its two actions."""
+
+import math
+import re
+import time
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from controller.manipulator.described import described
+from controller.network.client import Client
+from controller.pictures.scene import FoxgloveScene
+from controller.ros2 import messages
+from controller.ros2.goal_book import GoalBook
+from controller.ros2.goals import TIMEOUT, ActionGoals, Kind
+from controller.ros2.messages import ERROR, INFO, WARN
+from controller.ros2.poses import Fields, Place
+from controller.ros2.requests import Requests
+from controller.ros2.robot import urdf
+from controller.ros2.trajectories import actuator_goal, tip_goal, tip_positions
+from controller.ros2.wire import qos
+from controller.ros2.wire.node import Node
+from controller.ros2.wire.session import Session
+
+ROSOUT = qos.Qos(durability=qos.Durability.TRANSIENT_LOCAL, depth=1000)
+SAME = ("name", "frames", "base", "actuators", "dimension", "version")  # of descriptions that are of one node
+MOST_SAID = 20  # sentences on /rosout in a second
+ODD = re.compile(r"[^A-Za-z0-9_]")
+
+
+class Settings(NamedTuple):
+    """Settings of the node.
+
+    Attributes:
+        namespace: absolute; "" is the arm's name.
+        domain: ROS_DOMAIN_ID.
+        distro: jazzy, kilted or lyrical.
+        world: name of the world's frame.
+        oriented: whether the orientation of `goal_pose` and `goal_path` counts.
+    """
+
+    namespace: str
+    domain: int
+    distro: str
+    world: str
+    oriented: bool
+
+
+class ArmNode:
+    """The node of one arm.
+
+    Attributes:
+        name: absolute name of the node.
+
+    Args:
+        session: of ROS 2's network.
+        client: of the daemon.
+        arm: the daemon's description, with its `drawing`.
+        book: file of the goals of action clients.
+        settings: of the node.
+
+    Raises:
+        LookupError, TypeError, ValueError: the description has another form, or a name is not allowed.
+    """
+
+    def __init__(
+        self, session: Session, client: Client, arm: Mapping[str, Any], book: GoalBook, settings: Settings
+    ) -> None:
+        self._arm, self._client, self._book, self._world = arm, client, book, settings.world
+        self._manipulator = described(arm)
+        self._place = Place(settings.world, str(arm["name"]), self._manipulator.base, int(arm["dimension"]))
+        self._oriented = settings.oriented
+        node, namespace = node_name(str(arm["name"]), settings.namespace)
+        self._node = Node(session, node, namespace, settings.domain, settings.distro)
+        self.name = f"{namespace.rstrip('/')}/{node}"
+        self._log = self._node.publisher("/rosout", "rcl_interfaces/msg/Log", ROSOUT)
+        self._states = self._node.publisher("joint_states", "sensor_msgs/msg/JointState")
+        self._tips = self._node.publisher("tip_pose", "geometry_msgs/msg/PoseStamped")
+        self._frames = self._node.publisher("/tf", "tf2_msgs/msg/TFMessage", qos.TF)
+        self._fixed = self._node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", qos.TF_STATIC)
+        self._pictures = self._node.publisher("visualization_marker_array", "visualization_msgs/msg/MarkerArray")
+        self._health = self._node.publisher("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+        self._robot = self._node.publisher("robot_description", "std_msgs/msg/String", qos.LATCHED)
+        self._state: Mapping[str, Any] = {}
+        self._faults: dict[tuple[str, str], str] = {}
+        self._dropped: dict[str, Counter[str]] = {}
+        self._said, self._unsaid = deque[float](maxlen=MOST_SAID), 0
+        self._drawn: Any = None
+        self._scene = FoxgloveScene(arm)
+        self._markers = messages.Markers(self._scene, str(arm["name"]), self._manipulator.length, self._world)
+
+    def open(self) -> None:
+        """Publishes what does not change, and accepts requests from now on."""
+        self._robot.publish({"data": urdf(str(self._arm["name"]), self._world, self._manipulator)})
+        self._requests = Requests(self._node, self._client, self._place, self.say, oriented=self._oriented)
+        axes = ("tip_x", "tip_y", "tip_z")[: self._place.dimension]
+        kinds = {
+            "tip": Kind(
+                "tip_controller/follow_joint_trajectory", lambda goal: tip_goal(goal, self._place), self._tip_feedback
+            ),
+            "actuators": Kind(
+                "actuator_controller/follow_joint_trajectory", self._actuator_goal, self._actuator_feedback
+            ),
+        }
+        submit = self._requests.submit
+        self._goals = ActionGoals(self._node, kinds, self._book, self._request, submit, self.say)
+        self.say(INFO, f"the arm {self._arm['name']}: joints of the tip {', '.join(axes)}, tip_yaw")
+
+    def close(self) -> None:
+        """Ends the node; its goals are aborted."""
+        self._goals.close()
+        self._requests.close()
+        self._node.close()
+
+    def describes(self, arm: Mapping[str, Any]) -> bool:
+        """Returns whether a description is of the arm of this node."""
+        return all(arm.get(name) == self._arm.get(name) for name in SAME)
+
+    def receive_obstacles(self, arm: Mapping[str, Any]) -> None:
+        """Accepts a description with other obstacles."""
+        self._scene, self._drawn = FoxgloveScene(arm), None
+        self._markers.scene = self._scene
+
+    def receive_alive(self, *, alive: bool) -> None:
+        """Accepts whether the daemon is there."""
+        self._goals.receive_alive(alive=alive)
+        self.say(INFO if alive else ERROR, f"the daemon is {'there' if alive else 'gone'}")
+
+    def receive_state(self, state: Mapping[str, Any]) -> None:
+        """Tells faults that came, and those that are over."""
+        faults = {(str(it["code"]), str(it["source"])): str(it["message"]) for it in state["faults"]}
+        for key in faults.keys() - self._faults.keys():
+            self.say(ERROR if state["mode"] == "fault" else WARN, f"{key[0]}: {faults[key]}")
+        for code, source in self._faults.keys() - faults.keys():
+            self.say(INFO, f"{code} at {source} is over")
+        self._state, self._faults = state, faults
+
+    def receive_result(self, message: Mapping[str, Any]) -> None:
+        """Accepts a `result`."""
+        self._goals.receive_result(message)
+        self._requests.receive_result(message)
+
+    def publish_state(self, state: Mapping[str, Any]) -> None:
+        """Publishes a state: joints, tip, frames, feedback, and markers if they have changed."""
+        self._states.publish(messages.joint_state(state, self._manipulator.actuators))
+        if (tip := messages.tip_pose(state, self._world)) is not None:
+            self._tips.publish(tip)
+        self._frames.publish({"transforms": messages.transforms(self._scene, state, self._world)[1:]})
+        self._goals.publish_feedback(state)
+        shown = state.get("commanded"), state.get("measured"), state.get("target")
+        if shown != self._drawn:
+            self._drawn = shown
+            self._pictures.publish(self._markers.array(state))
+
+    def publish_slowly(self, state: Mapping[str, Any], told: Mapping[str, Any] | None) -> None:
+        """Publishes diagnostics, fixed frames, and markers again; tells dropped messages."""
+        self._drawn = None
+        base = messages.transforms(self._scene, state, self._world)[0]
+        last = f"{self._arm['name']}/{len(self._manipulator.modules)}"
+        tip = {
+            "header": messages.header(state["stamp"], last),
+            "child_frame_id": f"{self._arm['name']}/tip",
+            "transform": {"translation": {}, "rotation": {"w": 1.0}},
+        }
+        self._fixed.publish({"transforms": [base, tip]})
+        self._health.publish(messages.diagnostics(str(self._arm["name"]), state, told))
+        dropped = self._node.dropped()
+        for name, counts in dropped.items():
+            for reason, count in (counts - self._dropped.get(name, Counter())).items():
+                self.say(WARN, f"{count} messages on {name} were dropped: {reason}")
+        self._dropped = dropped
+
+    def poll(self, now: float) -> None:
+        """Asks for results that are due; `now` [s]."""
+        self._goals.poll(now)
+
+    def say(self, level: int, text: str) -> None:
+        """Tells a sentence on /rosout; in a flood of bad requests some are left out."""
+        now = time.monotonic()
+        if len(self._said) == self._said.maxlen and now - self._said[0] < 1.0:
+            self._unsaid += 1
+            return
+        self._said.append(now)
+        if self._unsaid:
+            text, self._unsaid = f"{text} ({self._unsaid} sentences before were left out)", 0
+        self._log.publish(messages.log(time.time(), level, self.name.strip("/").replace("/", "."), text))
+
+    def _request(self, key: str, payload: Mapping[str, Any]) -> dict[str, Any]:
+        return self._client.request(key, payload, TIMEOUT)
+
+    def _actuator_goal(self, goal: Any) -> Fields:
+        states = self._state.get("measured") or [None] * len(self._manipulator.actuators)
+        return actuator_goal(goal, self._manipulator, states)
+
+    def _tip_feedback(self, state: Mapping[str, Any], joints: Sequence[str]) -> Fields:
+        target, tip = state.get("target"), state.get("tip")
+        unknown = [math.nan] * len(joints)
+        wanted = tip_positions(target, joints) if target and "position" in target else unknown
+        return feedback(state, joints, wanted, tip_positions(tip, joints) if tip else unknown)
+
+    def _actuator_feedback(self, state: Mapping[str, Any], joints: Sequence[str]) -> Fields:
+        def of(states: Sequence[int | None] | None) -> list[float]:
+            known = dict(zip(self._manipulator.actuators, states or (), strict=False))
+            return [math.nan if known.get(name) is None else float(known[name]) for name in joints]  # type: ignore[arg-type]
+
+        return feedback(state, joints, of(state.get("commanded")), of(state.get("measured")))
+
+
+def node_name(arm: str, namespace: str) -> tuple[str, str]:
+    """Returns name and namespace of the node of an arm; characters that ROS 2 does not allow become underscores."""
+    return "hyperbit", namespace or "/" + ODD.sub("_", arm)
+
+
+def tell(session: Session, settings: Settings, node: str, text: str) -> None:
+    """Tells an error on /rosout, by a node that exists only for this."""
+    with Node(session, node, "/", settings.domain, settings.distro) as teller:
+        publisher = teller.publisher("/rosout", "rcl_interfaces/msg/Log", ROSOUT)
+        publisher.publish(messages.log(time.time(), ERROR, node, text))
+
+
+def feedback(state: Mapping[str, Any], joints: Sequence[str], wanted: list[float], actual: list[float]) -> Fields:
+    """Returns a FollowJointTrajectory_Feedback: what is wanted, what is measured, and the difference."""
+    errors = [a - b for a, b in zip(wanted, actual, strict=True)]
+    points = {"desired": wanted, "actual": actual, "error": errors}
+    head = messages.header(state["stamp"])
+    return {"header": head, "joint_names": list(joints), **{name: {"positions": it} for name, it in points.items()}}

@@ -1,0 +1,125 @@
+"""The bridge's loop: the node of an arm that is known, and its latest states, at most 50 times a second."""
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from controller.network.client import Client
+from controller.network.listener import Listener, ReceivedMessage
+from controller.ros2.arm_node import ArmNode, Settings
+from controller.ros2.goal_book import GoalBook
+from controller.ros2.wire.session import Session
+
+PERIOD = 0.02  # [s] between two states
+SLOW = 1.0  # [s] between two diagnostics, and between two repetitions of markers
+ASK_EVERY = 5.0  # [s] for the arm's description, while there is none
+UNEXPECTED = (LookupError, TypeError, ValueError, AttributeError)  # raised by messages of another form than ours
+log = logging.getLogger(__name__)
+
+
+class Bridge:
+    """Shows one arm to ROS 2.
+
+    Args:
+        listener: hears the arm.
+        client: sends requests to it.
+        session: of ROS 2's network.
+        book: file of the goals of action clients.
+        settings: of the node.
+    """
+
+    def __init__(
+        self, listener: Listener, client: Client, session: Session, book: GoalBook, settings: Settings
+    ) -> None:
+        self._listener, self._client, self._session = listener, client, session
+        self._book, self._settings = book, settings
+        self._node: ArmNode | None = None
+        self._description = b""
+        self._latest: dict[str, dict[str, Any]] = {}  # the last `state` and `diagnostics`
+        self._new_state = False
+        self._asked = self._slow = -ASK_EVERY  # when the description was asked for, and the slow messages published [s]
+
+    def run(self, ending: Callable[[], bool], beat: Callable[[], None]) -> None:
+        """Runs until `ending` returns True; calls `beat` many times a second."""
+        while not ending():
+            began = time.monotonic()
+            for item in self._listener.receive_messages(PERIOD):
+                try:
+                    self.receive_message(item)
+                except (msgspec.MsgspecError, RecursionError, *UNEXPECTED) as error:
+                    log.warning("a message on %s cannot be read: %r", item.key, error)
+            self.tick(time.monotonic())
+            beat()
+            time.sleep(max(began + PERIOD - time.monotonic(), 0.0))
+
+    def close(self) -> None:
+        """Ends the node; its goals are aborted."""
+        if self._node is not None:
+            self._node.close()
+            self._node = None
+
+    def receive_message(self, item: ReceivedMessage) -> None:
+        """Accepts a message of the arm.
+
+        Raises:
+            msgspec.MsgspecError, LookupError, TypeError, ValueError: it has another form; nothing has changed.
+        """
+        node = self._node
+        match item.key:
+            case "arm":
+                self._describe(item.data)
+            case "alive" | "gone":
+                if node is not None:
+                    node.receive_alive(alive=item.key == "alive")
+                self._asked = -ASK_EVERY if item.key == "alive" else self._asked
+                self._description = b"" if item.key == "alive" else self._description
+            case "state":
+                state = msgspec.json.decode(item.data, type=dict[str, Any])
+                before = self._latest.get("state", {})
+                if state.get("obstacles") != before.get("obstacles"):  # the description has the new ones
+                    self._description = b""
+                self._latest["state"], self._new_state = state, True
+                if node is not None:
+                    node.receive_state(state)
+            case "diagnostics":
+                self._latest["diagnostics"] = msgspec.json.decode(item.data, type=dict[str, Any])
+            case "result" if node is not None:
+                node.receive_result(msgspec.json.decode(item.data, type=dict[str, Any]))
+
+    def tick(self, now: float) -> None:
+        """Publishes what is new or due; `now` [s]."""
+        if not self._description and now >= self._asked + ASK_EVERY:
+            self._asked = now
+            self._listener.ask()
+        state = self._latest.get("state")
+        if self._node is None or state is None:
+            return
+        if self._new_state:
+            self._new_state = False
+            self._attempt(self._node.publish_state, state)
+        if now >= self._slow + SLOW:
+            self._slow = now
+            self._attempt(self._node.publish_slowly, state, self._latest.get("diagnostics"))
+        self._node.poll(now)
+
+    def _attempt(self, publish: Callable[..., None], *arguments: Any) -> None:
+        """Publishes; a state of another form is told, and harms nothing else."""
+        try:
+            publish(*arguments)
+        except UNEXPECTED as error:
+            log.warning("a state cannot be published: %r", error)
+
+    def _describe(self, data: bytes) -> None:
+        """Accepts the arm's description; another arm's file makes another node, other obstacles do not."""
+        arm = msgspec.json.decode(data, type=dict[str, Any])
+        if self._node is not None and self._node.describes(arm):
+            self._node.receive_obstacles(arm)
+        else:
+            self.close()
+            self._node = ArmNode(self._session, self._client, arm, self._book, self._settings)
+            self._node.open()
+            log.info("the arm %s is node %s on domain %d", arm["name"], self._node.name, self._settings.domain)
+        self._description = data

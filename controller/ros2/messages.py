@@ -1,0 +1,136 @@
+"""Messages of the daemon as messages of ROS 2."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from controller.pictures.scene import FoxgloveScene
+from controller.ros2.poses import Fields, pose, time_of
+
+Message = Mapping[str, Any]
+
+DEBUG, INFO, WARN, ERROR = 10, 20, 30, 40  # of rcl_interfaces/msg/Log
+OK, WARNING, FAULTY, STALE = range(4)  # of diagnostic_msgs/msg/DiagnosticStatus
+LEVELS = {"ready": OK, "executing": OK, "starting": WARNING, "stopped": WARNING, "fault": FAULTY}
+LINE_LIST, DELETE = 5, 2  # of visualization_msgs/msg/Marker
+SOLIDS = {"cubes": 1, "spheres": 2, "cylinders": 3}
+THIN = 1 / 300  # of the arm's length: width of a line
+
+
+def header(stamp: float, frame: str = "") -> Fields:
+    """Returns a std_msgs/msg/Header of a UNIX time [s]."""
+    return {"stamp": time_of(stamp), "frame_id": frame}
+
+
+def joint_state(state: Message, labels: Sequence[str]) -> Fields:
+    """Returns the sensor_msgs/msg/JointState of a `state`: 0 contracted, 1 extended, NaN unknown."""
+    measured = state.get("measured") or [None] * len(labels)
+    positions = [math.nan if value is None else float(value) for value in measured]
+    return {"header": header(state["stamp"]), "name": list(labels), "position": positions}
+
+
+def tip_pose(state: Message, world: str) -> Fields | None:
+    """Returns the geometry_msgs/msg/PoseStamped of the measured tip; None if it is not known."""
+    if state.get("tip") is None:
+        return None
+    return {"header": header(state["stamp"], world), "pose": pose(state["tip"])}
+
+
+def transforms(scene: FoxgloveScene, state: Message, world: str) -> list[Fields]:
+    """Returns the geometry_msgs/msg/TransformStamped of the base, then of each module, base first."""
+    return [
+        {
+            "header": header(state["stamp"], world if it["parent_frame_id"] == "world" else it["parent_frame_id"]),
+            "child_frame_id": it["child_frame_id"],
+            "transform": {"translation": it["translation"], "rotation": it["rotation"]},
+        }
+        for it in scene.transforms(state, state["stamp"])["transforms"]
+    ]
+
+
+class Markers:
+    """The markers of an arm, its goal and its obstacles.
+
+    Attributes:
+        scene: draws the arm; another one has other obstacles.
+
+    Args:
+        scene: draws the arm.
+        arm: name of the arm, and namespace of its markers.
+        length: of the arm.
+        world: name of the world's frame.
+    """
+
+    def __init__(self, scene: FoxgloveScene, arm: str, length: float, world: str) -> None:
+        self.scene, self._arm, self._width, self._world = scene, arm, length * THIN, world
+        self._shown: set[tuple[str, int]] = set()
+
+    def array(self, state: Message) -> Fields:
+        """Returns the visualization_msgs/msg/MarkerArray of a `state`; markers that are gone are deleted."""
+        markers: list[Fields] = []
+        for entity in self.scene.update(state, state["stamp"])["entities"]:
+            frame = self._world if entity["frame_id"] == "world" else entity["frame_id"]
+            head = {
+                "header": header(state["stamp"], frame),
+                "ns": f"{self._arm} {entity['id']}",
+                "frame_locked": True,
+            }
+            for line in entity["lines"]:
+                shape = {"type": LINE_LIST, "points": line["points"], "scale": {"x": self._width}, "pose": line["pose"]}
+                markers.append({**head, **shape, "color": line["color"]})
+            for kind, number in SOLIDS.items():
+                for solid in entity[kind]:
+                    shape = {"type": number, "pose": solid["pose"], "scale": solid["size"], "color": solid["color"]}
+                    markers.append({**head, **shape})
+        counts: dict[str, int] = {}
+        for marker in markers:
+            marker["id"] = counts[marker["ns"]] = counts.get(marker["ns"], -1) + 1
+        shown = {(marker["ns"], marker["id"]) for marker in markers}
+        gone = [{"ns": ns, "id": k, "action": DELETE} for ns, k in sorted(self._shown - shown)]
+        self._shown = shown
+        return {"markers": [*gone, *markers]}
+
+
+def diagnostics(arm: str, state: Message, told: Message | None) -> Fields:
+    """Returns the diagnostic_msgs/msg/DiagnosticArray of an arm.
+
+    Args:
+        arm: name of the arm.
+        state: payload of `state`.
+        told: payload of `diagnostics`; None if none came.
+    """
+    entries = [
+        status(
+            f"{arm}: arm",
+            LEVELS.get(state["mode"], STALE),
+            f"{state['mode']}: {state['reason']}",
+            {"goal": state.get("goal") or "", "simulated": state.get("simulated", False)},
+        )
+    ]
+    for fault in state.get("faults", ()):
+        level = FAULTY if state["mode"] == "fault" else WARNING
+        entries.append(status(f"{arm}: {fault['source']}: {fault['code']}", level, fault["message"], {}))
+    if told is not None:
+        for bus in told.get("buses", ()):
+            level = OK if bus["state"] in ("connected", "active") else FAULTY
+            entries.append(status(f"{arm}: bus {bus['name']}", level, bus["state"], bus))
+        for board in told.get("boards", ()):
+            level = OK if board["state"] == "operational" else FAULTY
+            entries.append(status(f"{arm}: board {board['bus']}/{board['node']}", level, board["state"], board))
+        loop = {
+            **told.get("loop", {}),
+            **{name: told.get(name) for name in ("real_time", "ledger", "executor", "dropped")},
+        }
+        entries.append(status(f"{arm}: loop", OK, str(told.get("executor", "")), loop))
+    return {"header": header(state["stamp"]), "status": entries}
+
+
+def status(name: str, level: int, message: str, values: Message) -> Fields:
+    """Returns a diagnostic_msgs/msg/DiagnosticStatus."""
+    pairs = [{"key": str(key), "value": str(value)} for key, value in values.items() if key not in ("name", "state")]
+    return {"level": level, "name": name, "message": message, "hardware_id": name.partition(":")[0], "values": pairs}
+
+
+def log(stamp: float, level: int, node: str, text: str) -> Fields:
+    """Returns a rcl_interfaces/msg/Log of a UNIX time [s]."""
+    return {"stamp": time_of(stamp), "level": level, "name": node, "msg": text, "file": "", "function": "", "line": 0}

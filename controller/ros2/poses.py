@@ -1,0 +1,166 @@
+"""Poses of ROS 2 as waypoints of goals, and back."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from controller.manipulator.frames import Frame
+
+Fields = dict[str, Any]
+
+OLDEST = 5.0  # [s] of a pose's stamp, in the past and in the future
+LENGTH_ERROR = 0.01  # of a quaternion that counts as a unit quaternion
+SECOND = 1_000_000_000  # [ns]
+
+
+class BadGoal(ValueError):
+    """A message of ROS 2 is no goal of this arm.
+
+    Args:
+        message: what was given, where, and what would have been right.
+        code: of FollowJointTrajectory.
+    """
+
+    def __init__(self, message: str, code: int = -1) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class Place(NamedTuple):
+    """Where an arm stands.
+
+    Attributes:
+        world: name of the world's frame.
+        arm: name of the arm; its base has the frame "<arm>/0".
+        base: frame of the base in the world, shape (4, 4).
+        dimension: 2 or 3.
+    """
+
+    world: str
+    arm: str
+    base: Frame
+    dimension: int
+
+    def frame(self, name: str, where: str) -> Frame:
+        """Returns the frame (4, 4) of a name in the world; a message without a name means the world.
+
+        Raises:
+            BadGoal: the name is neither that of the world nor of the arm's base.
+        """
+        if name in ("", self.world):
+            return np.eye(4)
+        if name == f"{self.arm}/0":
+            return self.base
+        raise BadGoal(f"{where}.header.frame_id: {name[:100]!r}, expected {self.world!r} or '{self.arm}/0'")
+
+
+def seconds(stamp: Any) -> float:
+    """Returns a time or duration of ROS 2 [s]."""
+    return float(stamp.sec + stamp.nanosec / SECOND)
+
+
+def time_of(stamp: float) -> Fields:
+    """Returns a UNIX time [s] as a time of ROS 2."""
+    nanoseconds = round(stamp * SECOND)
+    return {"sec": nanoseconds // SECOND, "nanosec": nanoseconds % SECOND}
+
+
+def check_stamp(stamp: float, where: str) -> None:
+    """Checks the stamp of a pose that is to be reached now; 0 is always right.
+
+    Raises:
+        BadGoal: it is too old, or in the future.
+    """
+    age = time.time() - stamp
+    if stamp != 0 and abs(age) > OLDEST:
+        when = f"{age:.1f} s old" if age > 0 else f"{-age:.1f} s in the future"
+        raise BadGoal(f"{where}.header.stamp: {when}, expected at most {OLDEST:g} s, or 0", -3)
+
+
+def waypoint(message: Any, place: Place, where: str, *, oriented: bool) -> Fields:
+    """Returns the waypoint of a PoseStamped.
+
+    Args:
+        message: geometry_msgs/msg/PoseStamped.
+        place: where the arm stands.
+        where: name of the message, for errors.
+        oriented: whether its orientation counts.
+
+    Raises:
+        BadGoal: a number is not finite, the quaternion has no unit length, or the frame is unknown.
+    """
+    frame = place.frame(message.header.frame_id, where)
+    point = frame @ [*finite(message.pose.position, "xyz", f"{where}.pose.position"), 1.0]
+    result: Fields = {"position": point[: place.dimension].tolist()}
+    if oriented:
+        turned = frame[:3, :3] @ rotation(finite(message.pose.orientation, "xyzw", f"{where}.pose.orientation"), where)
+        result["orientation"] = orientation(turned, place.dimension)
+    return result
+
+
+def finite(holder: Any, names: str, where: str) -> list[float]:
+    """Returns fields of a message as numbers.
+
+    Raises:
+        BadGoal: a number is NaN or infinite.
+    """
+    values = [float(getattr(holder, name)) for name in names]
+    for name, value in zip(names, values, strict=True):
+        if not math.isfinite(value):
+            raise BadGoal(f"{where}.{name}: {value}, expected a finite number")
+    return values
+
+
+def rotation(quaternion: Sequence[float], where: str) -> Frame:
+    """Returns the rotation (3, 3) of a quaternion x, y, z, w.
+
+    Raises:
+        BadGoal: its length is not 1.
+    """
+    length = float(np.linalg.norm(quaternion))
+    if abs(length - 1.0) > LENGTH_ERROR:
+        raise BadGoal(f"{where}.pose.orientation: a quaternion of length {length:.3g}, expected a unit quaternion")
+    x, y, z, w = np.array(quaternion) / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def orientation(turned: Frame, dimension: int) -> Any:
+    """Returns the orientation of a waypoint: an angle in the plane, a quaternion x, y, z, w in space."""
+    if dimension == 2:
+        return math.atan2(turned[1, 0], turned[0, 0])
+    from controller.manipulator.frames import quaternion
+
+    whole = np.eye(4)
+    whole[:3, :3] = turned
+    return quaternion(whole).tolist()
+
+
+def pose(told: Mapping[str, Any]) -> Fields:
+    """Returns the pose of ROS 2 of a pose of the daemon, with `position` and perhaps `orientation`."""
+    x, y, z = (*told["position"], 0.0)[:3]
+    turned = told.get("orientation")
+    if turned is None:
+        turned = [0.0, 0.0, 0.0, 1.0]
+    elif isinstance(turned, float | int):
+        turned = [0.0, 0.0, math.sin(turned / 2), math.cos(turned / 2)]
+    return {"position": {"x": x, "y": y, "z": z}, "orientation": dict(zip("xyzw", map(float, turned), strict=True))}
+
+
+def yaw(told: Mapping[str, Any]) -> float:
+    """Returns the angle about z of a pose of the daemon [rad]; NaN if it has no orientation."""
+    turned = told.get("orientation")
+    if turned is None:
+        return math.nan
+    if isinstance(turned, float | int):
+        return float(turned)
+    x, y, z, w = turned
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

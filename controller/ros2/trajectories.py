@@ -1,0 +1,158 @@
+"""Goals of FollowJointTrajectory as goals of the daemon: for the tip, and for single actuators."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from controller.manipulator.manipulator import Manipulator
+from controller.manipulator.notation import format_configuration
+from controller.ros2.poses import BadGoal, Fields, Place, seconds, yaw
+
+INVALID_JOINTS = -2
+AXES = ("tip_x", "tip_y", "tip_z")
+YAW = "tip_yaw"
+NEAR = 0.01  # of a position of an actuator from 0 or 1
+MOST_POINTS = 10_000
+
+
+class Trajectory(NamedTuple):
+    """What of a goal is common to both kinds of joints.
+
+    Attributes:
+        joints: names of the joints.
+        positions: shape (points, joints).
+        times: after the stamp [s], shape (points,).
+        stamp: UNIX time of the begin [s]; 0: at once.
+    """
+
+    joints: tuple[str, ...]
+    positions: np.ndarray[tuple[int, int], np.dtype[np.float64]]
+    times: list[float]
+    stamp: float
+
+
+def trajectory(goal: Any) -> Trajectory:
+    """Returns the points of a goal.
+
+    Args:
+        goal: control_msgs/action/FollowJointTrajectory_Goal.
+
+    Raises:
+        BadGoal: it has no points, joints twice, positions that do not match the joints, or numbers that are not finite.
+    """
+    given = goal.trajectory
+    joints = tuple(given.joint_names)
+    if len(set(joints)) < len(joints):
+        raise BadGoal(f"trajectory.joint_names: {', '.join(joints[:10])}: a joint occurs twice", INVALID_JOINTS)
+    if goal.multi_dof_trajectory.points:
+        raise BadGoal("multi_dof_trajectory: not supported; give tip_x, tip_y, ... as joints of trajectory")
+    if not 1 <= len(given.points) <= MOST_POINTS:
+        raise BadGoal(f"trajectory.points: {len(given.points)}, expected 1 to {MOST_POINTS}")
+    for k, point in enumerate(given.points):
+        if len(point.positions) != len(joints):
+            raise BadGoal(
+                f"trajectory.points[{k}].positions: {len(point.positions)}, expected {len(joints)}, as joints"
+            )
+        if not np.isfinite(point.positions).all():
+            raise BadGoal(f"trajectory.points[{k}].positions: a number is not finite")
+    positions = np.array([point.positions for point in given.points], dtype=float).reshape(-1, len(joints))
+    times = [seconds(point.time_from_start) for point in given.points]
+    return Trajectory(joints, positions, times, seconds(given.header.stamp))
+
+
+def tip_goal(goal: Any, place: Place) -> Fields:
+    """Returns the daemon's goal of a trajectory of the tip.
+
+    Raises:
+        BadGoal: the joints are not tip_x, tip_y, and so on; or as `trajectory`.
+    """
+    found = trajectory(goal)
+    axes = AXES[: place.dimension]
+    if set(found.joints) - {YAW} != set(axes):
+        names = ", ".join((*axes, f"and perhaps {YAW}"))
+        raise BadGoal(f"trajectory.joint_names: {', '.join(found.joints[:10])}, expected {names}", INVALID_JOINTS)
+    frame = place.frame(goal.trajectory.header.frame_id, "trajectory")
+    columns = {name: found.positions[:, k] for k, name in enumerate(found.joints)}
+    waypoints = []
+    for k, t in enumerate(found.times):
+        point = frame @ [*(columns[name][k] for name in axes), *([0.0] * (3 - len(axes))), 1.0]
+        entry: Fields = {"t": t, "position": point[: place.dimension].tolist()}
+        if YAW in columns:
+            angle = float(columns[YAW][k]) + math.atan2(frame[1, 0], frame[0, 0])
+            turn = [0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)]
+            entry["orientation"] = angle if place.dimension == 2 else turn
+        waypoints.append(entry)
+    return {"waypoints": waypoints, "stamp": found.stamp, **_tolerances(goal, axes)}
+
+
+def actuator_goal(goal: Any, manipulator: Manipulator, states: Sequence[int | None]) -> Fields:
+    """Returns the daemon's goal of a trajectory of actuators; actuators that it does not name stay.
+
+    Args:
+        goal: of the action; a position is 0 (contracted) or 1 (extended).
+        manipulator: the arm's chain.
+        states: present states of the actuators (A,), None where unknown.
+
+    Raises:
+        BadGoal: a joint is no actuator, a position is neither 0 nor 1, or states together are no configuration.
+    """
+    found = trajectory(goal)
+    labels = list(manipulator.actuators)
+    if unknown := [name for name in found.joints if name not in labels]:
+        given = f"{unknown[0][:50]!r} is no actuator"
+        raise BadGoal(f"trajectory.joint_names: {given}, expected names such as {labels[0]!r}", INVALID_JOINTS)
+    columns = [labels.index(name) for name in found.joints]
+    present = list(states)
+    waypoints = []
+    for k, (row, t) in enumerate(zip(found.positions, found.times, strict=True)):
+        if (far := np.abs(row - np.round(row)) > NEAR).any() or (np.abs(row - 0.5) > 0.5 + NEAR).any():
+            j = int(np.argmax(far | (np.abs(row - 0.5) > 0.5 + NEAR)))
+            raise BadGoal(f"trajectory.points[{k}]: {found.joints[j]} at {row[j]:g}, expected 0 or 1")
+        for column, value in zip(columns, row, strict=True):
+            present[column] = round(float(value))
+        waypoints.append({"t": t, "configuration": _configuration(manipulator, present, f"trajectory.points[{k}]")})
+    return {"waypoints": waypoints, "stamp": found.stamp}
+
+
+def _configuration(manipulator: Manipulator, states: Sequence[int | None], where: str) -> str:
+    """Returns the text of the configuration that has these actuator states."""
+    result, begin = [], 0
+    for number, module in enumerate(manipulator.modules, 1):
+        own = states[begin : begin + len(module.actuators)]
+        begin += len(module.actuators)
+        if None in own:
+            raise BadGoal(f"{where}: module {number} has an actuator of unknown state; give all of its actuators")
+        matches = np.flatnonzero((module.bits == np.array(own, dtype=np.uint8)).all(axis=1))
+        if not len(matches):
+            raise BadGoal(f"{where}: module {number} has no configuration with its actuators at {own}")
+        result.append(int(matches[0]))
+    return format_configuration(manipulator, result)
+
+
+def _tolerances(goal: Any, axes: Sequence[str]) -> Fields:
+    """Returns the fields `tolerance` and `path_tolerance` of the daemon's goal; 0 in a message means the default."""
+    result: Fields = {}
+    positions = _tolerance(goal.goal_tolerance, "goal_tolerance", axes)
+    turns = _tolerance(goal.goal_tolerance, "goal_tolerance", (YAW,))
+    tolerance = {name: value for name, value in (("position", positions), ("orientation", turns)) if value is not None}
+    if tolerance:
+        result["tolerance"] = tolerance
+    if (path := _tolerance(goal.path_tolerance, "path_tolerance", axes)) is not None:
+        result["path_tolerance"] = path
+    return result
+
+
+def _tolerance(entries: Sequence[Any], where: str, names: Sequence[str]) -> float | None:
+    """Returns the least position tolerance of some joints; None if none is given."""
+    values = [float(it.position) for it in entries if it.name in names]
+    if any(not math.isfinite(value) or value < 0 for value in values):
+        raise BadGoal(f"{where}: a tolerance is negative or not finite; 0 means that of the arm's file")
+    return min((value for value in values if value > 0), default=None)
+
+
+def tip_positions(told: Mapping[str, Any], joints: Sequence[str]) -> list[float]:
+    """Returns the positions of tip joints of a pose of the daemon."""
+    known = dict(zip(AXES, told["position"], strict=False)) | {YAW: yaw(told)}
+    return [known[name] for name in joints]

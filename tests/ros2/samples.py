@@ -1,0 +1,68 @@
+"""A small arm in the plane, its description and states, and messages of ROS 2, for tests without a network."""
+
+import functools
+import json
+from typing import Any
+
+import numpy as np
+
+from controller.arm.arm import load
+from controller.arm.description import description, drawing
+from controller.manipulator.manipulator import Manipulator
+from controller.manipulator.notation import format_configuration, pose
+from controller.ros2.poses import Place
+from controller.ros2.wire.cdr import message
+from controller.ros2.wire.types import Types
+from tests.keys import DEPLOY
+
+TYPES = Types("jazzy")
+ACTION = "control_msgs/action/FollowJointTrajectory"
+
+
+@functools.cache
+def told(name: str = "planar16") -> dict[str, Any]:
+    """The description of a shipped arm."""
+    arm = load(DEPLOY / f"{name}.yaml")
+    return {**description(arm), "drawing": drawing(arm)}
+
+
+@functools.cache
+def chain(name: str = "planar16") -> Manipulator:
+    """The chain of a shipped arm."""
+    return load(DEPLOY / f"{name}.yaml").manipulator
+
+
+def place(base: Any = None, dimension: int = 2) -> Place:
+    """Where an arm stands."""
+    return Place("world", "planar16", np.eye(4) if base is None else base, dimension)
+
+
+def state(name: str = "planar16", **fields: Any) -> dict[str, Any]:
+    """A state of an arm with all modules in their first state."""
+    manipulator = chain(name)
+    home = np.zeros(len(manipulator.modules), np.int64)
+    bits = [int(bit) for module in manipulator.modules for bit in module.bits[0]]
+    return {
+        **{"stamp": 1.5e9, "mode": "ready", "reason": "holding", "simulated": True, "goal": None, "target": None},
+        **{"commanded": bits, "measured": bits, "faults": [], "degraded": [], "obstacles": 0},
+        **{"configuration": format_configuration(manipulator, home), "tip": pose(manipulator, manipulator.tip(home))},
+        **fields,
+    }
+
+
+def message_bytes(goal: dict[str, Any]) -> bytes:
+    """A goal as the daemon receives it."""
+    return json.dumps(goal).encode()
+
+
+def pose_stamped(x: float, y: float, z: float = 0.0, **header: Any) -> Any:
+    """A PoseStamped without turn."""
+    fields = {"header": header, "pose": {"position": {"x": x, "y": y, "z": z}}}
+    return message(fields, "geometry_msgs/msg/PoseStamped", TYPES)
+
+
+def trajectory_goal(joints: list[str], rows: list[list[float]], **fields: Any) -> Any:
+    """A goal of FollowJointTrajectory, a point a second."""
+    points = [{"positions": row, "time_from_start": {"sec": k}} for k, row in enumerate(rows)]
+    given = {"joint_names": joints, "points": points, **fields.pop("trajectory", {})}
+    return message({"trajectory": given, **fields}, f"{ACTION}_Goal", TYPES)

@@ -1,0 +1,112 @@
+"""States and diagnostics of the daemon as messages of ROS 2; each must fit its type."""
+
+import math
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from controller.pictures.scene import FoxgloveScene
+from controller.ros2 import messages
+from controller.ros2.robot import angles, urdf
+from controller.ros2.wire.cdr import deserialize, serialize
+from tests.ros2.samples import TYPES, chain, state, told
+
+
+def sent(fields: object, name: str) -> object:
+    """A message as it arrives at the other side."""
+    return deserialize(serialize(fields, name, TYPES), name, TYPES)
+
+
+def test_joints_are_0_or_1_or_unknown() -> None:
+    measured = [1, None, *state()["measured"][2:]]
+    it = sent(messages.joint_state(state(measured=measured), chain().actuators), "sensor_msgs/msg/JointState")
+    assert it.name[:3] == ["1.left", "1.diagonal", "1.right"]
+    assert (it.position[0], it.position[2]) == (1.0, 0.0)
+    assert math.isnan(it.position[1])
+    assert it.header.stamp.sec == 1_500_000_000
+
+
+@pytest.mark.parametrize("arm", ["planar16", "platform8"])
+def test_frames_lead_from_the_world_to_the_tip(arm: str) -> None:
+    scene = FoxgloveScene(told(arm))
+    fields = {"transforms": messages.transforms(scene, state(arm), "map")}
+    frames = sent(fields, "tf2_msgs/msg/TFMessage").transforms
+    assert [it.child_frame_id for it in frames] == [f"{arm}/{k}" for k in range(len(chain(arm).modules) + 1)]
+    assert [it.header.frame_id for it in frames] == ["map", *(it.child_frame_id for it in frames[:-1])]
+    whole = np.eye(4)
+    for it in frames:
+        turn, place = it.transform.rotation, it.transform.translation
+        own = np.eye(4)
+        x, y, z, w = turn.x, turn.y, turn.z, turn.w
+        own[:3, :3] = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+        own[:3, 3] = place.x, place.y, place.z
+        whole = whole @ own
+    tip = messages.tip_pose(state(arm), "map")
+    assert tip is not None
+    shown = sent(tip, "geometry_msgs/msg/PoseStamped").pose.position
+    assert whole[:3, 3] == pytest.approx([shown.x, shown.y, shown.z], abs=1e-6)
+
+
+def test_a_tip_that_is_not_known_is_not_shown() -> None:
+    assert messages.tip_pose(state(tip=None), "world") is None
+
+
+def test_markers_that_are_gone_are_deleted() -> None:
+    obstacles = [{"name": "a", "disc": {"centre": [2.0, 2.0], "radius": 0.3}}]
+    markers = messages.Markers(FoxgloveScene({**told(), "obstacles": obstacles}), "planar16", 4.0, "world")
+    first = sent(markers.array(state(target={"position": [0.5, 2.8]})), "visualization_msgs/msg/MarkerArray").markers
+    assert len(first) == 16 + 2
+    assert len({(it.ns, it.id) for it in first}) == 18
+    markers.scene = FoxgloveScene({**told(), "obstacles": []})
+    second = sent(markers.array(state()), "visualization_msgs/msg/MarkerArray").markers
+    assert {it.ns for it in second if it.action == messages.DELETE} == {"planar16 goal", "planar16 obstacles"}
+    assert len(second) == 16 + 2
+
+
+def test_diagnostics_are_in_words() -> None:
+    fault = {"code": "board-lost", "source": "can0/5", "message": "board can0/5 is silent"}
+    told = {
+        "buses": [{"name": "can0", "state": "connected", "load": 0.1}],
+        "boards": [{"bus": "can0", "node": 5, "state": "lost"}],
+        "loop": {"late_worst": 0.001},
+        "executor": "connected",
+    }
+    fields = messages.diagnostics("a", state(mode="fault", reason="can0/5 is silent", faults=[fault]), told)
+    found = {it.name: it for it in sent(fields, "diagnostic_msgs/msg/DiagnosticArray").status}
+    assert {name: int(it.level) for name, it in found.items()} == {
+        "a: arm": messages.FAULTY,
+        "a: can0/5: board-lost": messages.FAULTY,
+        "a: bus can0": messages.OK,
+        "a: board can0/5": messages.FAULTY,
+        "a: loop": messages.OK,
+    }
+    assert found["a: arm"].message == "fault: can0/5 is silent"
+    assert [(it.key, it.value) for it in found["a: bus can0"].values] == [("load", "0.1")]
+
+
+@pytest.mark.parametrize("arm", ["planar16", "motor12", "platform8"])
+def test_the_robot_is_one_tree_with_a_joint_an_actuator(arm: str) -> None:
+    robot = ElementTree.fromstring(urdf(arm, "world", chain(arm)))
+    links = [it.get("name") for it in robot.iter("link")]
+    joints = {it.get("name"): it for it in robot.iter("joint")}
+    assert len(set(links)) == len(links) == len(joints) + 1
+    assert {name for name, it in joints.items() if it.get("type") == "prismatic"} == set(chain(arm).actuators)
+    parents = {it.find("child").get("link"): it.find("parent").get("link") for it in joints.values()}  # type: ignore[union-attr]
+    assert set(links) - set(parents) == {"world"}
+    assert parents[f"{arm}/tip"] == f"{arm}/{len(chain(arm).modules)}"
+
+
+def test_angles_about_fixed_axes_give_the_frame() -> None:
+    for roll, pitch, yaw in ((0.1, 0.2, 0.3), (-2.0, 1.2, 3.0), (0.4, np.pi / 2, 0.0), (0.4, -np.pi / 2, 0.0)):
+        c, s = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+        x = np.array([[1, 0, 0], [0, c[0], -s[0]], [0, s[0], c[0]]])
+        y = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]])
+        z = np.array([[c[2], -s[2], 0], [s[2], c[2], 0], [0, 0, 1]])
+        frame = np.eye(4)
+        frame[:3, :3] = z @ y @ x
+        assert angles(frame) == pytest.approx((roll, pitch, yaw))
