@@ -91,7 +91,11 @@ class Client:
         raise Unanswered(f"no daemon for arm {self._arm!r} answered on {self._prefix}/{key}")
 
     def subscribe(self, key: str, callback: Callable[[Message], None]) -> zenoh.Subscriber[None]:
-        """Calls `callback` with each message on `key`: state, feedback, result or diagnostics."""
+        """Calls `callback` with each message on `key`: state, feedback, result or diagnostics.
+
+        Undeclare the subscriber before the session is closed, for instance by a `with` statement: Zenoh logs samples
+        that arrive during the close as errors, on the standard output.
+        """
         return self._session.declare_subscriber(f"{self._prefix}/{key}", lambda sample: callback(decoded(sample)))
 
     def next_message(self, key: str, timeout: float = 10.0) -> Message:
