@@ -185,10 +185,12 @@ class ArmView:
             self._replay = ReplayClock()
             self._replay.hear(payload)
             self.history.set_clock(self._replay)
-        elif self._replay.hear(payload):
+        elif (moved := self._replay.hear(payload)) is None:
+            return
+        elif moved == "back":
             self.history.rewind()
         else:
-            return
+            self.history.skip()
         self.publish_history()
 
     def _draw(self, state: Message) -> None:
