@@ -53,7 +53,7 @@ def test_in_a_fault_the_last_known_pose_is_drawn_and_the_unknown_is_marked(troub
     shown.press(".cell.unknown")
     shown.says("#actuators .detail", "measured unknown, last known extended")
     told(trouble, shown, **FAULT, measured=measured)
-    shown.picture("panel-fault.png")
+    shown.picture("more/panel-fault.png")
     told(trouble, shown, **{**FAULT, "mode": "unknown", "reason": "no executor"}, measured=[None] * COUNT)
     eventually(lambda: shown.run(DRAWN, UNKNOWN) > 200)
     assert len(shown.all(".cell.unknown")) == COUNT
@@ -99,7 +99,7 @@ def test_go_waits_while_another_goal_runs_or_the_arm_is_not_ready(trouble: Troub
     assert shown.text("#goal .plan") == "", "the plan began in another state"
     eventually(lambda: shown.run(DRAWN, PLANNED) < 400)
     told(trouble, shown, mode="executing", goal="of-another", reason="to the goal")
-    shown.picture("panel-other.png")
+    shown.picture("more/panel-other.png")
     told(trouble, shown, mode="stopped", reason="stopped by hall")
     shown.says("#goal .why", "stopped")
     assert not enabled(shown)
@@ -123,7 +123,7 @@ def test_the_deviation_is_an_outline(trouble: Trouble, driver: object) -> None:
     trouble.daemon.planned = {"position": [0.4, 2.9], "excursion": 1.5}
     try:
         shown = planned(trouble, driver)
-        shown.picture("panel-deviation.png")
+        shown.picture("more/panel-deviation.png")
     finally:
         trouble.daemon.planned = {}
     eventually(lambda: shown.run(DRAWN, PLANNED) > 600)
