@@ -1,5 +1,7 @@
 """The page in a browser, with a fake daemon: unknown positions, and plans that are out of date."""
 
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -18,6 +20,22 @@ FAULT: dict[str, Any] = {
     "tip": None,
     "commanded": None,
 }
+
+
+@pytest.fixture(autouse=True)
+def heard(trouble: Trouble) -> Iterator[None]:
+    """The daemon repeats its latest state, so that the arm is not silent."""
+    ended = threading.Event()
+
+    def repeat() -> None:
+        while not ended.wait(0.3):
+            trouble.daemon.repeat()
+
+    thread = threading.Thread(target=repeat)
+    thread.start()
+    yield
+    ended.set()
+    thread.join()
 
 
 def opened(trouble: Trouble, driver: object, **fields: Any) -> Shown:
