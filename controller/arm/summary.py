@@ -8,6 +8,8 @@ from controller.arm.arm import Arm
 from controller.armfile.terminals import named_boards
 from controller.workspace.hull import build_hull
 
+MOST_NAMED = 6  # in a line of the summary
+
 
 def summarize(arm: Arm) -> dict[str, Any]:
     """Returns the fields of `hyperbit check --json` that say what an arm is.
@@ -27,6 +29,9 @@ def summarize(arm: Arm) -> dict[str, Any]:
         "actuators": len(manipulator.actuators),
         "log2_configurations": math.fsum(math.log2(states) for states in manipulator.states.tolist()),
         "boards": {bus.name: boards[bus.name] for bus in settings.buses},
+        "two_outputs": [f"{each.module}.{each.actuator}" for each in settings.actuators if each.output_off is not None],
+        "pulsed": [f"{each.module}.{each.actuator}" for each in settings.actuators if each.pulse is not None],
+        "interlocks": list(settings.interlocks),
         "length": manipulator.length,
         "reach": min(build_hull(manipulator).reach, manipulator.length),
         "travel_time": arm.travel_time,
@@ -38,12 +43,19 @@ def summary_lines(fields: dict[str, Any]) -> list[tuple[str, str]]:
     modules = ", ".join(f"{count} {kind}" for kind, count in fields["modules"].items())
     buses = ", ".join(f"{count} on {bus}" for bus, count in fields["boards"].items())
     digits = fields["log2_configurations"]
+    wired = (("two outputs", "two_outputs"), ("pulsed", "pulsed"), ("interlocks", "interlocks"))
     return [
         ("modules", modules),
         ("actuators", str(fields["actuators"])),
         ("configurations", f"2^{digits:.0f}" if digits == round(digits) else f"2^{digits:.1f}"),
         ("boards", buses or "none"),
+        *((what, shortened(fields[name])) for what, name in wired if fields[name]),
         ("length", f"{fields['length']:.4g}"),
         ("reach", f"{fields['reach']:.4g} from the base"),
         ("travel time", f"{fields['travel_time']:g} s"),
     ]
+
+
+def shortened(names: list[str]) -> str:
+    """Returns names in a line, of many only the first and how many follow."""
+    return ", ".join(names[:MOST_NAMED]) + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")

@@ -83,9 +83,22 @@ def tags_of(kind: Any) -> tuple[str, list[object]] | None:
     return str(tagged[0].tag_field), [config.tag for config in tagged]
 
 
-def number_hint(value: object, kind: Any) -> str:
-    """Returns what to write in place of a number that is given as text, e.g. "; write 0.1 (seconds)"; else ""."""
-    match = NUMBER.fullmatch(value.strip()) if isinstance(value, str) and takes_number(kind) else None
+def hint_of(value: object, kind: Any) -> str:
+    """Returns what to write in place of a value that does not suit a type, e.g. "; write 0.1 (seconds)"; else ""."""
+    unit = description_of(kind)
+    in_unit = f"; {unit}" if unit else ""
+    if isinstance(value, str) and takes(kind, int, float):
+        return number_hint(value) or in_unit
+    if isinstance(value, int | float) and takes(kind, str):
+        return "; write it in quotes"
+    if isinstance(value, list) and get_origin(kind) is dict:
+        return "; a list has no names: write NAME: {...} for each"
+    return in_unit
+
+
+def number_hint(text: str) -> str:
+    """Returns what to write in place of a number that is given as text; "" if the text is no number."""
+    match = NUMBER.fullmatch(text.strip())
     if match is None:
         return ""
     number, unit = float(match[1]), match[2]
@@ -99,13 +112,24 @@ def number_hint(value: object, kind: Any) -> str:
     return f"; write {plain(number * factor)} ({name})"
 
 
-def takes_number(kind: Any) -> bool:
-    """Returns whether a type, or a member of a union, is a number."""
+def members_of(kind: Any) -> tuple[Any, ...]:
+    """Returns the members of a union; of any other type, the type."""
+    return get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+
+
+def description_of(kind: Any) -> str:
+    """Returns the description of a type, or of a member of a union: its unit, or its characters; "" without one."""
+    named = [meta.description for member in members_of(kind) for meta in getattr(member, "__metadata__", ())]
+    return next(filter(None, named), "")
+
+
+def takes(kind: Any, *plain_types: type) -> bool:
+    """Returns whether a type, or a member of a union, is one of these plain types."""
     if hasattr(kind, "__metadata__"):
         kind = kind.__origin__
     if get_origin(kind) in (Union, UnionType):
-        return any(takes_number(member) for member in get_args(kind))
-    return kind in (int, float)
+        return any(takes(member, *plain_types) for member in get_args(kind))
+    return kind in plain_types
 
 
 def plain(number: float) -> str:

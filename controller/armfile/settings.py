@@ -15,13 +15,15 @@ Count = Annotated[int, Meta(ge=1, le=10_000)]
 Bit = Annotated[int, Meta(ge=0, le=2031)]  # of 254 bytes
 Node = Annotated[int, Meta(ge=1, le=126)]  # 127 is the master's
 Word = Annotated[int, Meta(ge=0, le=0xFFFF_FFFF)]
-Travel = Annotated[float, Meta(gt=0, le=60)]
-Margin = Annotated[float, Meta(ge=0, le=10)]
-Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
+Travel = Annotated[float, Meta(gt=0, le=60, description="in seconds")]
+Margin = Annotated[float, Meta(ge=0, le=10, description="in seconds")]
+NAME = "1 to 64 letters, digits, _ and -"
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z", description=NAME)]
 Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
 Direction = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
 Sides = Annotated[list[Positive], Meta(min_length=2, max_length=3)]
-Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832)]  # greater values are degrees or mistakes
+# Greater angles are degrees or mistakes.
+Angle = Annotated[float, Meta(ge=-6.2832, le=6.2832, description="in radians")]
 Quaternion = Annotated[list[Coordinate], Meta(min_length=4, max_length=4)]
 Diagonal = Literal["BC", "AD"]  # of a truss module
 PaperMethod = Literal["pop", "ipop-previous", "ipop-contracted"]
@@ -160,7 +162,7 @@ class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
     name: Name
     channel: str
     interface: Literal["socketcan", "virtual"] = "socketcan"
-    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000
+    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000, description="in bit/s")] = 1_000_000
 
 
 class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -179,9 +181,9 @@ class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
 class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """Settings of all boards; `nodes` has those of single boards. Times are seconds."""
 
-    heartbeat: Annotated[float, Meta(ge=0.01, le=10)] = 0.1
-    heartbeat_timeout: Annotated[float, Meta(ge=0.02, le=30)] = 0.35
-    boot_timeout: Annotated[float, Meta(gt=0, le=120)] = 3.0
+    heartbeat: Annotated[float, Meta(ge=0.01, le=10, description="in seconds")] = 0.1
+    heartbeat_timeout: Annotated[float, Meta(ge=0.02, le=30, description="in seconds")] = 0.35
+    boot_timeout: Annotated[float, Meta(gt=0, le=120, description="in seconds")] = 3.0
     on_loss: OnLoss = "hold"
     error_state: ErrorState | None = None
     shared_rpdo: bool = False
@@ -198,7 +200,7 @@ class TrackerSettings(Struct, forbid_unknown_fields=True, frozen=True):
     noise: Positive
     clamp: Positive
     drift: Positive | None = None
-    hold: Annotated[float, Meta(gt=0, le=86_400)] = 300.0
+    hold: Annotated[float, Meta(gt=0, le=86_400, description="in seconds")] = 300.0
 
 
 class RealTimeSettings(Struct, forbid_unknown_fields=True, frozen=True):
@@ -252,7 +254,7 @@ class ActuatorSettings(Struct, forbid_unknown_fields=True, frozen=True):
     node: Node
     output: Bit | BitSettings
     output_off: Bit | BitSettings | None = None
-    pulse: Annotated[float, Meta(ge=0.01, le=10)] | None = None
+    pulse: Annotated[float, Meta(ge=0.01, le=10, description="in seconds")] | None = None
     input: Bit | InputSettings | None = None
     input_contracted: Bit | InputSettings | None = None
     travel_time: Travel | TravelSettings | None = None
@@ -269,9 +271,10 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     modules: Annotated[list[ModuleSettings], Meta(min_length=1)]
     tolerance: ToleranceSettings
     travel_time: Travel | TravelSettings = 0.05
-    rest_time: Annotated[float, Meta(ge=0, le=3600)] = 0.0
+    rest_time: Annotated[float, Meta(ge=0, le=3600, description="in seconds")] = 0.0
     inrush: Count | None = None
-    planner_timeout: Annotated[float, Meta(ge=0.5, le=60)] = 1.0  # of silence until the executor holds
+    # Silence of the planner until the executor holds.
+    planner_timeout: Annotated[float, Meta(ge=0.5, le=60, description="in seconds")] = 1.0
     base: FrameSettings = FrameSettings([0.0, 0.0])
     workspace: WorkspaceSettings = WorkspaceSettings()
     method: Method = MINIMUM_SWITCH

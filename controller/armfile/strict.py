@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get
 import msgspec
 from msgspec import Struct
 
-from controller.armfile.choices import must_be, number_hint, tags_of, unknown_field, values_of, wrong_choice
+from controller.armfile.choices import description_of, hint_of, must_be, tags_of, unknown_field, values_of, wrong_choice
 
 if TYPE_CHECKING:
     import yaml
@@ -156,7 +156,9 @@ def validate(value: Any, kind: Any, path: str, faults: list[str]) -> None:
     except msgspec.ValidationError as error:
         text, _, inner = str(error).partition(" - at `$")
         inner = inner.rstrip("`") if inner else ""
-        hint = "" if inner else number_hint(value, kind)
+        hint = "" if inner else hint_of(value, kind)
+        if not inner and (form := description_of(kind)) and " matching regex " in text:
+            text, hint = f"{text.partition(' matching')[0]} of {form}", ""
         faults.append(f"{(path + inner).lstrip('.') or 'file'}: {text} (given: {shown(value)}){hint}")
     except UnicodeEncodeError:  # a lone surrogate, which JSON and YAML can contain
         faults.append(f"{path.lstrip('.') or 'file'}: a lone surrogate is no text (given: {shown(value)})")

@@ -73,7 +73,7 @@ class CommandFailed(Exception):
 class Named(Struct, frozen=True):
     """The field of an arm's file that clients of its daemon need."""
 
-    name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z")]
+    name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z", description="1 to 64 letters, digits, _ and -")]
 
 
 def refusal(answer: Mapping[str, Any], arm: str) -> CommandFailed:

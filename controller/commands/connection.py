@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from controller.network.client import Client
 
+# Zenoh logs to the standard output. A sample that is on its way while a subscriber is undeclared is an error to it.
+LOG = "error,zenoh::api::session=off"
 START = "start it by: hyperbit run ARM.yaml (--simulate without hardware), or name its endpoint by --connect"
 
 
@@ -50,7 +52,7 @@ def open_session(connect: str, zenoh_file: Path | None) -> zenoh.Session:
 
     from controller.network import session
 
-    zenoh.init_log_from_env_or("error")
+    zenoh.init_log_from_env_or(LOG)
     try:
         return zenoh.open(client_config(connect, zenoh_file))
     except zenoh.ZError as error:

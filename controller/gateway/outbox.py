@@ -90,6 +90,7 @@ class Outbox:
         self._put_results = deque[tuple[float, int]]()  # when each has left the process [s], and its number
         self._wake: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._full = self._closing = False
+        self._poses = 0  # number of changes
         self._publishers = {
             key: session.declare_publisher(f"{prefix}/{key}", encoding=JSON, congestion_control=control)
             for key, control in PUBLISHED.items()
@@ -100,10 +101,14 @@ class Outbox:
     def publish(self, key: Literal["state", "diagnostics", "feedback", "result", "@request"], payload: Payload) -> None:
         """Publishes on a key. A `state` or `diagnostics` replaces the one that waits; a `result` is a put's refusal."""
         if key in LATEST:
-            self._latest[key] = payload
+            self._latest[key] = {**payload, "poses": self._poses} if key == "state" else payload
             self._wake_up()
         else:
             self._put(self._first if key == "feedback" else self._second, (None, key, payload))
+
+    def count_poses_change(self) -> None:
+        """Counts a change of the saved poses: the next `state` has another number, at which clients read the poses."""
+        self._poses += 1
 
     def publish_result(self, result: PublishResult) -> None:
         """Marks the result of an accepted goal, publishes it, and posts `Published` when it has left the process.

@@ -275,7 +275,9 @@ class PosesWay(Way):
         message = decode_poses(arrival.payload)
         if message.goal is not None:
             self._planner.decoder.decode("goal", msgspec.json.encode(message.goal))
-        self._answer(arrival, self._poses.change(message))
+        answer = self._poses.change(message)
+        self._outbox.count_poses_change()
+        self._answer(arrival, answer)
 
 
 class ResultWay(Way):

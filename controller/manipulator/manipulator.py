@@ -107,9 +107,7 @@ class Manipulator:
             end = start + len(self.modules[i].actuators)
             state = codes.get(whole[8 * start : 8 * end])
             if state is None:
-                raise ValueError(
-                    f"module {i + 1} has no configuration with actuator states {states[start:end].tolist()}"
-                )
+                raise ValueError(f"module {i + 1} has no state in which {excluded(self.modules[i], states[start:end])}")
             result.append(state)
             start = end
         return np.array(result, dtype=np.int64)
@@ -140,6 +138,14 @@ class Manipulator:
         """For each module, its first state for each code: actuator states as bytes of int64."""
         every = [module.bits.astype(np.int64) for module in self.modules]
         return [{code.tobytes(): k for k, code in reversed(list(enumerate(codes)))} for codes in every]
+
+
+def excluded(module: Module, states: NDArray[np.generic]) -> str:
+    """Returns in words the actuator states (A,) that no state of a module has, such as "left is extended"."""
+    alone = [not (module.bits[:, k] == state).any() for k, state in enumerate(states)]  # because it is locked otherwise
+    named = zip(module.actuators, states, alone, strict=True)
+    words = ("contracted", "extended")
+    return " and ".join(f"{name} is {words[bool(state)]}" for name, state, odd in named if odd or not any(alone))
 
 
 @njit("f8[:,::1](f8[:,::1], f8[:,:,:,::1], i8[:])", cache=True, nogil=True, boundscheck=True)

@@ -95,7 +95,11 @@ class Client:
         self._session.put(f"{self._prefix}/{key}", payload, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def subscribe(self, key: str, callback: Callable[[Message], None]) -> zenoh.Subscriber[None]:
-        """Calls `callback` with each message on `key`: state, feedback, result or diagnostics."""
+        """Calls `callback` with each message on `key`: state, feedback, result or diagnostics.
+
+        Undeclare the subscriber before the session is closed, for instance by a `with` statement: Zenoh logs samples
+        that arrive during the close as errors, on the standard output.
+        """
         return self._session.declare_subscriber(f"{self._prefix}/{key}", lambda sample: callback(decoded(sample)))
 
     def next_message(self, key: str, timeout: float = 10.0) -> Message:

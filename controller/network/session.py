@@ -73,5 +73,5 @@ def reachable(session: zenoh.Session, config: zenoh.Config) -> Callable[[], bool
 
 
 def reason(error: zenoh.ZError) -> str:
-    """Returns the message of a Zenoh error, without the places in Zenoh's source."""
-    return str(error).split(" at /")[0].strip()
+    """Returns the message of a Zenoh error, without the places in Zenoh's source and its notation of endpoints."""
+    return str(error).split(" at /")[0].split(" to any of [")[0].strip()

@@ -26,6 +26,7 @@ LIGHTEST, DARKEST = 0.88, 0.55
 # Densities within this factor of the greatest are all drawn in the darkest gray.
 SATURATED = 1000.0
 SLIMMEST = 0.4
+LABELS = 36  # [points] between plane axes and the legend below them, for the numbers and the name of the x axis
 CROWDED = 60  # lines of one spatial arm, drawn thinner from there on
 
 
@@ -202,9 +203,16 @@ def draw_goals(axes: Any, subplot: Subplot, dimension: int) -> tuple[NDArray[np.
 
 def add_legend(axes: Any) -> None:
     """Adds the legend below the axes."""
+    from matplotlib.transforms import ScaledTranslation
+
     count = len(axes.get_legend_handles_labels()[1])
-    if count:
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=count if count <= 4 else 3, frameon=False)
+    if not count:
+        return
+    below: dict[str, Any] = {"bbox_to_anchor": (0.5, -0.1)}
+    if axes.name != "3d":  # a length, not a part of the height: a flat picture has labels below its axes as well
+        down = ScaledTranslation(0.0, -LABELS / 72, axes.figure.dpi_scale_trans)
+        below = {"bbox_to_anchor": (0.5, 0.0), "bbox_transform": axes.transAxes + down}
+    axes.legend(loc="upper center", ncols=count if count <= 4 else 3, frameon=False, **below)
 
 
 def styled(subplot: Subplot) -> Iterator[tuple[str, Configuration, str, float]]:

@@ -63,6 +63,10 @@ class SimulatedArm:
         self._since = 0.0  # UNIX time of the last answer or result [s]; states before it are old
         self._subscriber = client.subscribe("state", self._hear)
 
+    def close(self) -> None:
+        """Ends the subscription; before the session, which otherwise logs samples that arrive meanwhile as errors."""
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+
     def _hear(self, message: Message) -> None:
         self._state = message
 
@@ -219,7 +223,7 @@ def simulated(past: RecordingReader, file: Path | None) -> Iterator[SimulatedArm
                 live = stack.enter_context(zenoh.open(config))
             time.sleep(POLL)
         client = stack.enter_context(contextlib.closing(Client(live, past.arm, lambda: zenoh.open(config))))
-        arm = SimulatedArm(client, process.poll)
+        arm = stack.enter_context(contextlib.closing(SimulatedArm(client, process.poll)))
         arm.wait_ready(STARTING)
         yield arm
 

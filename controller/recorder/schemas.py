@@ -63,6 +63,7 @@ TOPICS: dict[str, Schema] = {
         tip=optional(TARGET),
         goal=optional(TEXT),
         waypoint=optional(INTEGER),
+        poses=INTEGER,
         faults=array(FAULT),
         degraded=array(fields(actuator=TEXT, state=INTEGER)),
     ),

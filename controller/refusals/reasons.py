@@ -47,7 +47,7 @@ class Reason(enum.Enum):
     NESTED_TOO_DEEPLY = "nested-too-deeply", "{what} is nested too deeply"
     NO_OBJECT = "no-object", "{what}: an object with {fields} is needed"
     INVALID_FIELDS = "invalid-fields", "{faults}"
-    UNKNOWN_ACTUATOR = "unknown-actuator", "{field}: {actuator} is no actuator of this arm; they are {first} to {last}"
+    UNKNOWN_ACTUATOR = "unknown-actuator", "{field}: {actuator} is no actuator of this arm; {known}"
     WRONG_DIMENSION = "wrong-dimension", "{where}: {count} coordinates, this arm's positions have {dimension}"
 
     # --- waypoints: controller/motion/decoding
@@ -67,6 +67,7 @@ class Reason(enum.Enum):
     TIMES_NOT_INCREASING = (
         "times-not-increasing",
         "{where}.t: {t} does not come after {earlier}",
+        "give each waypoint a time `t` in seconds, later than the one before",
     )
     TIMES_TOO_CLOSE = "times-too-close", "{where}: {apart} s apart, the actuators need {needed} s"
     ARRIVED_TOO_LATE = (
@@ -158,12 +159,12 @@ class Reason(enum.Enum):
     START_COLLIDES = (
         "start-collides",
         "the motion from the arm's present state would collide: {collision}",
-        "jog single actuators away from the obstacle, or remove it: hyperbit obstacles {arm}",
+        "jog single actuators away from the obstacle, or remove one that was sent: hyperbit obstacles {arm} --none",
     )
     ARM_IN_OBSTACLE = (
         "arm-in-obstacle",
         "the arm may not move from where it stands: {collision}",
-        "remove the obstacle: hyperbit obstacles {arm}",
+        "remove the obstacle; one that was sent: hyperbit obstacles {arm} --none",
     )
     UNKNOWN_STATE = "unknown-state", "unknown state: {why}; switch single actuators with `jog`", JOG
     STATE_IN_BETWEEN = (

@@ -102,7 +102,10 @@ def no_motion(mode: str, why: str) -> Refusal:
 def no_actuator(field: str, label: str, actuators: Sequence[str]) -> Refusal:
     """Returns the refusal of a label in a field that is none of the labels of the arm."""
     quoted = repr(label if len(label) <= 60 else label[:57] + "...")
-    return Refusal(Reason.UNKNOWN_ACTUATOR, field=field, actuator=quoted, first=actuators[0], last=actuators[-1])
+    number = label.partition(".")[0]
+    module = [each for each in actuators if each.partition(".")[0] == number]
+    known = f"module {number} has {', '.join(module)}" if module else f"they are {actuators[0]} to {actuators[-1]}"
+    return Refusal(Reason.UNKNOWN_ACTUATOR, field=field, actuator=quoted, known=known)
 
 
 def all_faults(faults: list[str]) -> str:

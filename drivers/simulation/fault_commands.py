@@ -35,7 +35,7 @@ VERBS = {
     "lose_tpdo": Verb("board", "", "lose the next TPDO of the board"),
     "error": Verb("board", "CODE", "the board reports an error by an emergency, such as 2320 (hexadecimal)"),
     "error_over": Verb("board", "CODE", "the error is over"),
-    "stick": Verb("actuator", "STATE", "the actuator goes to an end, 0 or 1, and stays there"),
+    "stick": Verb("actuator", "STATE", "the actuator goes to an end, contracted or extended, and stays there"),
     "jam": Verb("actuator", "[POSITION]", "block the actuator where it is, or at a position from 0 to 1"),
     "release": Verb("actuator", "", "the actuator follows its valve again after stick or jam"),
     "slow": Verb("actuator", "FACTOR", "multiply its travel times; 1 is normal"),
@@ -48,6 +48,7 @@ VERBS = {
     "open": Verb("interlock", "", "open the interlock"),
     "close": Verb("interlock", "", "close the interlock"),
 }
+STATES = {"0": 0, "1": 1, "contracted": 0, "extended": 1}
 MOST_NAMED = 24  # names in a message; of more, only the first and the last
 
 
@@ -122,9 +123,9 @@ def _of_actuator(boards: SimulatedBuses, verb: str, label: str, *arguments: str 
     numbers: list[float] = []
     match verb, arguments:
         case "stick", [state]:
-            if str(state) not in ("0", "1"):
-                raise ValueError(f"{state!r} is no state: 0 is contracted, 1 is extended")
-            numbers = [int(state)]
+            if str(state) not in STATES:
+                raise ValueError(f"{state!r} is no state: contracted (0) or extended (1) is needed")
+            numbers = [STATES[str(state)]]
         case "jam", [position]:
             numbers = [min(number(position), 1.0)]
         case "slow", [factor]:

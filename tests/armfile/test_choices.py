@@ -6,12 +6,13 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
-from controller.armfile.choices import number_hint, plain, unknown_field
+from controller.armfile.choices import hint_of, plain, unknown_field
 from controller.armfile.strict import check
 
-Time = Annotated[float, Meta(gt=0)]
+Time = Annotated[float, Meta(gt=0, le=60, description="in seconds")]
+Name = Annotated[str, Meta(pattern="^[a-z]{1,8}$", description="1 to 8 small letters")]
 
 
 class Settings(Struct, forbid_unknown_fields=True):
@@ -20,6 +21,8 @@ class Settings(Struct, forbid_unknown_fields=True):
     time: Time | None = None
     count: int = 1
     note: str = ""
+    name: Name | None = None
+    gates: dict[Name, int] = field(default_factory=dict)
 
 
 def faults_of(text: str) -> list[str]:
@@ -44,8 +47,16 @@ def faults_of(text: str) -> list[str]:
         ("time: 3 V", "time: Expected `float | null`, got `str` (given: '3 V'); write a number without a unit"),
         ("time: 1e-3", "time: Expected `float | null`, got `str` (given: '1e-3'); YAML reads it as text: write 0.001"),
         ("count: 500 kbit/s", "count: Expected `int`, got `str` (given: '500 kbit/s'); write 500000 (bit/s)"),
-        ("tiem: 1", "tiem: unknown field; did you mean 'time'? Known are count, loss, note, state, time"),
-        ("zzzzz: 1", "zzzzz: unknown field; known are count, loss, note, state, time"),
+        ("time: 200", "time: Expected `float` <= 60.0 (given: 200); in seconds"),
+        ("time: soon", "time: Expected `float | null`, got `str` (given: 'soon'); in seconds"),
+        ("note: 1", 'note: Expected `str`, got `int` (given: 1); write it in quotes'),
+        ("note: 1.5", 'note: Expected `str`, got `float` (given: 1.5); write it in quotes'),
+        ("note: on", "note: Expected `str`, got `bool` (given: True); write it in quotes"),
+        ("name: a b", "name: Expected `str` of 1 to 8 small letters (given: 'a b')"),
+        ("gates: {a b: 1}", "gates.a b: Expected `str` of 1 to 8 small letters (given: 'a b')"),
+        ("gates: [1]", "gates: Expected `object`, got `array` (given: [1]); a list has no names: write NAME"),
+        ("tiem: 1", "tiem: unknown field; did you mean 'time'? Known are count, gates, loss, name, note, state, time"),
+        ("zzzzz: 1", "zzzzz: unknown field; known are count, gates, loss, name, note, state, time"),
     ],
 )  # fmt: skip
 def test_a_fault_says_what_would_be_right(text, expected):
@@ -65,5 +76,5 @@ def test_a_number_that_is_proposed_is_a_number_in_yaml(number):
 
 @given(st.text(max_size=30) | st.text("0123456789.eE+- msµ°/", max_size=12))
 def test_any_text_has_a_hint_or_none(text):
-    assert isinstance(number_hint(text, float), str)
+    assert isinstance(hint_of(text, float), str)
     assert unknown_field(text, {"a", "b"})

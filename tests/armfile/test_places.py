@@ -63,7 +63,7 @@ def test_the_file_is_right(tmp_path):
         ("on_loss: hold", "on_loss: off", "9: boards.on_loss: false, but it must be one of hold, contract; YAML"),
         ("e: 0.1\n", "e: 100ms\n", "5: travel_time: Expected `float | object`, got `str` (given: '100ms'); writ"),
         ("  heartbeat", "  hartbeat", "8: boards.hartbeat: unknown field; did you mean 'heartbeat'? Known are"),
-        ("name: finger\n", "name: a b\n", "1: name: Expected `str` matching"),
+        ("name: finger\n", "name: a b\n", "1: name: Expected `str` of 1 to 64"),
         ("{position: 0.002}", "{}", "4: tolerance.position: required, but missing"),
         ("[0.2, 0.25]", "[0.2, x]", "3: modules[1].lengths[2]: Expected `float`, got `str`"),
         # Faults that only the wiring, the geometry or the layout show.

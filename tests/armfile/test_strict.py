@@ -140,7 +140,7 @@ def test_a_right_value_becomes_the_struct():
         ({"inner": {"size": float("inf")}}, "inner.size: inf is not a finite number"),
         ({"inner": {"size": 1, "count": 1.5}}, "inner.count: Expected `int`, got `float` (given: 1.5)"),
         ({"inner": {"size": 1}, "angle": [1, float("-inf")]}, "angle[1]: -inf is not a finite number"),
-        ({"inner": {"size": 1}, "note": 5}, "note: Expected `str | null`, got `int` (given: 5)"),
+        ({"inner": {"size": 1}, "note": 5}, "note: Expected `str | null`, got `int` (given: 5); write it in quotes"),
         ({"inner": {"size": 1}, "pets": [{}]}, "pets[0].kind: required, but missing; it must be one of dog, cat"),
         (
             {"inner": {"size": 1}, "pets": [{"kind": "cow"}]},
@@ -164,7 +164,7 @@ def test_a_right_value_becomes_the_struct():
         ),
         (
             {"inner": {"size": 1}, "note": 1 << 20_000},
-            "note: Expected `str | null`, got `int` (given: a number of thousands of digits)",
+            "note: Expected `str | null`, got `int` (given: a number of thousands of digits); write it in quotes",
         ),
     ],
     ids=lambda value: str(value)[:40] if isinstance(value, str) else "",

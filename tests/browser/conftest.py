@@ -267,9 +267,8 @@ class Shown:
     def picture(self, name: str) -> None:
         """Keeps a picture of what is shown, in the folder that PICTURES names, if it does."""
         if folder := os.environ.get("PICTURES"):
-            Image.open(BytesIO(self.driver.get_screenshot_as_png())).convert("RGB").save(
-                Path(folder) / name, optimize=True
-            )
+            (path := Path(folder) / name).parent.mkdir(parents=True, exist_ok=True)
+            Image.open(BytesIO(self.driver.get_screenshot_as_png())).convert("RGB").save(path, optimize=True)
 
     def ready(self) -> None:
         """Waits until the arm is shown and ready, after a stop or a fault of a test before, too."""

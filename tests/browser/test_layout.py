@@ -30,7 +30,7 @@ def test_picture_go_and_stop_are_visible_together(trouble: Trouble, driver: obje
         shown.says(".go-bar", "3 switches")
         shown.run("window.scrollTo(0, 0)")
         told(trouble, shown, reason="a goal is planned")
-    shown.picture(f"panel-{width}x{height}.png")
+    shown.picture(f"more/panel-{width}x{height}.png")
     stage, go, stop = (shown.run(BOX, css) for css in (".stage", "#go", "#stop"))
     assert stage["height"] >= 0.25 * height
     assert stage["width"] >= 0.9 * width, "no empty column"
@@ -51,7 +51,7 @@ def test_a_finger_hits_one_actuator(trouble: Trouble, driver: object) -> None:
     assert min(cell["width"], cell["height"]) >= LEAST_TOUCHED
     shown.run("document.querySelector('#actuators').scrollIntoView()")
     told(trouble, shown, reason="at the actuators")
-    shown.picture("panel-cells.png")
+    shown.picture("more/panel-cells.png")
 
 
 def test_a_viewer_has_no_bar_of_go(trouble: Trouble, driver: object) -> None:

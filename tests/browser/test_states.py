@@ -1,5 +1,7 @@
 """The page in a browser, with a fake daemon: unknown positions, and plans that are out of date."""
 
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -18,6 +20,22 @@ FAULT: dict[str, Any] = {
     "tip": None,
     "commanded": None,
 }
+
+
+@pytest.fixture(autouse=True)
+def heard(trouble: Trouble) -> Iterator[None]:
+    """The daemon repeats its latest state, so that the arm is not silent."""
+    ended = threading.Event()
+
+    def repeat() -> None:
+        while not ended.wait(0.3):
+            trouble.daemon.repeat()
+
+    thread = threading.Thread(target=repeat)
+    thread.start()
+    yield
+    ended.set()
+    thread.join()
 
 
 def opened(trouble: Trouble, driver: object, **fields: Any) -> Shown:
@@ -59,7 +77,7 @@ def test_in_a_fault_the_last_known_pose_is_drawn_and_the_unknown_is_marked(troub
     shown.press(".cell.unknown")
     shown.says("#actuators .detail", "measured unknown, last known extended")
     told(trouble, shown, **FAULT, measured=measured)
-    shown.picture("panel-fault.png")
+    shown.picture("more/panel-fault.png")
     told(trouble, shown, **{**FAULT, "mode": "unknown", "reason": "no executor"}, measured=[None] * COUNT)
     eventually(lambda: shown.run(DRAWN, UNKNOWN) > 200)
     assert len(shown.all(".cell.unknown")) == COUNT
@@ -105,7 +123,7 @@ def test_go_waits_while_another_goal_runs_or_the_arm_is_not_ready(trouble: Troub
     assert shown.text("#goal .plan") == "", "the plan began in another state"
     eventually(lambda: shown.run(DRAWN, PLANNED) < 400)
     told(trouble, shown, mode="executing", goal="of-another", reason="to the goal")
-    shown.picture("panel-other.png")
+    shown.picture("more/panel-other.png")
     told(trouble, shown, mode="stopped", reason="stopped by hall")
     shown.says("#goal .why", "stopped")
     assert not enabled(shown)
@@ -142,7 +160,7 @@ def test_the_deviation_is_an_outline(trouble: Trouble, driver: object) -> None:
     trouble.daemon.planned = {"position": [0.4, 2.9], "excursion": 1.5}
     try:
         shown = planned(trouble, driver)
-        shown.picture("panel-deviation.png")
+        shown.picture("more/panel-deviation.png")
     finally:
         trouble.daemon.planned = {}
     eventually(lambda: shown.run(DRAWN, PLANNED) > 600)

@@ -92,6 +92,22 @@ def test_a_viewer_is_not_told_to_press_go(trouble: Trouble, driver: object) -> N
     assert "Nothing moves before Go" not in shown.text("#goal")
 
 
+def test_go_is_disabled_while_the_arm_is_silent(trouble: Trouble, driver: object) -> None:
+    shown = Shown(driver, trouble.url)
+    shown.visit("/arms/planar16", OPERATOR)
+    for k, number in enumerate(("0.5", "2.8"), 1):
+        shown.type(f"#goal .fields label:nth-child({k}) input", number)
+
+    def enabled() -> bool:
+        trouble.daemon.state()
+        return bool(shown.one("#go").is_enabled())
+
+    eventually(enabled, lambda: shown.text("#goal"))
+    shown.says("#goal .why", "Nothing is heard from the arm")
+    assert not shown.one("#go").is_enabled()
+    eventually(enabled, lambda: shown.text("#goal"))
+
+
 def test_all_arms_are_stopped_from_the_list(trouble: Trouble, driver: object) -> None:
     shown = Shown(driver, trouble.url)
     shown.visit("/", VIEWER)
@@ -109,4 +125,4 @@ def test_the_legend_names_all_that_is_drawn(trouble: Trouble, driver: object) ->
     shown = Shown(driver, trouble.url)
     shown.visit("/arms/planar16", VIEWER)
     shown.says(".legend", "measured", "commanded", "planned", "deviation", "goal", "waypoints", "obstacle")
-    shown.picture("panel-legend.png")
+    shown.picture("more/panel-legend.png")

@@ -126,10 +126,29 @@ def test_check_of_a_good_file(hyperbit):
             "actuators": 48,
             "log2_configurations": 48,
             "boards": {"can0": 16},
+            "two_outputs": [],
+            "pulsed": [],
+            "interlocks": [],
             "length": pytest.approx(4.0),
             "travel_time": pytest.approx(0.05),
         },
     }
+
+
+def test_check_names_actuators_with_two_outputs_and_interlocks(hyperbit, tmp_path):
+    arm = yaml.safe_load(Path(ARM).read_text())
+    for k, entry in enumerate(arm["actuators"][:8]):
+        entry.update({"output_off": 8 + entry["output"]}, **({"pulse": 0.02} if k == 1 else {}))
+    arm["interlocks"] = {"gate": {"bus": "can0", "node": 1, "input": 15}}
+    file = tmp_path / "arm.yaml"
+    file.write_text(yaml.safe_dump(arm))
+    code, out, err = hyperbit("check", str(file))
+    assert (code, err) == (0, "")
+    lines = [line.split(maxsplit=1) for line in out.splitlines()]
+    named = "outputs     1.left, 1.diagonal, 1.right, 2.left, 2.diagonal, 2.right and 2 more"
+    assert ["two", named] in lines
+    assert ["pulsed", "1.diagonal"] in lines
+    assert ["interlocks", "gate"] in lines
 
 
 def test_check_draws_the_arm(hyperbit, tmp_path, spatial):

@@ -197,7 +197,7 @@ def test_for_a_slow_peer_only_the_latest_state_and_diagnostics_wait(session: Fak
         outbox.publish("@request", {})
     session.taking.set()
     outbox.close(PATIENCE)
-    assert session.on("state") == [{"k": 99}]
+    assert session.on("state") == [{"k": 99, "poses": 0}]
     (diagnostics,) = session.on("diagnostics")
     assert diagnostics == {"k": 99, "queues": {"planning": 2, "outbox": 100}}
 
@@ -207,7 +207,7 @@ def test_the_last_state_is_published_at_the_end(session: FakeSession, results: R
     for k in range(10):
         outbox.publish("state", {"k": k})
     outbox.close(PATIENCE)
-    assert session.on("state")[-1] == {"k": 9}
+    assert session.on("state")[-1] == {"k": 9, "poses": 0}
 
 
 def test_while_peers_take_nothing_only_results_pile_up(session: FakeSession, results: Results) -> None:
@@ -289,7 +289,7 @@ def test_after_a_standstill_results_wait_for_peers_and_others_do_not(session: Fa
     eventually(lambda: session.sent)
     outbox.answer(FakeQuery(session), "arm", {"name": "arm"})
     eventually(lambda: len(session.sent) == 2)
-    assert session.sent == [("p/state", {}), ("p/arm", {"name": "arm"})]
+    assert session.sent == [("p/state", {"poses": 0}), ("p/arm", {"name": "arm"})]
     for _ in range(int(RECONNECTED / 0.9) + 1):
         turned = now[0] = now[0] + 0.9
         eventually(lambda turned=turned: outbox._last_reading == turned)

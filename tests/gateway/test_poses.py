@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
-from contextlib import ExitStack
+import queue
+import uuid
+from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import cast
 
 import pytest
 
@@ -13,6 +16,7 @@ from controller.gateway.poses import Poses, PosesMessage, decode_poses
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 from tests.gateway.conftest import Gateway
+from tests.waiting import eventually
 
 PICK = {"waypoints": [{"position": [0.5, 2.8]}]}
 PLACE = {"waypoints": [{"configuration": "12"}]}
@@ -119,3 +123,28 @@ def test_poses_over_zenoh(endpoint: str) -> None:
         assert (missing["accepted"], missing["reason"]) == (False, "unknown-pose")
         assert client.request("poses", {"remove": "pick"})["accepted"]
         assert gateway.planner.keys() == [], "the planner hears of no pose"
+
+
+def test_each_state_has_a_number_that_grows_when_the_poses_change(endpoint: str) -> None:
+    with ExitStack() as stack:
+        gateway = Gateway(stack, endpoint)
+        client, states = gateway.client(), queue.SimpleQueue[dict[str, object]]()
+        stack.enter_context(client.subscribe("state", states.put))
+
+        def published() -> int:
+            """Publishes states until one arrives that was queued after the call."""
+            mark = str(uuid.uuid4())
+
+            def came() -> dict[str, object] | None:
+                gateway.outbox.publish("state", {"mode": mark})
+                with suppress(queue.Empty):
+                    return state if (state := states.get(timeout=0.1))["mode"] == mark else None
+                return None
+
+            return cast(int, eventually(came)["poses"])  # type: ignore[index]
+
+        numbers = [published()]
+        for payload in ({"save": "pick", "goal": PICK}, {"remove": "far"}, {"remove": "pick"}):
+            client.request("poses", payload)
+            numbers.append(published())
+        assert numbers == [0, 1, 1, 2], "a refused change does not count"

@@ -44,7 +44,7 @@ def test_nothing_held_is_the_arm_itself():
 def test_a_configuration_that_is_left_out_cannot_be_carried():
     arm = paper_arm(2)
     reduced = lock_actuators(arm, np.array([1, -1, -1, -1, -1, -1], dtype=np.int8))
-    with pytest.raises(ValueError, match="module 1 has no configuration"):
+    with pytest.raises(ValueError, match=r"module 1 has no state in which left is contracted$"):
         transferred(np.zeros(2, dtype=np.int64), arm, reduced)
 
 

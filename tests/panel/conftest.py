@@ -69,6 +69,8 @@ class PlayedDaemon:
         self.gate.set()
         self.planned: Message = {}
         self.answer: Message = {"accepted": True, "code": 0, "message": "done"}
+        self._latest: Message | None = None
+        self._order = threading.Lock()
         self._session = zenoh.open(
             session.configuration(mode, **{"connect" if mode == "client" else "listen": endpoint})
         )
@@ -110,8 +112,16 @@ class PlayedDaemon:
             "tip": pose(self.manipulator, self.manipulator.tip(home)),
             **fields,
         }
-        self.put("state", told)
+        with self._order:
+            self._latest = told
+            self.put("state", told)
         return told
+
+    def repeat(self) -> None:
+        """Publishes the latest state again, as a daemon does whose arm stands."""
+        with self._order:
+            if self._latest is not None:
+                self.put("state", self._latest)
 
     def put(self, key: str, payload: Message) -> None:
         """Publishes a message."""

@@ -5,10 +5,12 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.testing import assert_allclose
 
 from controller.manipulator import frames
 from controller.manipulator.manipulator import Manipulator
+from controller.manipulator.module import transforms
 from controller.manipulator.notation import parse_configuration
 from controller.obstacles.obstacles import box, half_space, sphere, together
 from controller.pictures import figure5
@@ -42,6 +44,19 @@ def test_everything_is_inside_the_axes(manipulator, densities, base):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert names == ["straight", "bent", "waypoints", "targets"]
+
+
+@pytest.mark.parametrize("configurations", [{"flat": [0, 0]}, {"flat": [0, 0], "high": [1, 1]}], ids=["flat", "high"])
+def test_the_legend_is_below_the_name_of_the_axis(configurations):
+    states = [frames.planar(3.0, 0.0, 0.0), frames.planar(0.0, 3.0, 0.0)]
+    arm = Manipulator([transforms(states, planar=True)] * 2)
+    drawn = {name: np.array(states) for name, states in configurations.items()}
+    picture = figure(arm, None, [Subplot("arm", drawn)])
+    FigureCanvasAgg(picture).draw()
+    (axes,) = picture.axes
+    name, legend = axes.xaxis.label.get_window_extent(), axes.get_legend().get_window_extent()
+    assert legend.y1 <= name.y0
+    assert legend.y0 >= 0
 
 
 def test_the_density_lies_where_the_base_puts_it(manipulator, densities):

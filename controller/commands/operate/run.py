@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from controller.armfile.strict import InputFaults
+from controller.armfile.terminals import named_boards
 from controller.commands.common import ENDPOINT, ArmFile, CommandFailed, ZenohFile, densities_of, load_wired
 from controller.commands.operate.endpoints import port_taken, wait_for_router
+from controller.commands.operate.simulate import variants_of
 
 if TYPE_CHECKING:
     import zenoh
@@ -150,6 +152,9 @@ def started_executor(
         socket: socket of a running executor, or its folder; None: start one.
         ledger: path of the ledger, beside which the switch journal is written; None: the default path.
         boards: kinds of the simulated boards; None: the boards on the arm's buses.
+
+    Raises:
+        InputFaults: the arm's file is wrong, or there is no such board or kind of boards.
     """
     from controller.armfile.actuators import ending_time, read_wired
     from controller.commands.operate.executor_process import END_TIMEOUT, ExecutorProcess
@@ -158,6 +163,7 @@ def started_executor(
 
     settings, actuators, _ = read_wired(file)
     start_logging({"HYPERBIT_ARM": settings.name})
+    variants_of(boards or [], [f"{bus}/{node}" for bus, node in sorted(named_boards(settings))])
     path = socket_path(socket, settings.name)
     if socket is not None:
         yield RunningExecutor(path, lambda: None)

@@ -10,12 +10,13 @@ import typer
 
 from controller.armfile.strict import InputFaults
 from controller.commands.common import ArmFile, CommandFailed, console, errors
-from drivers.simulation.variants import VARIANTS, choose
+from drivers.simulation.variants import VARIANTS, Variant, choose
 
 if TYPE_CHECKING:
     from drivers.simulation.simulation import Simulation
 
 
+WIDEST = max(map(len, VARIANTS))
 BOARD = "Kind of the boards: KIND for all, or BOARD=KIND for one, such as can0/5=guarding-only; repeatable."
 
 
@@ -34,10 +35,7 @@ def simulate(
     from drivers.simulation.buses import board_names
     from drivers.simulation.simulation import Simulation
 
-    try:
-        variants = choose(board, board_names(arm.wiring))
-    except ValueError as error:
-        raise InputFaults(Path("--board"), [str(error)]) from None
+    variants = variants_of(board, board_names(arm.wiring))
     ending = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ending.set())
@@ -55,8 +53,20 @@ def simulate(
         simulation.stop()
 
 
+def variants_of(board: list[str], boards: list[str]) -> dict[str, Variant]:
+    """Returns the kinds of simulated boards that the option --board names, for the boards of an arm.
+
+    Raises:
+        InputFaults: there is no such board or kind.
+    """
+    try:
+        return choose(board, boards)
+    except ValueError as error:
+        raise InputFaults(Path("--board"), [str(error)]) from None
+
+
 simulate.__doc__ = f"{simulate.__doc__}\n\n\b\nKinds of boards:\n" + "\n".join(
-    f"  {name:18} {variant.text}" for name, variant in VARIANTS.items()
+    f"  {name:{WIDEST}} {variant.text}" for name, variant in VARIANTS.items()
 )
 
 

@@ -100,8 +100,7 @@ def degrade(
     """Lock actuators that are stuck, or unlock them. Nothing moves."""
     payloads = [parse_lock(change) for change in changes]
     states: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-    with connected(arm, connect, zenoh_file) as client:
-        _subscriber = client.subscribe("state", states.put)
+    with connected(arm, connect, zenoh_file) as client, client.subscribe("state", states.put):
         for payload in payloads:
             ask(client, arm, "degrade", payload, as_json)
             time.sleep(PAUSE)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import queue
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from controller.commands.common import ENDPOINT, AsJson, CommandFailed, Connect, ZenohFile, print_json
 from controller.commands.connection import START, arms_alive, open_session
+
+if TYPE_CHECKING:
+    import zenoh
 
 STATE_TIMEOUT = 2.0  # [s] for the states of all arms; each arm publishes several a second
 
@@ -19,10 +22,11 @@ def list_(connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: As
     from controller.network.client import decoded
 
     news: queue.SimpleQueue[tuple[str, dict[str, Any]]] = queue.SimpleQueue()
-    with open_session(connect, zenoh_file) as session:
-        _subscriber = session.declare_subscriber(
-            "hyperbit/*/state", lambda sample: news.put((str(sample.key_expr).split("/")[1], decoded(sample)))
-        )
+
+    def hear(sample: zenoh.Sample) -> None:
+        news.put((str(sample.key_expr).split("/")[1], decoded(sample)))
+
+    with open_session(connect, zenoh_file) as session, session.declare_subscriber("hyperbit/*/state", hear):
         names = arms_alive(session)
         states, until = dict[str, dict[str, Any]](), time.monotonic() + STATE_TIMEOUT
         while set(names) - set(states):
@@ -47,5 +51,11 @@ def print_arm(name: str, state: dict[str, Any] | None, as_json: bool) -> None:
         typer.echo(f"{name}: alive, but it publishes no state")
         return
     simulated = " (simulated)" if state.get("simulated") else ""
-    faults = "".join(f"; {fault['code']}: {fault['message']}" for fault in state["faults"])
-    typer.echo(f"{name}{simulated}: {state['mode']}, {state['reason']}{faults}")
+    typer.echo(f"{name}{simulated}: {state['mode']}, {'; '.join(reason_and_faults(state))}")
+
+
+def reason_and_faults(state: dict[str, Any]) -> list[str]:
+    """Returns the reason of a state's mode, then its faults with their codes; a fault that is the reason comes once."""
+    faults = {f"{fault['code']}: {fault['message']}": fault["message"] for fault in state["faults"]}
+    reason = next((text for text, message in faults.items() if message == state["reason"]), state["reason"])
+    return list(dict.fromkeys([reason, *faults]))

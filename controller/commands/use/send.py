@@ -55,6 +55,9 @@ def send(
     if path_tolerance is not None:
         goal["path_tolerance"] = path_tolerance
     numbers = 0 if to is None else to.count(",") + 1
+    if to is not None and numbers > 3 and numbers != 7:
+        form = "X,Y[,TH] is needed, or in space X,Y,Z[,QX,QY,QZ,QW]"
+        raise InputFaults(Path("--to"), [f"{to!r} is no goal; {form}: 2, 3 or 7 numbers"])
     if to is not None and numbers != 3:
         goal["waypoints"] = [waypoint(to, 2 if numbers < 3 else 3)]
     with connected(arm, connect, zenoh_file) as client:
@@ -117,7 +120,7 @@ def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, A
             error = "unknown" if message["error"] is None else errors_of(message)
             common.console.print(
                 f"waypoint {message['waypoint'] + 1} of {message['waypoints']}: error {error},"
-                f" {message['switches']} switches so far"
+                f" {counted(message['switches'])} so far"
             )
         elif message["accepted"]:
             common.console.print(message["message"])
@@ -142,7 +145,7 @@ def print_result(result: dict[str, Any], arm: str, as_json: bool) -> None:
         raise refusal(result, arm)
     if not as_json:
         position = ", ".join(f"{x:.4f}" for x in result["position"])
-        common.console.print(f"reached ({position}), error {errors_of(result)}, {result['switches']} switches")
+        common.console.print(f"reached ({position}), error {errors_of(result)}, {counted(result['switches'])}")
         if (why := result["message"].removeprefix("reached").lstrip("; ")) != "":
             common.console.print(why, markup=False)
 
@@ -165,6 +168,11 @@ def errors_of(message: dict[str, Any]) -> str:
     """Returns the position error in a message, and the orientation error [rad] if the goal has an orientation."""
     angle = message["orientation_error"]
     return f"{message['error']:.4f}" + ("" if angle is None else f" and {angle:.4f} rad")
+
+
+def counted(switches: int) -> str:
+    """Returns a number of switches in words."""
+    return f"{switches} {'switch' if switches == 1 else 'switches'}"
 
 
 def waypoint(to: str, dimension: int) -> dict[str, Any]:

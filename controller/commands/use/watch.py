@@ -6,6 +6,7 @@ import contextlib
 import queue
 import sys
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from rich.box import SIMPLE
@@ -27,6 +28,7 @@ from controller.commands.common import (
     print_json,
 )
 from controller.commands.connection import START, connected
+from controller.commands.use.list import reason_and_faults
 
 COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}
 
@@ -39,13 +41,14 @@ def watch(
 ) -> None:
     """Show a running arm until Ctrl-C; print changes as lines in a pipe, and states with --json."""
     news: queue.SimpleQueue[tuple[str, dict[str, Any]]] = queue.SimpleQueue()
-    with connected(arm, connect, zenoh_file) as client, contextlib.suppress(KeyboardInterrupt):
-        _subscribers = [
-            client.subscribe("state", lambda message: news.put(("state", message))),
-            client.subscribe("diagnostics", lambda message: news.put(("diagnostics", message))),
-        ]
-        view, last = View(arm_name(arm)), ""
+    with (
+        connected(arm, connect, zenoh_file) as client,
+        client.subscribe("state", lambda message: news.put(("state", message))),
+        client.subscribe("diagnostics", lambda message: news.put(("diagnostics", message))),
+        contextlib.suppress(KeyboardInterrupt),
+    ):
         in_lines = as_json or not common.console.is_terminal
+        view, last = View(arm_name(arm), [] if in_lines else client.request("arm")["actuators"]), ""
         with contextlib.ExitStack() as stack:
             live = None if in_lines else stack.enter_context(Live(view, console=common.console, auto_refresh=False))
             while True:
@@ -73,17 +76,23 @@ def line_of(state: dict[str, Any]) -> str:
     """Returns a state as one line without its time."""
     tip = state["tip"]
     where = "unknown" if tip is None else ", ".join(f"{x:.4f}" for x in tip["position"])
-    faults = "".join(f"; {fault['code']}: {fault['message']}" for fault in state["faults"])
+    reason, *faults = reason_and_faults(state)
     simulated = " (simulated)" if state.get("simulated") else ""
-    return f"{state['mode']}{simulated}: {state['reason']}; tip ({where}){faults}"
+    return "; ".join([f"{state['mode']}{simulated}: {reason}", f"tip ({where})", *faults])
 
 
 class View:
-    """Renders the latest state and diagnostics of an arm."""
+    """Renders the latest state and diagnostics of an arm.
 
-    def __init__(self, arm: str) -> None:
-        """Creates a view of the arm of this name."""
+    Args:
+        arm: name of the arm.
+        actuators: label of each actuator, such as "5.left"; a gap separates the modules.
+    """
+
+    def __init__(self, arm: str, actuators: Sequence[str]) -> None:
         self._arm = arm
+        modules = [label.partition(".")[0] for label in actuators]
+        self._firsts = {k for k in range(1, len(modules)) if modules[k] != modules[k - 1]}
         self._latest: dict[str, dict[str, Any]] = {}
 
     def receive_message(self, key: str, message: dict[str, Any]) -> None:
@@ -117,10 +126,11 @@ class View:
 
     def _actuators(self, state: dict[str, Any]) -> RenderableType:
         commanded = state["commanded"] or [None] * len(state["measured"])
-        text = Text("actuators (base first, ")
+        text = Text("actuators by module (base first, ")
         text.append("▮ extended, ▯ contracted, ").append("? unknown, ", style="yellow")
         text.append("red: not as commanded", style="red").append(")\n")
-        for wanted, is_ in zip(commanded, state["measured"], strict=True):
+        for k, (wanted, is_) in enumerate(zip(commanded, state["measured"], strict=True)):
+            text.append(" " if k in self._firsts else "")
             style = "red" if wanted is not None and is_ is not None and wanted != is_ else "none"
             text.append("?" if is_ is None else "▮" if is_ else "▯", style="yellow" if is_ is None else style)
         return text
@@ -145,7 +155,7 @@ class View:
         loop = diagnostics["loop"]
         figures = Text(
             f"control loop: longest period {loop['longest_period'] * 1e3:.1f} ms, work {loop['mean_work'] * 1e3:.2f} ms"
-            f" (longest {loop['longest_work'] * 1e3:.2f}), {loop['overruns']} overruns\n"
+            f" (longest {loop['longest_work'] * 1e3:.2f}), {loop['overruns']:.0f} overruns\n"
             f"{diagnostics['switches']} switches since start; ledger {diagnostics['ledger']}"
         )
         return Group(buses, boards, figures)

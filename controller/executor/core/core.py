@@ -81,7 +81,7 @@ class Executor:
         self._locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states, arm.continue_on_stuck)
         self.motion = motion = ArmMotion(arm, master, journal, locked, self._results, clients.to_planner)
         self.reports = Reports(arm, master, motion, locked, journal)
-        self.modes = Modes(master, motion, locked, self.reports, self._act)
+        self.modes = Modes(master, motion, locked, self.reports, self._act, simulation is not None)
         parts = ExecutorParts(arm, motion, locked, self.modes, self._act)
         self._requests = ClientRequests(parts, clients, simulated=simulation is not None)
         self.ending = Ending(parts)
@@ -185,7 +185,7 @@ class Executor:
     def _tick(self, now: float) -> None:
         if self._last_tick is None:
             self._act(Notify("READY=1"))
-            self._act(Notify(f"STATUS={self.modes.mode}: {self.modes.reason}"))
+            self.modes.notify_status()
             if (warning := self.ending.warning()) is not None:
                 self._act(Log(logging.WARNING, warning))
             self.modes.boot(self.modes.reason, now)

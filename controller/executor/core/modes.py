@@ -75,6 +75,7 @@ class Modes:
         locked: the locked actuators.
         reports: gets the flag `changed`.
         act: takes actions.
+        simulated: whether the boards are simulated.
     """
 
     def __init__(
@@ -84,22 +85,29 @@ class Modes:
         locked: LockedActuators,
         reports: Reports,
         act: Callable[[Action], None],
+        simulated: bool = False,
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being booted"
         self.epoch = 1
         self.faults = ActiveFaults(frozenset({"stuck"} if locked.continue_on_stuck else ()))
         self._master, self._motion, self._locked, self._reports, self._act = master, motion, locked, reports, act
+        self._simulated = simulated
         self._booting = self._waits = False  # a boot is under way, or waits for the end of a pulse
         self._next_try = 0.0
 
     def enter(self, mode: Mode, reason: str) -> None:
         """Enters a mode, and reports it to the log and to systemd."""
-        if (mode, reason) != (self.mode, self.reason):
+        changed = (mode, reason) != (self.mode, self.reason)
+        self.mode, self.reason, self._reports.changed = mode, reason, True
+        if changed:
             level = logging.WARNING if mode in ("fault", "stopped") else logging.INFO
             self._act(Log(level, f"{mode}: {reason}", fields_of_mode(mode)))
-            self._act(Notify(f"STATUS={mode}: {reason}"))
-        self.mode, self.reason, self._reports.changed = mode, reason, True
+            self.notify_status()
+
+    def notify_status(self) -> None:
+        """Tells systemd the mode, its reason, and whether the boards are simulated."""
+        self._act(Notify(f"STATUS={self.mode}{' (simulated)' * self._simulated}: {self.reason}"))
 
     def hold(self, status: str, message: str, reason: str, mode: Mode = "ready") -> None:
         """Ends what runs, gives up the frames that wait, and enters a mode. Every end of a motion comes here.

@@ -30,7 +30,7 @@ class PersonEntry(Struct, forbid_unknown_fields=True, frozen=True):
         token: SHA-256 of the person's token, hexadecimal; None: the person needs a client certificate.
     """
 
-    name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,32}\Z")]
+    name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,32}\Z", description="1 to 32 letters, digits, _ and -")]
     role: Role
     token: Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")] | None = None
 

@@ -9,6 +9,7 @@ Message = dict[str, Any]
 
 MOST_GOALS, MOST_LINES = 30, 200
 MOST_POINTS = 600  # of each curve over time
+SKIPPED = "skipped"  # status of a goal whose result a replay has not shown
 LONGEST = 500  # characters of a log line
 
 
@@ -44,13 +45,20 @@ class ArmHistory:
             entries.clear()
             entries.extend(kept)
         for entry in self.goals:
-            if entry.get("ended", now) > now:
-                del entry["ended"]
+            if entry["status"] == SKIPPED or entry.get("ended", now) > now:
+                entry.pop("ended", None)
+                entry.pop("message", None)
                 entry["status"] = "running"
         for curve in (self.errors, self.lateness):
             kept_points = [point for point in curve if point[0] <= now]
             curve.clear()
             curve.extend(kept_points)
+
+    def skip(self) -> None:
+        """Marks the running goals of a replay that was moved forward: their results may be in the skipped part."""
+        for entry in self.goals:
+            if entry["status"] == "running":
+                entry.update(status=SKIPPED, message="its end is in a skipped part of the recording")
 
     def say(self, text: str, kind: str = "note") -> None:
         """Adds a line to the log; `kind` is "note", "warning" or "fault"."""
@@ -106,6 +114,10 @@ class ArmHistory:
         if (mode := str(payload.get("mode"))) != self._mode:
             self._mode = mode
             self.say(f"{mode}: {payload.get('reason')}", "fault" if mode == "fault" else "note")
+        for entry in self.goals:
+            if entry["status"] == SKIPPED and entry["id"] == payload.get("goal"):
+                entry.pop("message")
+                entry["status"] = "running"
         faults = {(str(fault["code"]), str(fault["source"])): fault for fault in payload.get("faults", ())}
         for key in faults.keys() - self._faults:
             self.say(f"{key[0]}: {faults[key]['message']}", "fault" if mode == "fault" else "warning")

@@ -151,7 +151,7 @@ class ArmView:
         faults = advised(state.get("faults", ()))
         changed = self.history.state(state)
         before, self.state, self._heard, self.known = self.state, state, at, True  # the state can be read
-        described = ("goal", "obstacles", "mode")  # on a change of these, the description has changed as well
+        described = ("goal", "obstacles", "poses", "mode")  # on a change of these, the description has changed as well
         if before is None or any(state.get(name) != before.get(name) for name in described):
             self._ask("running", *(() if self.drawing else ("drawing", "density")))
         if changed:
@@ -185,10 +185,12 @@ class ArmView:
             self._replay = ReplayClock()
             self._replay.hear(payload)
             self.history.set_clock(self._replay)
-        elif self._replay.hear(payload):
+        elif (moved := self._replay.hear(payload)) is None:
+            return
+        elif moved == "back":
             self.history.rewind()
         else:
-            return
+            self.history.skip()
         self.publish_history()
 
     def _draw(self, state: Message) -> None:

@@ -3,9 +3,9 @@
 import math
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Literal
 
-BACK = 0.5  # [s]; a smaller step back is the jitter of messages
+JITTER = 0.5  # [s]; a smaller step is the jitter of messages
 
 
 class ReplayClock:
@@ -23,9 +23,10 @@ class ReplayClock:
         """Returns the present time in the recording, UNIX time [s]."""
         return min(self._at + (self._clock() - self._heard) * self._speed, self._end)
 
-    def hear(self, timeline: Mapping[str, Any]) -> bool:
-        """Accepts a payload of `timeline`; returns whether the replay was moved back."""
-        before = self()
+    def hear(self, timeline: Mapping[str, Any]) -> Literal["back", "forward"] | None:
+        """Accepts a payload of `timeline`; returns where the replay was moved to, None if it runs on."""
+        before, speed = self(), self._speed
         self._at, self._heard, self._end = float(timeline["at"]), self._clock(), float(timeline["end"])
         self._speed = 0.0 if timeline.get("paused") else float(timeline.get("speed", 1.0))
-        return self._at < before - BACK * max(self._speed, 1.0)
+        step, jitter = self._at - before, JITTER * max(speed, self._speed, 1.0)
+        return "back" if step < -jitter else "forward" if step > jitter else None

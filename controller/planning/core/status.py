@@ -60,7 +60,8 @@ class Status:
             payload = self.state()
             act(Publish("state", payload))
             self._log_faults()
-            if (status := f"STATUS={payload['mode']}: {payload['reason']}") != self._status:
+            simulated = " (simulated)" if payload["simulated"] else ""
+            if (status := f"STATUS={payload['mode']}{simulated}: {payload['reason']}") != self._status:
                 self._status = status
                 act(Notify(status))
         if now >= self._diagnosed + DIAGNOSTICS_EVERY:

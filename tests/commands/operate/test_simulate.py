@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from controller.commands.operate.simulate import WIDEST
 from drivers.simulation.variants import VARIANTS
 from tests.commands.conftest import ARM
 
@@ -15,7 +16,7 @@ def test_help_lists_the_variants(hyperbit):
     code, out, _ = hyperbit("simulate", "--help")
     assert code == 0
     for name, variant in VARIANTS.items():
-        assert f"{name:18} {variant.text}\n" in out
+        assert f"{name:{WIDEST}} {variant.text}\n" in out
 
 
 @pytest.mark.parametrize(
@@ -34,6 +35,9 @@ def test_boards_and_variants_that_are_not_there_are_unusable_input(hyperbit, wor
         text=True,
     )
     assert (run.returncode, sentence in run.stderr) == (2, True), run.stderr
+    code, out, err = hyperbit("run", str(ARM), "--simulate", "--board", word)  # before a process is started
+    assert (code, out, err) == (2, "", f"--board: {err.removeprefix('--board: ')}")
+    assert sentence in err
 
 
 def test_a_daemon_takes_them_for_simulated_boards_only(hyperbit):

@@ -8,8 +8,48 @@ import signal
 import subprocess
 import sys
 
+import pytest
+from rich.console import Console
+
 from controller.commands.connection import connected
 from controller.commands.operate import demo
+from controller.commands.use.list import print_arm
+from controller.commands.use.watch import View, line_of
+from tests.gateway.conftest import endpoint as private_endpoint  # noqa: F401
+
+INTERLOCK = {"code": "interlock", "message": "interlock gate is open"}
+STUCK = {"code": "stuck", "message": "actuator 2.1 did not move"}
+STATE = {
+    "stamp": 0.0, "mode": "fault", "reason": INTERLOCK["message"], "simulated": False, "faults": [STUCK, INTERLOCK],
+    "tip": None, "configuration": None, "goal": None, "waypoint": None, "commanded": None, "measured": [0, 1, None, 1],
+}  # fmt: skip
+# Three arms that publish thousands of states a second, until their standard input ends.
+ARMS = """
+import sys, threading, time, zenoh
+from controller.network import session
+state = b'{"mode": "fault", "reason": "a test", "faults": []}'
+with zenoh.open(session.configuration("peer", listen=sys.argv[1])) as opened:
+    publishers = [opened.declare_publisher(f"hyperbit/a{k}/state") for k in range(3)]
+    tokens = [opened.liveliness().declare_token(f"hyperbit/a{k}/alive") for k in range(3)]
+    reader = threading.Thread(target=sys.stdin.read)
+    reader.start()
+    while reader.is_alive():
+        for publisher in publishers:
+            publisher.put(state)
+        time.sleep(0.0001)
+"""
+LISTS = """
+import sys, time
+from controller.commands.common import CommandFailed
+from controller.commands.use.list import list_
+listed = 0
+while listed < 40:
+    try:
+        list_(sys.argv[1])
+        listed += 1
+    except CommandFailed:
+        time.sleep(0.05)  # the arms are being started
+"""
 
 
 def test_list_names_the_arms_that_have_a_daemon(hyperbit, endpoint):
@@ -43,3 +83,44 @@ def test_watch_prints_changes_as_lines_in_a_pipe(hyperbit, endpoint):
     assert " ready (simulated): " in first
     assert " stopped (simulated): " in second
     assert "; tip (" in second
+
+
+def test_a_fault_that_is_the_reason_of_the_mode_is_printed_once(capsys):
+    print_arm("a", STATE, as_json=False)
+    stuck = "stuck: actuator 2.1 did not move"
+    assert capsys.readouterr().out == f"a: fault, interlock: interlock gate is open; {stuck}\n"
+    assert line_of(STATE) == f"fault: interlock: interlock gate is open; tip (unknown); {stuck}"
+    ready = {**STATE, "mode": "ready", "reason": "holding", "faults": [STUCK]}
+    assert line_of(ready) == f"ready: holding; tip (unknown); {stuck}"
+
+
+@pytest.mark.parametrize(
+    ("labels", "shown"), [(["1.1", "1.2", "2.left", "2.right"], "▯▮ ?▮"), ([], "▯▮?▮")], ids=["labels", "none"]
+)
+def test_watch_separates_the_actuators_of_modules(labels, shown):
+    view = View("a", labels)
+    view.receive_message("state", STATE)
+    console = Console(width=100, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    console.print(view)
+    assert f"│ {shown} " in console.export_text()
+
+
+def test_watch_shows_whole_numbers_of_overruns(endpoint, hyperbit):
+    with connected("planar16", endpoint, None) as client:
+        diagnostics = client.next_message("diagnostics")
+    view = View("planar16", [])
+    view.receive_message("state", STATE)
+    view.receive_message("diagnostics", {**diagnostics, "loop": {**diagnostics["loop"], "overruns": 3.0}})
+    console = Console(width=200, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    console.print(view)
+    assert ", 3 overruns" in console.export_text()
+
+
+def test_states_that_arrive_at_the_end_of_list_cause_no_message(private_endpoint):  # noqa: F811
+    arms = subprocess.Popen([sys.executable, "-c", ARMS, private_endpoint], stdin=subprocess.PIPE)
+    assert arms.stdin is not None
+    with arms, arms.stdin:
+        command = [sys.executable, "-c", LISTS, private_endpoint]
+        listed = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (listed.returncode, listed.stderr) == (0, "")
+    assert set(listed.stdout.splitlines()) == {f"a{k}: fault, a test" for k in range(3)}  # Zenoh logs to stdout

@@ -13,7 +13,7 @@ import pytest
 
 from controller.commands.connection import connected
 from controller.commands.operate import demo
-from controller.commands.use.send import cancel_goal
+from controller.commands.use.send import cancel_goal, counted
 
 ARM = Path(__file__).parents[3] / "deploy" / "planar16.yaml"
 
@@ -70,6 +70,25 @@ def test_a_wrong_csv_file_of_a_goal_is_unusable_input(hyperbit, tmp_path, text, 
     code, out, err = hyperbit("send", "planar16", str(file))
     assert (code, out) == (2, "")
     assert sentence in err
+
+
+def test_a_number_of_coordinates_that_no_arm_has_is_unusable_input(hyperbit):
+    code, out, err = hyperbit("send", "planar16", "--to", "0.4,1,0,0")
+    form = "X,Y[,TH] is needed, or in space X,Y,Z[,QX,QY,QZ,QW]: 2, 3 or 7 numbers"
+    assert (code, out, err) == (2, "", f"--to: '0.4,1,0,0' is no goal; {form}\n")
+
+
+@pytest.mark.parametrize(("switches", "words"), [(0, "0 switches"), (1, "1 switch"), (2, "2 switches")])
+def test_switches_are_counted_in_words(switches, words):
+    assert counted(switches) == words
+
+
+def test_waypoints_without_times_are_refused_with_what_to_do(hyperbit, endpoint, tmp_path):
+    file = tmp_path / "goal.csv"
+    file.write_text("x,y\n0.5,2.8\n0.4,2.8\n")
+    code, out, err = hyperbit("send", "planar16", str(file), "--connect", endpoint)
+    assert (code, out) == (1, "")
+    assert err.endswith("\nNext: give each waypoint a time `t` in seconds, later than the one before\n")
 
 
 def test_send_follows_lines_within_a_path_tolerance(hyperbit, endpoint, tmp_path):

@@ -76,7 +76,7 @@ def test_an_arrival_before_a_frame_is_not_passed_over(rig):
 
 
 def test_faults_by_words(rig):
-    for line in ("stick 5.left 1", "slow 5.right 2", "lose_sensor 5.right", "silence can1/5"):
+    for line in ("stick 5.left extended", "slow 5.right 2", "lose_sensor 5.right", "silence can1/5"):
         fault_commands.perform(rig.buses, *line.split())
     rig.buses.step(1.05)
     assert rig.buses.positions() == [1.0, 0.0, 0.0]
@@ -112,7 +112,7 @@ def test_a_board_without_supply_contracts_its_actuators(rig):
         ("silence", "'silence': needed is silence BOARD: disconnect"),
         ("silence can0/5 now", "needed is silence BOARD"),
         ("stick 5.left", "needed is stick ACTUATOR STATE"),
-        ("stick 5.left 2", "'2' is no state: 0 is contracted"),
+        ("stick 5.left 2", "'2' is no state: contracted .0. or extended .1. is needed"),
         ("slow 5.left 0", "not a positive number"),
         ("slow 5.left fast", "not a positive number"),
         ("jam 5.left -1", "not a positive number"),

@@ -2,7 +2,10 @@
 
 import pytest
 
-from controller.host.process import Quit
+from controller.executor.core.core import Executor
+from controller.executor.core.events import ExecutorTick
+from controller.executor.process.switch_journal import MemoryJournal
+from controller.host.process import Notify, Quit
 from controller.program import (
     MOST_BYTES,
     VERSION,
@@ -15,6 +18,7 @@ from controller.program import (
     Ended,
     Goodbye,
     Hello,
+    PlayableFaults,
     Reset,
     Snapshot,
     Stop,
@@ -22,7 +26,8 @@ from controller.program import (
     encode,
 )
 from drivers.canopen.faults import ArmFault
-from tests.executor.rig import OPERATOR, OTHER, SIZE, Rig, ready
+from tests.executor.fake_master import FakeMaster
+from tests.executor.rig import OPERATOR, OTHER, SIZE, Rig, ready, small_arm
 
 A, B = 0b000111, 0b011100
 
@@ -166,6 +171,18 @@ def test_a_snapshot_fits_a_message_whatever_is_wrong(rig: Rig) -> None:
     assert len(rig.snapshot.faults) == 50
     assert len(encode(rig.snapshot)) < MOST_BYTES
     assert rig.mode == "fault"
+
+
+def test_systemd_is_told_that_the_boards_are_simulated() -> None:
+    core = Executor(
+        small_arm(),
+        MemoryJournal(SIZE),
+        instance=7,
+        simulation=PlayableFaults((), (), (), ()),
+        build_master=FakeMaster,
+    )
+    notified = [action.text for action in core.step(ExecutorTick(), 0.0) if isinstance(action, Notify)]
+    assert "STATUS=starting (simulated): the boards are being booted" in notified
 
 
 def test_systemd_gets_the_state_and_only_good_ticks_feed_the_watchdog(rig: Rig) -> None:

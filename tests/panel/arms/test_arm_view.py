@@ -27,3 +27,13 @@ def test_unknown_actuators_are_guessed_from_what_is_known_of_their_module(site: 
     assert partly["last"][0] is None
     site.daemon.state()
     assert page.until("bodies", lambda told: told["unknown"] == [])["measured"] == partly["measured"]
+
+
+def test_poses_that_another_client_saves_are_shown_at_once(site: Site) -> None:
+    site.daemon.told["poses"] = [{"name": "home", "goal": {}}]
+    page = site.open()
+    site.daemon.state(poses=0)
+    page.until("arm", lambda told: told["poses"])
+    site.daemon.told["poses"] = [{"name": "home", "goal": {}}, {"name": "pick", "goal": {}}]
+    site.daemon.state(poses=1)
+    page.until("arm", lambda told: [pose["name"] for pose in told["poses"]] == ["home", "pick"])

@@ -18,14 +18,15 @@ class Clock:
 def test_the_time_of_a_replay_follows_its_timeline() -> None:
     clock = Clock()
     replay = ReplayClock(clock)
-    assert not replay.hear(LINE)
+    replay.hear(LINE)
     clock.now += 3.0
     assert replay() == 1016.0
-    assert not replay.hear({**LINE, "at": 1015.8})
-    assert not replay.hear({**LINE, "at": 1020.0, "paused": True})
+    assert replay.hear({**LINE, "at": 1015.8}) is None
+    assert replay.hear({**LINE, "at": 1016.2}) is None
+    assert replay.hear({**LINE, "at": 1020.0, "paused": True}) == "forward"
     clock.now += 100.0
     assert replay() == 1020.0
-    assert replay.hear({**LINE, "at": 1005.0})
+    assert replay.hear({**LINE, "at": 1005.0}) == "back"
     clock.now += 100.0
     assert replay() == LINE["end"]
 
@@ -41,6 +42,44 @@ def test_the_history_of_a_replay_that_is_moved_back_ends_there() -> None:
     history.rewind()
     assert [(goal["id"], goal["status"]) for goal in history.goals] == [("a", "running")]
     assert list(history.lines) == list(history.errors) == []
+
+
+def test_goals_that_end_in_a_skipped_part_of_a_replay_do_not_stay_running() -> None:
+    history = ArmHistory(Clock())
+    history.goal("ended", 1)
+    history.result({"id": "ended", "status": "succeeded"})
+    for name in ("skipped", "running"):
+        history.goal(name, 2)
+    history.skip()
+    history.state({"mode": "executing", "reason": "goal running", "goal": "running"})
+    status = {goal["id"]: (goal["status"], goal.get("message")) for goal in history.goals}
+    assert status == {
+        "ended": ("succeeded", None),
+        "skipped": ("skipped", "its end is in a skipped part of the recording"),
+        "running": ("running", None),
+    }
+    history.result({"id": "skipped", "status": "succeeded", "message": "reached"})
+    assert history.goals[1]["status"] == "succeeded"
+
+
+def test_a_goal_that_was_skipped_runs_again_when_the_replay_is_moved_back() -> None:
+    clock = Clock()
+    history = ArmHistory(clock)
+    history.goal("a", 1)
+    clock.now = 50.0
+    history.skip()
+    clock.now = 6.0
+    history.rewind()
+    assert [(goal["id"], goal["status"], goal.get("message")) for goal in history.goals] == [("a", "running", None)]
+
+
+def test_the_page_marks_goals_that_a_replay_has_skipped(site: Site) -> None:
+    page = site.open()
+    site.daemon.put("timeline", {**LINE, "paused": True})
+    site.daemon.put("feedback", {"id": "a", "waypoint": 0, "waypoints": 2})
+    page.until("goals", lambda told: told["goals"] and told["goals"][0]["status"] == "running")
+    site.daemon.put("timeline", {**LINE, "at": 1090.0, "paused": True})
+    page.until("goals", lambda told: told["goals"][0]["status"] == "skipped")
 
 
 def test_goals_and_log_of_a_replay_have_the_times_of_the_recording(site: Site) -> None:

@@ -258,3 +258,10 @@ def test_systemd_is_told_the_mode_when_it_changes(bench: StatusBench) -> None:
     bench.report()
     words = [word.text for word in bench.take(Notify)]
     assert words == ["STATUS=ready: holding", "WATCHDOG=1", "STATUS=fault: a board is lost"]
+
+
+def test_systemd_is_told_that_the_boards_are_simulated(bench: StatusBench) -> None:
+    bench.parts.simulated = True
+    bench.show()
+    bench.report()
+    assert "STATUS=ready (simulated): holding" in [word.text for word in bench.take(Notify)]

@@ -34,6 +34,7 @@ export function showGoal(connection, editor, notify) {
   );
   let arm = null;
   let sent = null; // the goal that Go sent, until it has ended
+  let silent = false; // whether the arm's values are old
   let going = false; // whether the answer to Go is awaited
   let before = ""; // what the card said of the arm's state
   let about = ""; // the goal that the message is about
@@ -86,7 +87,7 @@ export function showGoal(connection, editor, notify) {
 
   function describe() {
     if (arm === null) return;
-    const obstacle = goObstacle(editor, sent);
+    const obstacle = goObstacle(editor, sent, silent);
     go.disabled = going || editor.goal === null || obstacle !== "" || document.body.classList.contains("viewer");
     const running = !go.disabled && editor.state?.mode === "executing";
     const note = running ? "Go replaces the running goal." : editor.goal === null ? "" : obstacle;
@@ -97,6 +98,14 @@ export function showGoal(connection, editor, notify) {
     if (!fields.contains(document.activeElement)) fill(fields, ...inputs(editor, arm));
     fill(words, ...planInWords(editor));
   }
+  const watch = setInterval(() => {
+    if (!go.isConnected) return clearInterval(watch); // the login form is shown
+    const now = connection.silence() !== null;
+    if (now !== silent) {
+      silent = now;
+      describe();
+    }
+  }, 200);
   describe();
 }
 
@@ -141,9 +150,10 @@ function inputs(editor, arm) {
 const REFUSED = "This goal cannot be planned.";
 
 // Why Go is not possible now; "" if it is. Go starts only what the plan shows, or replaces a goal of this page.
-function goObstacle(editor, sent) {
+function goObstacle(editor, sent, silent) {
   const { state } = editor;
   if (state === null) return "Nothing was heard from the arm yet.";
+  if (silent) return "Nothing is heard from the arm. Go is possible when it is heard again.";
   if (state.mode === "executing") {
     return sent !== null && state.goal === sent.id ? ""
       : `The arm carries out ${state.goal ? `the goal ${state.goal}` : "a motion"}: wait, or press Hold now. The goal is planned when the arm is ready.`;

@@ -2,7 +2,7 @@
 
 import { clock, el, fill, number } from "./dom.js";
 
-const MARKS = { succeeded: "✓", running: "▶", canceled: "◼", replaced: "↷", aborted: "✗" };
+const MARKS = { succeeded: "✓", running: "▶", canceled: "◼", replaced: "↷", aborted: "✗", skipped: "»" };
 
 export function showGoals(connection) {
   const list = el("ol", { class: "goals", reversed: true });
