@@ -50,7 +50,7 @@ def test_plan_does_not_switch_an_actuator_that_is_declared_stuck(hyperbit, tmp_p
         assert found["position"] == pytest.approx(line["position"])
     code, _, err = hyperbit("plan", str(file), "--goal", "0.55,2.9", "--previous", "0" * 16)
     assert code == 2
-    assert "--previous: 0000000000000000: as actuators are locked, module 3 has no configuration" in err
+    assert "--previous: 0000000000000000: as actuators are locked, module 3 has no state" in err
 
 
 @pytest.mark.parametrize(
