@@ -6,7 +6,7 @@ STEPS ?= 1000000
 # Bytecode is written when a module is first imported: pip would compile all that it installs.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo panel test page-test vm vm-test vcan-test check bench fuzz soak clean
+.PHONY: demo panel test page-test vm vm-test vcan-test ros2-test check bench fuzz soak clean
 
 demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
@@ -52,7 +52,6 @@ page-test: $(VENV)/kernels $(VENV)/page
 	$(BIN)/pytest tests/browser $(ARGS)
 
 # The wire of ROS 2 beside ROS 2's own Python packages, without rmw_zenoh, which has none. They need 540 MB, and Python 3.11.
-.PHONY: ros2-test
 ros2-test: $(VENV)/installed $(VENV)/ros2-jazzy/installed $(VENV)/ros2-kilted/installed
 	$(BIN)/pytest tests/ros2/oracle $(ARGS)
 

@@ -31,7 +31,7 @@ FIBONACCI = "test_msgs/action/Fibonacci"
 DEFINITION = "int32 order\n---\nint32[] sequence\n---\nint32[] sequence\n"
 ABSENT = ("tf2_msgs", "control_msgs")  # packages without wheels
 PLACEHOLDER, EMPTY = "structure_needs_at_least_one_member", b"\0\1\0\0\0"  # of a message without fields
-# If the program lets none of the chosen goals be canceled, rclcpp_action answers 1, as the wire does, and rclpy 0.
+# If the program lets none of the chosen goals be canceled, the wire answers 1, as CancelGoal.srv says, and rclpy 0.
 DIFFERENT = {"rejected cancel": ([1, []], [0, []])}
 LARGEST = {"int8": 7, "int16": 15, "int32": 31, "int64": 63, "uint8": 8, "uint16": 16, "uint32": 32, "uint64": 64}
 
