@@ -163,7 +163,7 @@ def modules(page: Page) -> list[str]:
 
 def targets(page: Page) -> list[str]:
     """Returns the targets of `make` that a page names."""
-    return [found[1] for line in code(page) if (found := re.match(r" *make ([a-z-]+)", line))]
+    return [found[1] for line in code(page) if (found := re.match(r" *make ([a-z0-9-]+)", line))]
 
 
 def headings(page: Page) -> set[str]:
