@@ -168,13 +168,17 @@ class ActionCore:
         if old not in BEFORE[event.status]:
             raise IllegalTransition(f"goal {event.uuid.hex()} is {old.name}, it cannot become {event.status.name}")
         goal = self.goals[event.uuid]
-        goal.status = event.status
-        if event.status > Status.CANCELING:
-            goal.ended, goal.result = now, event.result
-            waiting, goal.waiting = goal.waiting, []
-            for request in waiting:
-                yield AnswerResult(request, goal.status, goal.result)
+        if event.status is Status.EXECUTING:
+            goal.status = event.status
+        else:
+            yield from self._end(goal, event.status, event.result, now)
         yield PublishStatus(self.infos())
+
+    def _end(self, goal: Goal, status: Status, result: Any, now: float) -> Iterator[Action]:
+        goal.status, goal.result, goal.ended = status, result, now
+        waiting, goal.waiting = goal.waiting, []
+        for request in waiting:
+            yield AnswerResult(request, status, result)
 
     def _cancel(self, event: CancelRequested) -> Action:
         """Returns the question which goals may be canceled, or the answer if there are none."""
@@ -219,7 +223,8 @@ class ActionCore:
         for uuid, goal in list(self.goals.items()):
             if goal.status is Status.UNKNOWN:
                 yield from self._decide(GoalDecided(uuid, accepted=False, stamp=0))
-            elif goal.status in ACTIVE:
-                if goal.status is Status.ACCEPTED:
-                    goal.status = Status.EXECUTING
-                yield from self._change(StatusChanged(uuid, Status.ABORTED, event.result), now)
+        active = [goal for goal in self.goals.values() if goal.status in ACTIVE]
+        for goal in active:
+            yield from self._end(goal, Status.ABORTED, event.result, now)
+        if active:
+            yield PublishStatus(self.infos())
