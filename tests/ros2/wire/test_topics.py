@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
@@ -92,14 +93,15 @@ def test_messages_that_cannot_be_used_are_dropped_and_counted(connect: Connect) 
     end = HEADER + (4).to_bytes(4, "little") + b"end\0"
     eventually(lambda: (other.put(topic, end, attachment=good), got)[1])  # the route exists
     got.clear()
-    other.put(topic, end)
-    other.put(topic, end, attachment=good[:-1])
-    other.put(topic, end, attachment=b"\x0fsequence_number" + good)
-    other.put(topic, text("x" * MOST_BYTES) + b"\0", attachment=good)
-    other.put(topic, b"", attachment=good)
-    other.put(topic, HEADER + b"\xff\xff\xff\xff", attachment=good)
-    other.put(topic, text("\udcff".encode("utf-8", "surrogateescape").decode("latin-1")), attachment=good)
-    other.put(topic, end, attachment=Attachment(2, 1, GID).data)
+    put = partial(other.put, topic, congestion_control=zenoh.CongestionControl.BLOCK)  # so that none is lost
+    put(end)
+    put(end, attachment=good[:-1])
+    put(end, attachment=b"\x0fsequence_number" + good)
+    put(text("x" * MOST_BYTES) + b"\0", attachment=good)
+    put(b"", attachment=good)
+    put(HEADER + b"\xff\xff\xff\xff", attachment=good)
+    put(text("\udcff".encode("utf-8", "surrogateescape").decode("latin-1")), attachment=good)
+    put(end, attachment=Attachment(2, 1, GID).data)
     eventually(lambda: any(it.sequence == 2 for it in got))
     assert subscriber.dropped == {"attachment": 3, "size": 1, "content": 3}
     assert node.dropped() == {"/chatter": subscriber.dropped}
