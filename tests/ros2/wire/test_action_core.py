@@ -154,6 +154,26 @@ def test_goals_that_may_be_canceled_are_canceling() -> None:
     ]
 
 
+@pytest.mark.parametrize("new", [Status.EXECUTING, *ENDS])
+@pytest.mark.parametrize("old", [Status.ACCEPTED, Status.EXECUTING, Status.CANCELING, *ENDS])
+def test_the_program_makes_legal_transitions_only(old: Status, new: Status) -> None:
+    core = ActionCore()
+    accepted(core, A)
+    if old in (Status.CANCELING, Status.CANCELED):
+        core.step(events.CancelDecided(9, (A,)), 0.0)
+    if old in ENDS:
+        ended(core, A, old)
+    elif old is Status.EXECUTING:
+        core.step(events.StatusChanged(A, Status.EXECUTING), 0.0)
+    assert core.status(A) is old
+    if (old, new) in LEGAL:
+        core.step(events.StatusChanged(A, new), 0.0)
+        assert core.status(A) is new
+    elif (old, new) != (Status.CANCELING, Status.EXECUTING):  # which changes nothing
+        with pytest.raises(IllegalTransition, match=f"is {old.name}, it cannot become {new.name}"):
+            core.step(events.StatusChanged(A, new), 0.0)
+
+
 def test_a_cancel_may_come_between_acceptance_and_execution() -> None:
     core = ActionCore()
     accepted(core, A)
