@@ -1,0 +1,73 @@
+"""Kills bridge, daemon and router while goals of an action client run: each accepted goal has exactly one result.
+
+python -m tests.ros2.kills [--each 20]
+"""
+
+import argparse
+import tempfile
+import threading
+import time
+import uuid
+from collections import Counter
+from contextlib import ExitStack
+from pathlib import Path
+
+from tests.ros2.client import Client, Result
+from tests.ros2.rig import Rig, begin, result_of
+
+PLACES = ((1.4, 2.3), (-1.4, 2.3))
+
+
+def kill(rig: Rig, victim: str) -> None:
+    """Kills one and starts it again."""
+    if victim == "router":
+        rig.router.stop()
+        time.sleep(0.3)
+        rig.router.start()
+    else:
+        rig.kill(victim)
+        rig.start(victim)
+
+
+def goal_with_kill(rig: Rig, client: Client, victim: str, number: int) -> Result | None:
+    """Runs a goal, kills while it moves, and returns its result; None if it was rejected."""
+    goal = uuid.uuid4().bytes
+    if not begin(client, goal, *PLACES[number % 2]):
+        return None
+    found: list[Result] = []
+    waiting = threading.Thread(target=lambda: found.append(result_of(client, goal)))
+    waiting.start()
+    kill(rig, victim)
+    waiting.join()
+    again = result_of(client, goal)
+    assert again == found[0], f"two results of one goal: {found[0]} and {again}"
+    return again
+
+
+def run(rig: Rig, victim: str, each: int) -> Counter[str]:
+    """Runs goals with kills; returns how they ended."""
+    ends: Counter[str] = Counter()
+    client = rig.client()
+    number = 0
+    while ends.total() - ends["rejected"] < each:
+        rig.await_ready()
+        result = goal_with_kill(rig, client, victim, number)
+        ends["rejected" if result is None else result.error_string.partition(":")[0]] += 1
+        number += 1
+    return ends
+
+
+def main() -> None:
+    """Prints how the goals ended, by what was killed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--each", type=int, default=20, help="kills of each")
+    each = parser.parse_args().each
+    with ExitStack() as closing:
+        folder = Path(closing.enter_context(tempfile.TemporaryDirectory()))
+        rig = Rig(folder, closing, travel_time=1.0)
+        for victim in ("bridge", "daemon", "router"):
+            print(f"{victim}: {each} kills, {dict(run(rig, victim, each))}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

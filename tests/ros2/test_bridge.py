@@ -1,0 +1,178 @@
+"""The bridge as ROS 2 sees it, with a real daemon and simulated boards: topics, services, actions, refusals."""
+
+import math
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from controller.ros2.wire import qos
+from controller.ros2.wire.tokens import Kind
+from tests.ros2.client import ABORTED, CANCELED, SUCCEEDED, trajectory
+from tests.ros2.rig import PATIENCE, TIP, Rig, begin, result_of
+from tests.waiting import eventually
+
+pytestmark = pytest.mark.timeout(600)
+STAMPED, TRIGGER = "geometry_msgs/msg/PoseStamped", "std_srvs/srv/Trigger"
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    with ExitStack() as closing:
+        rig = Rig(tmp_path_factory.mktemp("ros2"), closing)
+        rig.await_ready()
+        yield rig
+
+
+def publish(rig: Rig, topic: str, type_name: str, fields: dict[str, Any], *words: str) -> str:
+    """Publishes a message until the bridge tells these words of it."""
+    publisher = rig.node.publisher(topic, type_name)
+    rig.said.clear()
+
+    def told() -> str:
+        publisher.publish(fields)
+        time.sleep(0.2)
+        return next((it for it in rig.said if all(word in it for word in words)), "")
+
+    try:
+        return eventually(told, PATIENCE, lambda: f"{words}: {rig.said}")
+    finally:
+        publisher.close()
+
+
+def stamped(x: float, y: float, **header: Any) -> dict[str, Any]:
+    """The fields of a PoseStamped."""
+    return {"header": header, "pose": {"position": {"x": x, "y": y}}}
+
+
+def test_the_node_and_its_endpoints_are_on_the_network(rig: Rig) -> None:
+    tokens = [it for it in rig.session.tokens() if it.namespace == "/flat"]
+    assert [it.node for it in tokens if it.kind is Kind.NODE] == ["hyperbit"]
+    found = {(it.kind, it.endpoint.name) for it in tokens if it.endpoint}
+    published = ("/flat/joint_states", "/flat/tip_pose", "/tf", "/tf_static", "/diagnostics", "/rosout")
+    assert found >= {(Kind.PUBLISHER, name) for name in (*published, "/flat/robot_description")}
+    assert found >= {(Kind.SUBSCRIBER, f"/flat/{name}") for name in ("goal_pose", "goal_path", "setpoint")}
+    assert found >= {(Kind.SERVICE, f"/flat/{name}") for name in ("stop", "reset", "cancel", "plan")}
+    for action in ("tip_controller", "actuator_controller"):
+        base = f"/flat/{action}/follow_joint_trajectory/_action"
+        assert found >= {(Kind.SERVICE, f"{base}/{name}") for name in ("send_goal", "get_result", "cancel_goal")}
+        assert found >= {(Kind.PUBLISHER, f"{base}/{name}") for name in ("feedback", "status")}
+
+
+def test_states_frames_and_diagnostics_come(rig: Rig) -> None:
+    joints = rig.hear("/flat/joint_states", "sensor_msgs/msg/JointState")
+    frames = rig.hear("/tf", "tf2_msgs/msg/TFMessage", qos.TF)
+    fixed = rig.hear("/tf_static", "tf2_msgs/msg/TFMessage", qos.TF_STATIC)
+    robot = rig.hear("/flat/robot_description", "std_msgs/msg/String", qos.LATCHED)
+    markers = rig.hear("/flat/visualization_marker_array", "visualization_msgs/msg/MarkerArray")
+    for heard in (joints, frames, fixed, robot, markers):
+        eventually(lambda heard=heard: heard, PATIENCE)
+    assert len(joints[-1].name) == len(joints[-1].position) == 48
+    assert set(joints[-1].position) <= {0.0, 1.0}
+    assert abs(joints[-1].header.stamp.sec - time.time()) < 3600
+    assert [it.child_frame_id for it in frames[-1].transforms] == [f"flat/{k}" for k in range(1, 17)]
+    assert {it.child_frame_id for it in fixed[-1].transforms} == {"flat/0", "flat/tip"}
+    assert robot[-1].data.startswith("<?xml")
+    assert len(markers[-1].markers) >= 16
+
+
+def test_services_stop_reset_and_plan(rig: Rig) -> None:
+    stop, reset = (rig.node.client(f"/flat/{name}", TRIGGER) for name in ("stop", "reset"))
+    assert stop.call({}, PATIENCE).message.success
+    refused = publish(rig, "/flat/goal_pose", STAMPED, stamped(0.4, 2.9, frame_id="world"), "refused", "stopped")
+    assert "reset" in refused
+    assert reset.call({}, PATIENCE).message.success
+    rig.await_ready()
+    plan = rig.node.client("/flat/plan", "nav_msgs/srv/GetPlan")
+    (point,) = plan.call({"goal": stamped(0.4, 2.9, frame_id="world")}, PATIENCE).message.plan.poses
+    assert math.dist((point.pose.position.x, point.pose.position.y), (0.4, 2.9)) < 0.002
+    assert not plan.call({"goal": stamped(9, 9)}, PATIENCE).message.plan.poses
+    rig.await_words("no plan", "out of reach")
+
+
+def test_a_pose_and_a_path_are_goals(rig: Rig) -> None:
+    publish(rig, "/flat/goal_pose", STAMPED, stamped(0.4, 2.9, frame_id="world"), "succeeded: reached")
+    path = {"poses": [stamped(0.45, 2.85), stamped(0.5, 2.8)]}
+    publish(rig, "/flat/goal_path", "nav_msgs/msg/Path", path, "goal_path", "succeeded: reached")
+
+
+@pytest.mark.parametrize(
+    ("topic", "fields", "words"),
+    [
+        ("goal_pose", stamped(0.4, 2.9, frame_id="map"), "frame_id: 'map', expected 'world' or 'flat/0'"),
+        ("goal_pose", stamped(math.nan, 2.9), "position.x: nan, expected a finite number"),
+        ("goal_pose", stamped(0.4, 2.9, stamp={"sec": 1_000_000_000}), "s old, expected at most 5 s, or 0"),
+        ("setpoint", stamped(0.4, math.inf), "a set-point is refused: setpoint.pose.position.y: inf"),
+    ],
+)
+def test_bad_poses_are_refused_in_words_and_nothing_moves(
+    rig: Rig, topic: str, fields: dict[str, Any], words: str
+) -> None:
+    joints = rig.hear("/flat/joint_states", "sensor_msgs/msg/JointState")
+    before = eventually(lambda: joints, PATIENCE)[-1].position.tolist()
+    publish(rig, f"/flat/{topic}", STAMPED, fields, words)
+    joints.clear()
+    assert eventually(lambda: joints, PATIENCE)[-1].position.tolist() == before
+
+
+def test_messages_that_are_none_are_counted_in_words(rig: Rig) -> None:
+    def tokens() -> list[Any]:
+        return [it for it in rig.session.tokens() if it.endpoint and it.endpoint.name == "/flat/goal_pose"]
+
+    endpoint = eventually(tokens, PATIENCE)[0].endpoint
+    key = f"0/flat/goal_pose/{endpoint.type}/{endpoint.hash}"
+    rig.said.clear()
+    for payload, attachment in ((b"\x00\x01\x00\x00\x01", bytes(33)), (bytes(2000), b""), (b"", bytes(40))):
+        rig.session.zenoh.put(key, payload, attachment=attachment)
+    rig.await_words("messages on /flat/goal_pose were dropped", "attachment")
+
+
+def test_a_goal_of_the_tip_succeeds(rig: Rig) -> None:
+    client, goal = rig.client(), uuid.uuid4().bytes
+    assert begin(client, goal, 0.5, 2.8)
+    result = result_of(client, goal)
+    assert (result.status, result.error_code) == (SUCCEEDED, 0)
+    assert result.error_string == "succeeded: reached"
+    assert result_of(client, goal) == result, "a result can be asked for again"
+    assert begin(client, uuid.uuid4().bytes, 0.3, 2.85)
+
+
+def test_a_goal_of_actuators(rig: Rig) -> None:
+    client, goal = rig.client("flat/actuator_controller/follow_joint_trajectory"), uuid.uuid4().bytes
+    joints = rig.hear("/flat/joint_states", "sensor_msgs/msg/JointState")
+    labels = list(eventually(lambda: joints, PATIENCE)[-1].name)
+    states = [float(k % 2) for k in range(48)]
+    answer = eventually(lambda: client.send(goal, trajectory(labels, [states], 0.0)), PATIENCE)
+    assert answer[0], rig.said
+    assert result_of(client, goal).status == SUCCEEDED
+    eventually(lambda: joints[-1].position.tolist() == states, PATIENCE)
+
+
+def test_goals_out_of_reach_or_of_other_joints_are_rejected_in_words(rig: Rig) -> None:
+    client = rig.client()
+    rig.said.clear()
+    assert not begin(client, uuid.uuid4().bytes, 9.0, 9.0)
+    rig.await_words(f"a goal of {TIP.removeprefix('flat/')} is rejected (code -5)", "out of reach")
+    answer = client.send(uuid.uuid4().bytes, trajectory(["elbow"], [[1.0]], 0.0))
+    assert answer is not None
+    assert not answer[0]
+    rig.await_words("code -2", "elbow, expected tip_x, tip_y")
+
+
+def test_a_running_goal_is_canceled_or_replaced(rig: Rig, tmp_path: Path) -> None:
+    with ExitStack() as closing:
+        slow = Rig(tmp_path, closing, travel_time=1.0)
+        slow.await_ready()
+        client, goals = slow.client(), [uuid.uuid4().bytes for _ in range(3)]
+        assert begin(client, goals[0], 1.4, 2.3)
+        eventually(lambda: [it for it, _ in client.feedback if it == goals[0]], PATIENCE)
+        assert begin(client, goals[1], -1.4, 2.3)
+        replaced = result_of(client, goals[0])
+        assert (replaced.status, replaced.error_string.partition(":")[0]) == (ABORTED, "replaced")
+        assert client.cancel(goals[1]).goals == [goals[1]]
+        canceled = result_of(client, goals[1])
+        assert (canceled.status, canceled.error_string.partition(":")[0]) == (CANCELED, "canceled")

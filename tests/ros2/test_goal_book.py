@@ -1,0 +1,53 @@
+"""The file of the goals that action clients wait for."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from controller.ros2 import goal_book
+from controller.ros2.goal_book import BookedGoal, GoalBook
+
+FIRST = BookedGoal("00" * 16, "tip", ("tip_x", "tip_y"), 1_700_000_000_000_000_000)
+SECOND = BookedGoal("11" * 16, "actuators", ("5.left",), 1_700_000_001_000_000_000)
+ENDED = msgspec.structs.replace(FIRST, result={"code": 0}, ended=100.0)
+
+
+def test_goals_survive_the_process(tmp_path: Path) -> None:
+    book = GoalBook(tmp_path / "deep" / "a.ros2.json")
+    book.put(FIRST)
+    book.put(SECOND)
+    assert GoalBook(tmp_path / "deep" / "a.ros2.json").goals() == [FIRST, SECOND]
+    book.remove(FIRST)
+    assert GoalBook(tmp_path / "deep" / "a.ros2.json").goals() == [SECOND]
+    assert FIRST.id == "ros2-" + "00" * 16
+
+
+def test_a_result_is_kept_for_a_while(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(goal_book.time, "time", lambda: now[0])
+    book = GoalBook(tmp_path / "a.json")
+    book.put(FIRST)
+    book.put(ENDED)
+    assert book.goals() == [ENDED]
+    now[0] += goal_book.KEPT + 1
+    book.put(SECOND)
+    assert book.goals() == [SECOND]
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b'[{"uuid": 5}]', b"\xff"])
+def test_a_damaged_file_forgets_the_goals_and_is_replaced(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.json"
+    path.write_bytes(content)
+    book = GoalBook(path)
+    assert book.goals() == []
+    book.put(FIRST)
+    assert GoalBook(path).goals() == [FIRST]
+
+
+def test_a_folder_that_cannot_be_written_harms_no_goal(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    book = GoalBook(tmp_path / "gone" / "a.json")
+    (tmp_path / "gone").rmdir()
+    book.put(FIRST)
+    assert book.goals() == [FIRST]
+    assert "a restart would forget the goals" in caplog.text
