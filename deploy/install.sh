@@ -28,7 +28,7 @@ command -v systemd-sysusers >/dev/null || fail "systemd-sysusers is missing: apt
 # A running program imports modules late and must not find another version's modules. The operator decides when the boards
 # may lose their heartbeat.
 running=
-for service in hyperbit hyperbit-executor hyperbit-panel hyperbit-recorder; do
+for service in hyperbit hyperbit-executor hyperbit-panel hyperbit-recorder hyperbit-ros2; do
   case $(systemctl is-active "$service.service" 2>/dev/null) in
   active | activating | reloading | deactivating) running="$running $service" ;;
   esac
@@ -40,7 +40,7 @@ running="$running ${instances% }"
 
 echo "installing into $prefix"
 "$python" -m venv "$prefix"
-"$prefix/bin/pip" install --quiet --upgrade "$project[panel,recorder]"
+"$prefix/bin/pip" install --quiet --upgrade "$project[panel,recorder,ros2]"
 # numba cannot load kernels compiled from another version. The first start compiles them again.
 rm -rf /var/cache/private/hyperbit/numba /var/cache/private/hyperbit-arms/*/numba
 rm -rf "$prefix/README.md" "$prefix/doc"
@@ -82,7 +82,7 @@ keep "$project/deploy/can0.network" /etc/systemd/network/80-can0.network
 keep "$project/deploy/can0.link" /etc/systemd/network/80-can0.link
 # A static group: by it the planner's user and operators may open the executor's socket.
 systemd-sysusers --inline 'g hyperbit -'
-for service in hyperbit hyperbit-executor hyperbit@ hyperbit-executor@ hyperbit-panel hyperbit-recorder; do
+for service in hyperbit hyperbit-executor hyperbit@ hyperbit-executor@ hyperbit-panel hyperbit-recorder hyperbit-ros2; do
   install -D -m 644 "$project/deploy/$service.service" "/etc/systemd/system/$service.service"
 done
 # Explanations for `journalctl -x`.
@@ -103,5 +103,6 @@ Installed and enabled. Next:
   hyperbit watch /etc/hyperbit/arm.yaml                  watch the arm
   systemctl start hyperbit-panel                         serve the operator's page, see README.md
   systemctl start hyperbit-recorder                      record the arm into /var/lib/hyperbit-recorder
+  systemctl start hyperbit-ros2                          show the arm to a ROS 2 system, see README.md
   usermod --append --groups hyperbit USER                let USER run `hyperbit halt --local`
 TEXT

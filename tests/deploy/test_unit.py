@@ -11,7 +11,7 @@ import pytest
 
 from tests.keys import DEPLOY
 
-EXECUTOR, PLANNER, PANEL, RECORDER = 1.2, 1.6, 1.5, 1.5  # greatest exposure allowed, of `systemd-analyze security`
+EXECUTOR, PLANNER, PANEL, RECORDER, ROS2 = 1.2, 1.6, 1.5, 1.5, 1.2  # greatest exposure allowed, of `systemd-analyze security`
 EXPOSURE = {
     "hyperbit-executor": EXECUTOR,
     "hyperbit": PLANNER,
@@ -19,6 +19,7 @@ EXPOSURE = {
     "hyperbit@": PLANNER,
     "hyperbit-panel": PANEL,
     "hyperbit-recorder": RECORDER,
+    "hyperbit-ros2": ROS2,
 }
 UNITS = {name: DEPLOY / f"{name}.service" for name in EXPOSURE}
 
@@ -142,6 +143,16 @@ def test_the_recorder_is_off_at_first_and_reaches_this_computer_only() -> None:
     assert "Group" not in recorder, "the executor's socket is not for it"
     assert recorder["MemoryDenyWriteExecute"] == ["yes"]
     assert "--keep" in recorder["ExecStart"][0], "recordings must not fill the disk"
+
+
+def test_the_bridge_to_ros_2_is_off_at_first_and_reaches_this_computer_only() -> None:
+    bridge, install = settings(UNITS["hyperbit-ros2"]), (DEPLOY / "install.sh").read_text()
+    assert "hyperbit-ros2" in install
+    assert "enable hyperbit-ros2" not in install.replace("--now ", "")
+    assert (bridge["IPAddressDeny"], bridge["IPAddressAllow"]) == (["any"], ["localhost"])
+    assert "AF_CAN" not in bridge["RestrictAddressFamilies"][0]
+    assert "Group" not in bridge, "the executor's socket is not for it"
+    assert bridge["StateDirectory"] == ["hyperbit-ros2"], "the goals of action clients outlive it"
 
 
 def test_units_of_instances_differ_in_names_and_folders_only() -> None:
