@@ -15,13 +15,14 @@ from controller.motion.stages.stage_sequencer import DETOUR_TIME
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 from controller.search.method import MINIMUM_SWITCH, Method
-from controller.search.solution import Solution
-from controller.search.solver import TIMEOUT
+from controller.search.solution import SearchTime, Solution
+from controller.search.solver import TIMEOUT, search_time
 from controller.search.target import distance
 
 # Time for all searches of a trajectory [s]. It is short because the arm waits. A part of it is reserved for one first
 # answer a point, which is used when the rest of the time is over. Look-ahead computes the deviation of these later.
 PLANNING_TIME, FIRST_ANSWER = 0.03, 0.0002
+DEFAULT_TIME = search_time(PLANNING_TIME)
 
 ALTERNATIVE_TIME, ALTERNATIVES = 0.25, 32  # time [s] and number of other configurations if the cheapest is blocked
 
@@ -32,22 +33,26 @@ class PointByPoint:
     Args:
         planner: of the trajectory's transitions.
         method: the search algorithm.
-        seconds: time for the searches of all points [s].
+        allowed: time of all searches together, except that `unfound` is that of each point. Only the first point's
+            search is extended by its gap, because the others are improved later.
     """
 
-    def __init__(self, planner: TransitionPlanner, method: Method, seconds: float = PLANNING_TIME) -> None:
-        count = len(planner.points)
+    def __init__(self, planner: TransitionPlanner, method: Method, allowed: SearchTime = DEFAULT_TIME) -> None:
+        count, seconds = len(planner.points), allowed.first
         self._planner, self._solver, self._method = planner, planner.solver, method
+        self._allowed = allowed
         self._seconds = seconds - min(FIRST_ANSWER * count, 0.8 * seconds)
         self._longest = max(TIMEOUT, seconds / count)  # for one search
-        self._deadline = np.inf
+        self._began = 0.0
+        self._proceed: Callable[[], bool] = lambda: False
 
-    def plan(self, previous: Configuration, proceed: Callable[[], None] = lambda: None) -> TrajectoryPlan:
+    def plan(self, previous: Configuration, proceed: Callable[[], bool] = lambda: False) -> TrajectoryPlan:
         """Returns the plan of the trajectory.
 
         Args:
             previous: configuration of the arm at the start, shape (B,).
-            proceed: called before each point; a Refusal that it raises ends the planning.
+            proceed: called before each point, and during the searches. It returns whether they must end soon; what it
+                raises ends the planning.
 
         Raises:
             Refusal: a point is out of reach (the message gives the nearest one found), no collision-free transition
@@ -55,7 +60,7 @@ class PointByPoint:
         """
         if self._solver.clearance is not None and (where := self._solver.clearance.where(previous)) is not None:
             raise Refusal(Reason.ARM_IN_OBSTACLE, collision=where)
-        self._deadline = time.perf_counter() + self._seconds
+        self._began, self._proceed = time.perf_counter(), proceed
         planned = list[PlannedTransition]()
         for point in self._planner.points:
             proceed()
@@ -95,7 +100,8 @@ class PointByPoint:
             Refusal: the point is out of reach, the time is too short, or no collision-free transition was found.
         """
         remaining, with_deviation = self._remaining(), self._with_deviation()
-        solution = self._solver.solve(point.target, previous, self._method, min(self._longest, remaining))
+        allowed = self._time(point, min(self._longest, remaining))
+        solution = self._solver.solve(point.target, previous, self._method, allowed, self._proceed)
         if not solution.within_tolerance:
             raise out_of_reach(point, solution)
         try:
@@ -103,7 +109,8 @@ class PointByPoint:
         except Blocked as blocked:
             return self._alternative(point, previous, solution, blocked)
         except Refusal:  # a search with more time may find fewer switches, which need less time
-            solution = self._solver.solve(point.target, previous, self._method)
+            allowed = self._time(point, TIMEOUT)
+            solution = self._solver.solve(point.target, previous, self._method, allowed, self._proceed)
         try:
             return self._planner.transition(point, previous, solution)
         except Blocked as blocked:
@@ -139,9 +146,15 @@ class PointByPoint:
         found = [self._planner.solution_of(point, previous, c, cheapest.bound) for c in distinct]
         return [solution for solution in found if solution.within_tolerance]
 
+    def _time(self, point: TrajectoryPoint, first: float) -> SearchTime:
+        """Returns the time of one search, whose first time is `first` [s]."""
+        _, per_switch, unfound, most = self._allowed
+        left = max(self._began + most - time.perf_counter(), 0.0)
+        return SearchTime(first, per_switch if point.index == 0 else 0.0, unfound, left)
+
     def _remaining(self) -> float:
-        """Returns the time that is left for searches [s]."""
-        return max(self._deadline - time.perf_counter(), 0.0)
+        """Returns what is left of the first time of all searches [s]."""
+        return max(self._began + self._seconds - time.perf_counter(), 0.0)
 
     def _with_deviation(self) -> bool:
         """Returns whether there is time to compute the deviation of a transition."""

@@ -130,7 +130,7 @@ def first_transition(
     keep_out: KeepOutSet,
     commanded: NDArray[np.uint8],
     planned: Staged,
-    proceed: Callable[[], None],
+    proceed: Callable[[], object],
 ) -> Staged:
     """Returns the transition to the first point of a plan from other actuator states than planned.
 
