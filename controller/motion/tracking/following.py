@@ -61,7 +61,7 @@ def stages_to(query: SetpointQuery, end: Configuration, whole: Manipulator, pace
     stager = Stager(reduced, pace, sweep_for(solver))
     for configuration in (end, *solver.candidates(target, start, ALTERNATIVES)[0]):
         try:
-            stages = stager.staged(start, configuration, None, with_deviation=False, detour_time=0.0).stages
+            stages = stager.staged(start, configuration, None, with_deviation=False).stages
             if (collision := keep_out.first_collision(commanded, stages)) is None:
                 return stages
             obstruction = obstruction or Blocked(collision)

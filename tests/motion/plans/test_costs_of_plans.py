@@ -14,7 +14,6 @@ from controller.motion.plans.plan import TrajectoryPlan
 from controller.motion.plans.point_by_point import PointByPoint
 from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.plans.whole import look_ahead, plan_whole
-from controller.motion.stages import stage_sequencer
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import Trajectory, through
 from controller.obstacles.clearance import BodyClearance
@@ -42,7 +41,6 @@ PATIENT = 60.0  # [s], so that a busy machine finds as much as an idle one
 @pytest.fixture(autouse=True, scope="module")
 def patient() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stage_sequencer, "DETOUR_TIME", PATIENT)
         patch.setattr(point_by_point, "DETOUR_TIME", PATIENT)
         patch.setattr(point_by_point, "ALTERNATIVE_TIME", PATIENT)
         yield
