@@ -215,7 +215,7 @@ def rounds(served: list[Solution]) -> Iterator[tuple[float, list[Solution]]]:
     yield 0.0, served[1:]
     yield DETOUR_TIME, served
     for k in count(1) if served else ():
-        yield DETOUR_TIME * LONGER**k, served[:: 2 * FEWER**k]
+        yield DETOUR_TIME * LONGER**k, served[:: 8 * FEWER**k]
 
 
 def staying(before: PlannedTransition, point: TrajectoryPoint) -> PlannedTransition | None:
