@@ -156,6 +156,12 @@ class WorkspaceSettings(Struct, forbid_unknown_fields=True, frozen=True):
     memory: Annotated[float, Meta(gt=0, le=65536)] = 512.0
 
 
+class PlanningSettings(Struct, forbid_unknown_fields=True, frozen=True):
+    """The time of planning that one saved switch is worth [s]."""
+
+    seconds_per_switch: Annotated[float, Meta(ge=0, le=60)] = 0.01
+
+
 class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """One CAN bus, with python-can's names."""
 
@@ -277,6 +283,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     planner_timeout: Annotated[float, Meta(ge=0.5, le=60, description="in seconds")] = 1.0
     base: FrameSettings = FrameSettings([0.0, 0.0])
     workspace: WorkspaceSettings = WorkspaceSettings()
+    planning: PlanningSettings = PlanningSettings()
     method: Method = MINIMUM_SWITCH
     on_stuck: Literal["hold", "continue"] = "hold"
     on_stop: Literal["hold", "contract"] = "hold"

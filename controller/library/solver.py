@@ -129,8 +129,8 @@ class Solver:
             goal: a goal, or a position of shape (dimension,).
             start: configuration (B,) as an array or text, or a solution or path whose end is the start; None: `home`.
             method: one of `METHODS`.
-            deadline: time for the search for fewest switches [s]. A goal with an orientation or among obstacles that
-                is not reached by then gets 0.5 s in all, or the deadline if it is longer.
+            deadline: time for the search for fewest switches [s]. A goal that is not reached by then gets 1 s in all,
+                or the deadline if it is longer.
 
         Raises:
             GoalError: the goal has another dimension than the arm, or the method or the deadline is invalid.
@@ -214,7 +214,8 @@ class Solver:
         try:
             trajectory = unhurried(self._goals(asked, path_tolerance), pace, path_tolerance)
             planner = TransitionPlanner(self._search, trajectory, pace)
-            found = plan_whole(planner, before, method, deadline * len(trajectory.times), path_deadline)
+            first = search.search_time(deadline * len(trajectory.times))
+            found = plan_whole(planner, before, method, first, path_deadline)
         except Refusal as refusal:
             raise PathError(str(refusal)) from None
         solutions = tuple(self._whole(solution) for solution in found.solutions)

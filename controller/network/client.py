@@ -18,6 +18,7 @@ Message = dict[str, Any]
 
 # Attempts until a reply comes, and the first pause between them [s]; the last attempt uses a new session.
 TRIES, PAUSE = 4, 0.1
+ANSWER_TIMEOUT = 10.0  # [s] for an answer, beside the time of planning that its payload allows
 
 
 class Unanswered(RuntimeError):
@@ -55,12 +56,16 @@ class Client:
             session.close()  # type: ignore[no-untyped-call]
         self._opened.clear()
 
-    def request(self, key: str, payload: Mapping[str, Any] | None = None, timeout: float = 10.0) -> Message:
+    def request(self, key: str, payload: Mapping[str, Any] | None = None, timeout: float | None = None) -> Message:
         """Returns the daemon's answer on `key`, such as goal, stop, plan or arm.
 
         Raises:
-            no answer came within `timeout` seconds, or the daemon does not accept this client's requests.
+            no answer came within `timeout` seconds, or the daemon does not accept this client's requests. Without a
+                `timeout`, ANSWER_TIMEOUT and the payload's deadline count together.
         """
+        if timeout is None:
+            deadline = (payload or {}).get("deadline")
+            timeout = ANSWER_TIMEOUT + (deadline if isinstance(deadline, int | float) else 0.0)
         data, number = msgspec.json.encode(payload or {}), uuid.uuid4().hex.encode()
         until = time.monotonic() + timeout
         for attempt in range(TRIES):

@@ -42,7 +42,7 @@ class KeepOutSet:
         return len(self.clearance.manipulator.actuators)
 
     def first_collision(
-        self, states: States, stages: Iterable[States], proceed: Callable[[], None] = lambda: None
+        self, states: States, stages: Iterable[States], proceed: Callable[[], object] = lambda: None
     ) -> str | None:
         """Returns the first collision of consecutive stages, in words; None if all are clear.
 

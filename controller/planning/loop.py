@@ -280,6 +280,8 @@ class Loop:
                 services.ledger.counts(counts)
             case events.Abandon(number):
                 self._workers.abandon(number)
+            case events.Hurry(number):
+                self._workers.hurry(number)
             case events.Disconnect(reason):
                 self._link.drop(reason)
             case events.Wake(at):

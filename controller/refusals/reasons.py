@@ -155,6 +155,12 @@ class Reason(enum.Enum):
         OBSTACLES,
         GOAL_TOLERANCE_VIOLATED,
     )
+    NO_WAY = (
+        "no-way",
+        "{where}: there is no collision-free transition to it; {count} configurations can be reached: {blocked}",
+        OBSTACLES,
+        GOAL_TOLERANCE_VIOLATED,
+    )
     PLAN_COLLIDES = "plan-collides", "the plan would collide: {collision}", OBSTACLES, GOAL_TOLERANCE_VIOLATED
     START_COLLIDES = (
         "start-collides",

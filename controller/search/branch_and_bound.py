@@ -125,7 +125,7 @@ class BranchAndBound:
         if self._walk is None:
             self._walk = start(target, seed, incumbent.bound)
         walk = self._walk
-        while not incumbent.proven and time.perf_counter() < until:
+        while not incumbent.over and time.perf_counter() < until:
             walk.bounds[2] = incumbent.cost
             if search(tree, maps, headings, target.query, target.scene, walk, AT_ONCE):
                 configuration = walk.configuration.copy()

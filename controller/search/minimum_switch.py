@@ -47,14 +47,12 @@ class Problem:
         target: the goal.
         seed: the configuration of cost 0, shape (B,).
         costs: cost of each module's states, at least 0, shape (B, Kmax).
-        hard_deadline: deadline, by `time.perf_counter()`, if no configuration within the tolerances is found before.
         unreachable: whether the goal is known to be unreachable.
     """
 
     target: SearchTarget
     seed: Configuration
     costs: Array
-    hard_deadline: float
     unreachable: bool = False
 
 
@@ -104,7 +102,7 @@ class MinimumSwitch:
                 yield
 
     def improve(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Runs the stages until the incumbent is proven or the deadline passes."""
+        """Runs the stages until the incumbent is proven or the deadline passes, which the gap may extend."""
         tree_search = self._quick_proof, self._branch_and_bound
         stages: tuple[Callable[[Problem, Incumbent], None], ...] = (
             self._two_lists,
@@ -125,10 +123,11 @@ class MinimumSwitch:
         for stage in stages:
             if not incumbent.proven:
                 stage(problem, incumbent)
-        if incumbent.cost == np.inf and not incumbent.proven and problem.hard_deadline > incumbent.until:
-            incumbent.until = problem.hard_deadline
-            for stage in (self._approach, self._around, *tree_search, self._four_lists, self._beams):
-                if not incumbent.proven:
+        if not incumbent.proven and incumbent.extend():
+            near = () if self._proof is not None else (self._two_lists,)  # the first time may have been too short
+            later = self._approach, self._around, *tree_search, self._four_lists, self._beams, *tree_search
+            for stage in (*near, *later):
+                if not incumbent.over:
                     stage(problem, incumbent)
         if incumbent.cost == np.inf:
             if incumbent.square == np.inf:
@@ -138,7 +137,7 @@ class MinimumSwitch:
     def repair(self, target: SearchTarget, incumbent: Incumbent) -> None:
         """Offers a configuration within the tolerances near the incumbent, otherwise the nearest found."""
         free = np.zeros(self._m.bits.shape[:2])
-        problem = Problem(target, incumbent.configuration, free, incumbent.until)
+        problem = Problem(target, incumbent.configuration, free)
         self._nearest.improve(target, incumbent)
         for most in LADDER:
             if incumbent.cost == np.inf:

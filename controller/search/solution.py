@@ -1,8 +1,10 @@
 """The incumbent of a search with its lower bound and deadline; the solution of a goal and its certificate."""
 
+import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -20,6 +22,31 @@ def proves(bound: float, cost: float) -> bool:
     return bound >= cost * (1 - EPSILON)
 
 
+class SearchTime(NamedTuple):
+    """How long one minimum-switch search may take, from its start [s]. A proof ends it sooner.
+
+    Attributes:
+        first: time in any case, except for `most`.
+        per_switch: further time for each switch that, by the lower bound, may still be saved.
+        unfound: time as long as no configuration within the tolerances is found.
+        most: the deadline.
+    """
+
+    first: float
+    per_switch: float = 0.0
+    unfound: float = 0.0
+    most: float = math.inf
+
+    def allowed(self, gap: float) -> float:
+        """Returns the time of a search [s].
+
+        Args:
+            gap: number of switches that may still be saved; infinite if no configuration is found.
+        """
+        found = self.first + gap * self.per_switch if gap < math.inf else max(self.first, self.unfound)
+        return min(found, self.most)
+
+
 class Incumbent:
     """The best configuration that one search has found, its proof, and its deadline.
 
@@ -29,11 +56,25 @@ class Incumbent:
         square: squared error, see SearchTarget.
         bound: lower bound of the cost of all configurations within the tolerances; it never falls.
         until: deadline, by `time.perf_counter()`. The stages of the search check it between parts of their work.
+
+    Args:
+        configuration: the first, shape (B,).
+        until: the first deadline.
+        later: returns the deadline after `extend`, from the difference of cost and bound; None: it stays.
+        hurried: called with each check of the deadline. It returns whether an extended search must end as soon as it
+            has a configuration; what it raises ends the search at once.
     """
 
-    def __init__(self, configuration: Configuration, until: float) -> None:
-        self.configuration, self.until = configuration, until
+    def __init__(
+        self,
+        configuration: Configuration,
+        until: float,
+        later: Callable[[float], float] | None = None,
+        hurried: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.configuration, self.until, self._later, self._hurried = configuration, until, later, hurried
         self.cost, self.square, self.bound = np.inf, np.inf, 0.0
+        self._extended = False
 
     @property
     def proven(self) -> bool:
@@ -43,7 +84,7 @@ class Incumbent:
     @property
     def late(self) -> bool:
         """Whether the deadline has passed."""
-        return time.perf_counter() > self.until
+        return self.remaining() < 0.0
 
     @property
     def over(self) -> bool:
@@ -52,18 +93,33 @@ class Incumbent:
 
     def remaining(self) -> float:
         """Returns the time until the deadline [s]."""
+        if self._hurried() and self._extended and self.cost < np.inf:
+            self.until = -np.inf
         return self.until - time.perf_counter()
+
+    def extend(self) -> bool:
+        """Lets the deadline follow the difference of cost and bound; returns whether time is left."""
+        self._extended = self._later is not None
+        self._postpone()
+        return not self.over
+
+    def _postpone(self) -> None:
+        """Sets the deadline of an extended search."""
+        if self._extended and self._later is not None and self.until > -np.inf and not self.proven:
+            self.until = self._later(self.cost - self.bound)
 
     def offer(self, configuration: Configuration, cost: float, square: float) -> bool:
         """Accepts a configuration if it is cheaper, or as cheap and nearer. Returns whether it was accepted."""
         if (cost, square) < (self.cost, self.square):
             self.configuration, self.cost, self.square = configuration, cost, square
+            self._postpone()
             return True
         return False
 
     def prove(self, bound: float) -> None:
         """Raises the bound to `bound` if it is lower."""
         self.bound = max(self.bound, bound)
+        self._postpone()
 
 
 @dataclass(frozen=True, eq=False)

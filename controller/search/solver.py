@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -18,7 +18,7 @@ from controller.obstacles.scene import scene_of
 from controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
 from controller.search.minimum_switch import MinimumSwitch, Problem
 from controller.search.paths import Paths
-from controller.search.solution import EPSILON, Incumbent, Solution
+from controller.search.solution import EPSILON, Incumbent, SearchTime, Solution
 from controller.search.target import SearchTarget, distance
 from controller.search.two_list import Candidates
 from controller.workspace.densities import Densities
@@ -29,7 +29,7 @@ Vector = NDArray[np.float64]
 IDENTITY = np.eye(4)
 
 TIMEOUT = 0.05  # [s]
-HARD_TIMEOUT = 0.5  # [s] for a goal with orientation, or among obstacles, that is not reached within TIMEOUT
+UNFOUND = 1.0  # [s] for a goal that is not reached within TIMEOUT
 
 
 class Solver:
@@ -64,6 +64,7 @@ class Solver:
         self.densities = densities
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
         self.weights, self.least_weight = manipulator.per_module(own), float(own.min())
+        self._mean_weight = float(own.mean())
         multiples = own / own.min()
         self.whole_weights = bool(np.all(np.abs(multiples - np.round(multiples)) < EPSILON / 10))
         self._paths = Paths(manipulator, densities)
@@ -135,8 +136,8 @@ class Solver:
         target: SearchTarget,
         previous: ArrayLike,
         method: Method = MINIMUM_SWITCH,
-        timeout: float = TIMEOUT,
-        hard_timeout: float = HARD_TIMEOUT,
+        timeout: SearchTime | float = TIMEOUT,
+        hurried: Callable[[], bool] = lambda: False,
     ) -> Solution:
         """Returns the solution of a target.
 
@@ -144,23 +145,27 @@ class Solver:
             target: goal and tolerances, from `target` of this solver.
             previous: configuration before, from which switches are counted, shape (B,).
             method: `minimum-switch`, or POP or IPOP (section 3.2) with its secondary criterion.
-            timeout: time of a minimum-switch search [s].
-            hard_timeout: time for a goal with orientation, or among obstacles, that is not reached in `timeout` [s].
+            timeout: time of a minimum-switch search. A number is its first time [s], see `search_time`.
+            hurried: see Incumbent.
         """
-        began = time.perf_counter()
+        began, weight = time.perf_counter(), self._mean_weight
         seed = np.asarray(previous, dtype=np.int64)
-        incumbent = Incumbent(seed, began + timeout)
+        allowed = timeout if isinstance(timeout, SearchTime) else search_time(timeout)
+
+        def later(gap: float) -> float:
+            return began + allowed.allowed(gap / weight)
+
+        incumbent = Incumbent(seed, began + allowed.allowed(0.0), later, hurried)
         if method in (MINIMUM_SWITCH, "ipop-previous", "ipop-fewest-switches") and self.feasible(target, seed):
             incumbent.offer(seed.copy(), 0.0, 0.0)
         elif method == MINIMUM_SWITCH:
             costs = switch_costs(self.manipulator, seed, self.weights)
-            hard_deadline = began + (max(timeout, hard_timeout) if target.hard else timeout)
-            self._minimum.improve(Problem(target, seed, costs, hard_deadline, self._unreachable(target)), incumbent)
+            self._minimum.improve(Problem(target, seed, costs, self._unreachable(target)), incumbent)
         else:
             best = self._paths.follow(target, seed, method)
             if target.hard and not self.feasible(target, best) and not self._unreachable(target):
-                incumbent.until = began + hard_timeout  # densities have no orientations
                 incumbent.offer(best, np.inf, target.square(self.manipulator.tip(best)))
+                incumbent.extend()  # densities have no orientations
                 self._minimum.repair(target, incumbent)
                 best = incumbent.configuration
             incumbent = Incumbent(best, incumbent.until)
@@ -223,3 +228,10 @@ class Solver:
     @cached_property
     def _minimum(self) -> MinimumSwitch:
         return MinimumSwitch(self.manipulator, self._hull, self._paths)
+
+
+def search_time(first: float, per_switch: float = 0.0, deadline: float | None = None) -> SearchTime:
+    """Returns the time of a search that goes on until a deadline as long as nothing is found; None: until UNFOUND."""
+    if deadline is None:
+        return SearchTime(first, per_switch, UNFOUND)
+    return SearchTime(first, per_switch, deadline, deadline)

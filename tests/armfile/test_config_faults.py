@@ -57,6 +57,8 @@ FAULTS = [
     ("workspace.pixel", 0, "workspace.pixel: Expected `float` > 0.0 (given: 0)"),
     ("workspace.memory", 70000, "workspace.memory: Expected `float` <= 65536.0 (given: 70000)"),
     ("method", "ipop", "method: 'ipop' is unknown"),
+    ("planning", {"seconds_per_switch": -0.1}, "planning.seconds_per_switch: Expected `float` >= 0.0 (given: -0.1)"),
+    ("planning", {"seconds_per_switch": 61}, "planning.seconds_per_switch: Expected `float` <= 60.0 (given: 61)"),
     ("boards.heartbeat", 0.001, "boards.heartbeat: Expected `float` >= 0.01 (given: 0.001)"),
     (
         "boards.heartbeat_timeout",

@@ -16,6 +16,7 @@ from controller.motion.stages.pacing import MOST_STAGES, Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through, upwards
 from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
 from controller.refusals.refusal import Refusal
+from controller.search.solver import search_time
 
 PACE = Pace(0.06)
 STAGED = Pace(0.06, inrush=2, rest=0.1)
@@ -154,7 +155,8 @@ def test_for_too_few_stages_the_search_is_given_more_time_and_then_the_line_is_n
     line = np.array([(-0.2, 2.5), (0.2, 2.25)])
     staged, single = Pace(0.06, inrush=2), Pace(0.06, inrush=1)
     planner = TransitionPlanner(solver, along(times, line, 0.002, 0.02, staged), staged)
-    found = PointByPoint(planner, "minimum-switch", 0.0).plan(home)  # the first answers have many switches
+    first = search_time(0.0)  # without time the first answers have many switches
+    found = PointByPoint(planner, "minimum-switch", first).plan(home)
     for transition, solution in list(zip(found.transitions, found.solutions, strict=True))[1:]:
         assert len(transition.stages) >= solution.switches / 2
     fast = TransitionPlanner(solver, along(np.array([0.0, 4.0]), line, 0.002, 0.02, single), single)

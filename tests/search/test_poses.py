@@ -14,7 +14,7 @@ from controller.manipulator.manipulator import Manipulator
 from controller.search import two_list
 from controller.search.branch_and_bound import BranchAndBound
 from controller.search.method import METHODS, switch_costs
-from controller.search.solution import Incumbent
+from controller.search.solution import Incumbent, SearchTime
 from controller.search.solver import Solver
 from controller.search.target import SearchTarget
 from controller.search.two_list import TwoList
@@ -85,7 +85,7 @@ def test_every_method_comes_to_poses_of_the_papers_arm(arm, densities, method):
     solver, rng = Solver(arm.manipulator, densities), np.random.default_rng(11)
     previous = rng.integers(0, 8, 16)
     for goal in arm.manipulator.tips(rng.integers(0, 8, (10, 16))):
-        found = solver.solve(solver.target(goal, 0.005, 0.03), previous, method, hard_timeout=10.0)
+        found = solver.solve(solver.target(goal, 0.005, 0.03), previous, method, SearchTime(0.05, unfound=10.0))
         assert found.within_tolerance
         previous = found.configuration
 
@@ -160,7 +160,6 @@ def test_a_pose_is_reached_even_if_branch_and_bound_takes_all_the_time_it_is_giv
     task = goal_sets.read("paper-poses")[132]
     arm = goal_sets.load_arm(task.arm).manipulator
     solver = Solver(arm, map_densities(arm, 0.02, 1 << 18))
-    solution = solver.solve(
-        solver.target(task.frame, task.tolerance, task.angle_tolerance), task.start, hard_timeout=600.0
-    )
+    asked = solver.target(task.frame, task.tolerance, task.angle_tolerance)
+    solution = solver.solve(asked, task.start, timeout=SearchTime(0.05, unfound=600.0))
     assert solution.within_tolerance

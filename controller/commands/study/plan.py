@@ -36,6 +36,7 @@ ONE_GOAL = "One goal, optionally with an orientation; spatial arms: X,Y,Z[,QX,QY
 MANY_GOALS = "Goals with columns x,y[,th] or x,y,z[,qx,qy,qz,qw], and optionally `previous`."
 PATH_TOLERANCE = "Follow straight lines between --goals within this distance."
 ANGLE_TOLERANCE = "Orientation tolerance [rad]. Default: the arm's."
+DEADLINE = "Longest time of planning [s], also for a goal that is not found. Default: see `planning` of the arm's file."
 START = "Configuration to start from. Default: all contracted."
 
 
@@ -49,10 +50,12 @@ def plan(
     angle_tolerance: Annotated[float | None, typer.Option("--turn", help=ANGLE_TOLERANCE)] = None,
     path_tolerance: Annotated[float | None, typer.Option(help=PATH_TOLERANCE)] = None,
     method: Annotated[Method | None, typer.Option(help="Search method. Default: the arm's.")] = None,
+    deadline: Annotated[float | None, typer.Option(help=DEADLINE)] = None,
     as_json: AsJson = False,
 ) -> None:
     """Search configurations for goals, without hardware."""
-    options = PlanOptions(goal, goals, configuration, previous, tolerance, angle_tolerance, path_tolerance, method)
+    tolerances = tolerance, angle_tolerance, path_tolerance
+    options = PlanOptions(goal, goals, configuration, previous, *tolerances, method, deadline)
     arm = load(file)
     task = read_task(arm, options)
     search = prepared_search(arm, options, silent=as_json)

@@ -29,6 +29,7 @@ class PlanOptions(NamedTuple):
         angle_tolerance: orientation tolerance [rad].
         path_tolerance: follow straight lines between the goals within this distance.
         method: search method.
+        deadline: longest time of planning [s].
     """
 
     goal: str | None
@@ -39,6 +40,7 @@ class PlanOptions(NamedTuple):
     angle_tolerance: float | None
     path_tolerance: float | None
     method: Method | None
+    deadline: float | None
 
 
 class WantedGoal(NamedTuple):
@@ -109,6 +111,7 @@ def check_options(options: PlanOptions) -> None:
         ("--tolerance", "length", options.tolerance),
         ("--turn", "angle", options.angle_tolerance),
         ("--path-tolerance", "length", options.path_tolerance),
+        ("--deadline", "time", options.deadline),
     )
     for name, kind, value in tolerances:
         if value is not None and not 1e-9 <= value <= 1e6:

@@ -51,6 +51,7 @@ class GoalSearch(NamedTuple):
         angle_tolerance: orientation tolerance [rad] of goals with an orientation.
         path_tolerance: follow straight lines between the goals within this distance; None: do not.
         method: search method.
+        deadline: longest time of planning [s]; None: no bound of its own.
     """
 
     arm: Arm
@@ -59,6 +60,7 @@ class GoalSearch(NamedTuple):
     angle_tolerance: float
     path_tolerance: float | None
     method: Method
+    deadline: float | None = None
 
 
 def prepared_search(arm: Arm, options: PlanOptions, *, silent: bool) -> GoalSearch:
@@ -74,6 +76,7 @@ def prepared_search(arm: Arm, options: PlanOptions, *, silent: bool) -> GoalSear
         options.angle_tolerance or arm.angle_tolerance,
         options.path_tolerance,
         options.method or arm.settings.method,
+        options.deadline,
     )
 
 
@@ -90,12 +93,15 @@ def search_each(search: GoalSearch, goals: list[WantedGoal], start: Configuratio
 
     Each search starts at the previous solution, or at the goal's own previous configuration.
     """
-    solver = search.solver
+    from controller.search.solver import TIMEOUT, search_time
+
+    solver, per_switch = search.solver, search.arm.settings.planning.seconds_per_switch
+    allowed = search_time(TIMEOUT, per_switch, search.deadline)
     for goal in goals:
         own = start if goal.previous is None else goal.previous
         angle_tolerance = np.inf if goal.orientation is None else search.angle_tolerance
         target = solver.target(goal.target(), search.tolerance, angle_tolerance)
-        found = solver.solve(target, own, search.method)
+        found = solver.solve(target, own, search.method, allowed)
         start = found.configuration
         yield PointSolution(goal.position, goal.orientation, found)
 
@@ -115,15 +121,18 @@ def follow(search: GoalSearch, goals: list[WantedGoal], start: Configuration) ->
         CommandFailed: the lines between the goals cannot be followed.
     """
     from controller.motion.plans.transitions import TransitionPlanner
-    from controller.motion.plans.whole import plan_whole, unhurried
+    from controller.motion.plans.whole import first_time, plan_whole, unhurried
     from controller.motion.stages.pacing import pace_of
+    from controller.search.solver import search_time
 
-    pace = pace_of(search.arm.settings)
+    pace, per_switch = pace_of(search.arm.settings), search.arm.settings.planning.seconds_per_switch
     for part in trajectories(goals):
         start = start if part[0].previous is None else part[0].previous
         try:
             trajectory = unhurried(as_arrays(search, part), pace, search.path_tolerance)
-            found = plan_whole(TransitionPlanner(search.solver, trajectory, pace), start, search.method)
+            planner = TransitionPlanner(search.solver, trajectory, pace)
+            first = search_time(first_time(trajectory), per_switch, search.deadline)
+            found = plan_whole(planner, start, search.method, first, search.deadline)
         except Refusal as refusal:
             if search.path_tolerance is not None:
                 raise CommandFailed(str(refusal)) from None

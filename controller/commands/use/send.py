@@ -42,6 +42,7 @@ def send(
     path_tolerance: Annotated[
         float | None, typer.Option(help="Follow straight lines between waypoints within this distance.")
     ] = None,
+    deadline: Annotated[float | None, typer.Option(help="Longest time of planning, up to 60 [s].")] = None,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
@@ -54,6 +55,8 @@ def send(
         goal["waypoints"] = [{"configuration": configuration}]
     if path_tolerance is not None:
         goal["path_tolerance"] = path_tolerance
+    if deadline is not None:
+        goal["deadline"] = deadline
     numbers = 0 if to is None else to.count(",") + 1
     if to is not None and numbers > 3 and numbers != 7:
         form = "X,Y[,TH] is needed, or in space X,Y,Z[,QX,QY,QZ,QW]"

@@ -32,6 +32,7 @@ FARTHEST_AHEAD = 86_400.0  # [s]; a stamp in milliseconds would lie centuries ah
 Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Tolerable = Annotated[float, Meta(ge=1e-9, le=1e6)]
 Time = Annotated[float, Meta(ge=0, le=sys.float_info.max)]
+PlanningSeconds = Annotated[float, Meta(gt=0, le=60)]
 # An angle, or one component of a quaternion.
 Turn = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Position = Sequence[float] | NDArray[np.float64]
@@ -60,7 +61,8 @@ class Tolerance(Struct, forbid_unknown_fields=True, frozen=True):
 class GoalMessage(Struct, forbid_unknown_fields=True, frozen=True):
     """The payload of a goal; `stamp` is t = 0 in UNIX seconds, 0 means now.
 
-    With a `path_tolerance` the tip follows the straight lines between the waypoints.
+    With a `path_tolerance` the tip follows the straight lines between the waypoints. `deadline` is the longest time of
+    its planning [s].
     """
 
     waypoints: list[Waypoint]
@@ -68,6 +70,7 @@ class GoalMessage(Struct, forbid_unknown_fields=True, frozen=True):
     stamp: Time = 0.0
     tolerance: Tolerance = Tolerance()
     path_tolerance: Tolerable | None = None
+    deadline: PlanningSeconds | None = None
 
 
 _NAMES = [b'"%s"' % name.encode() for kind in (GoalMessage, Waypoint, Tolerance) for name in kind.__struct_fields__]

@@ -19,7 +19,7 @@ from controller.motion.plans.candidate_sets import CandidateSets
 from controller.motion.plans.lookahead import LookAhead
 from controller.motion.plans.points import TrajectoryPoints
 from controller.motion.trajectory import Trajectory
-from controller.search.solution import EPSILON, proves
+from controller.search.solution import EPSILON, SearchTime, proves
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -27,7 +27,7 @@ Integers = NDArray[np.int64]
 WIDTHS = (4, 16, 64, 256, 1024, 4096, 16384)  # of layers, one after the other while there is time
 GROWTH = 5.0  # expected factor of the time from one width, or one ceiling of a proof, to the next
 WIDER = 4  # most steps of one least weight by which the ceiling rises to fill a layer
-FIRST = 0.01  # time to find one configuration that serves a point [s]; its cost is the first ceiling
+FIRST = SearchTime(0.01, unfound=0.5)  # to find one configuration that serves a point; its cost is the first ceiling
 MOST = 1 << 18  # configurations of a complete layer
 FARTHEST = 64  # points ahead for which it is checked whether a configuration serves
 

@@ -1,8 +1,9 @@
 """Plans of trajectories, point by point: each configuration is searched from the one before."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 
@@ -10,20 +11,23 @@ from controller.manipulator.manipulator import Configuration
 from controller.motion.plans.plan import TrajectoryPlan
 from controller.motion.plans.points import States, TrajectoryPoint
 from controller.motion.plans.transitions import PlannedTransition, TransitionPlanner
-from controller.motion.stages.pacing import Blocked
-from controller.motion.stages.stage_sequencer import DETOUR_TIME
+from controller.motion.stages.pacing import Blocked, Enclosed
+from controller.motion.stages.stage_sequencer import Late
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 from controller.search.method import MINIMUM_SWITCH, Method
-from controller.search.solution import Solution
-from controller.search.solver import TIMEOUT
+from controller.search.solution import SearchTime, Solution
+from controller.search.solver import TIMEOUT, search_time
 from controller.search.target import distance
 
 # Time for all searches of a trajectory [s]. It is short because the arm waits. A part of it is reserved for one first
 # answer a point, which is used when the rest of the time is over. Look-ahead computes the deviation of these later.
 PLANNING_TIME, FIRST_ANSWER = 0.03, 0.0002
+DEFAULT_TIME = search_time(PLANNING_TIME)
 
-ALTERNATIVE_TIME, ALTERNATIVES = 0.25, 32  # time [s] and number of other configurations if the cheapest is blocked
+# If the cheapest configuration is blocked: least time [s], number of other configurations, time of a first detour [s].
+ALTERNATIVE_TIME, ALTERNATIVES, DETOUR_TIME = 0.25, 32, 0.1
+LONGER, FEWER = 4, 2  # detours of the next round: so many times the time, to one in so many times fewer configurations
 
 
 class PointByPoint:
@@ -32,22 +36,26 @@ class PointByPoint:
     Args:
         planner: of the trajectory's transitions.
         method: the search algorithm.
-        seconds: time for the searches of all points [s].
+        allowed: time of all searches together, except that `unfound` is that of each point. Only the first point's
+            search is extended by its gap, because the others are improved later.
     """
 
-    def __init__(self, planner: TransitionPlanner, method: Method, seconds: float = PLANNING_TIME) -> None:
-        count = len(planner.points)
+    def __init__(self, planner: TransitionPlanner, method: Method, allowed: SearchTime = DEFAULT_TIME) -> None:
+        count, seconds = len(planner.points), allowed.first
         self._planner, self._solver, self._method = planner, planner.solver, method
+        self._allowed = allowed
         self._seconds = seconds - min(FIRST_ANSWER * count, 0.8 * seconds)
         self._longest = max(TIMEOUT, seconds / count)  # for one search
-        self._deadline = np.inf
+        self._began = 0.0
+        self._proceed: Callable[[], bool] = lambda: False
 
-    def plan(self, previous: Configuration, proceed: Callable[[], None] = lambda: None) -> TrajectoryPlan:
+    def plan(self, previous: Configuration, proceed: Callable[[], bool] = lambda: False) -> TrajectoryPlan:
         """Returns the plan of the trajectory.
 
         Args:
             previous: configuration of the arm at the start, shape (B,).
-            proceed: called before each point; a Refusal that it raises ends the planning.
+            proceed: called before each point, and during the searches. It returns whether they must end soon; what it
+                raises ends the planning.
 
         Raises:
             Refusal: a point is out of reach (the message gives the nearest one found), no collision-free transition
@@ -55,7 +63,7 @@ class PointByPoint:
         """
         if self._solver.clearance is not None and (where := self._solver.clearance.where(previous)) is not None:
             raise Refusal(Reason.ARM_IN_OBSTACLE, collision=where)
-        self._deadline = time.perf_counter() + self._seconds
+        self._began, self._proceed = time.perf_counter(), proceed
         planned = list[PlannedTransition]()
         for point in self._planner.points:
             proceed()
@@ -84,7 +92,9 @@ class PointByPoint:
             raise Refusal(Reason.GOAL_IN_OBSTACLE, where=point.place, collision=where)
         solution = self._planner.solution_of(point, previous, configuration)
         try:
-            return self._planner.transition(point, previous, solution, self._with_deviation(), DETOUR_TIME)
+            return self._planner.transition(point, previous, solution, self._with_deviation(), self._late(DETOUR_TIME))
+        except Enclosed as enclosed:
+            raise self._no_way(point, enclosed) from None
         except Blocked as blocked:
             raise Refusal(Reason.NO_CLEAR_PATH, where=point.place, blocked=str(blocked)) from None
 
@@ -95,7 +105,8 @@ class PointByPoint:
             Refusal: the point is out of reach, the time is too short, or no collision-free transition was found.
         """
         remaining, with_deviation = self._remaining(), self._with_deviation()
-        solution = self._solver.solve(point.target, previous, self._method, min(self._longest, remaining))
+        allowed = self._time(point, min(self._longest, remaining))
+        solution = self._solver.solve(point.target, previous, self._method, allowed, self._proceed)
         if not solution.within_tolerance:
             raise out_of_reach(point, solution)
         try:
@@ -103,7 +114,8 @@ class PointByPoint:
         except Blocked as blocked:
             return self._alternative(point, previous, solution, blocked)
         except Refusal:  # a search with more time may find fewer switches, which need less time
-            solution = self._solver.solve(point.target, previous, self._method)
+            allowed = self._time(point, TIMEOUT)
+            solution = self._solver.solve(point.target, previous, self._method, allowed, self._proceed)
         try:
             return self._planner.transition(point, previous, solution)
         except Blocked as blocked:
@@ -115,37 +127,95 @@ class PointByPoint:
         """Returns the transition to another configuration, or a detour to the cheapest, because that is blocked.
 
         Raises:
-            Refusal: none was found in ALTERNATIVE_TIME; the message names what blocks the cheapest.
+            Refusal: none was found in time; the message names what blocks the cheapest.
         """
-        deadline = time.perf_counter() + ALTERNATIVE_TIME
-        served = self._ranked(point, previous, cheapest)
-        for detour_time, solutions in ((0.0, served[1:]), (DETOUR_TIME, served)):  # detours last
+        least = time.perf_counter() + ALTERNATIVE_TIME
+        until = max(least, self._began + self._allowed.allowed(np.inf))
+        refusal = Refusal(Reason.NO_CLEAR_PATH, where=point.place, blocked=str(blocked))
+        for detour_time, solutions in rounds(self._ranked(point, previous, cheapest)):
+            began = time.perf_counter()
             for solution in solutions:
-                if time.perf_counter() > deadline:
-                    break
+                now = time.perf_counter()
+                if now > least and detour_time <= DETOUR_TIME:
+                    break  # the longer detours of the later rounds find more
+                if now > until or (now > least and self._proceed()):
+                    raise refusal from None
+                late = self._late(min(detour_time, until - now)) if detour_time else None
                 try:
-                    return self._planner.transition(point, previous, solution, detour_time=detour_time)
+                    return self._planner.transition(point, previous, solution, late=late)
+                except Enclosed as enclosed:
+                    return self._to_enclosed(point, previous, cheapest.bound, enclosed)
                 except (Blocked, Refusal):
                     continue
-        raise Refusal(Reason.NO_CLEAR_PATH, where=point.place, blocked=str(blocked)) from None
+            else:
+                if detour_time > time.perf_counter() - began:
+                    break  # no search needed all its time, so that more time changes nothing
+        raise refusal from None
+
+    def _to_enclosed(
+        self, point: TrajectoryPoint, previous: Configuration, bound: float, enclosed: Enclosed
+    ) -> PlannedTransition:
+        """Returns the transition to the cheapest solution of a point among all configurations that can be reached.
+
+        Raises:
+            Refusal: there is none, or the time between two points is too short for a transition to it.
+        """
+        reached = map(self._solver.manipulator.configuration, enclosed.states)
+        solutions = (self._planner.solution_of(point, previous, each, bound) for each in reached)
+        cheapest = min((s for s in solutions if s.within_tolerance), key=lambda s: s.cost, default=None)
+        if cheapest is None:
+            raise self._no_way(point, enclosed)
+        try:
+            return self._planner.transition(point, previous, cheapest, late=self._late(np.inf))
+        except Blocked as blocked:
+            raise Refusal(Reason.NO_CLEAR_PATH, where=point.place, blocked=str(blocked)) from None
+
+    def _no_way(self, point: TrajectoryPoint, enclosed: Enclosed) -> Refusal:
+        count = len(enclosed.states)
+        return Refusal(Reason.NO_WAY, where=point.place, count=count, blocked=str(enclosed))
 
     def _ranked(self, point: TrajectoryPoint, previous: Configuration, cheapest: Solution) -> list[Solution]:
         """Returns solutions of a point: the cheapest, then others by their cost, at last those of IPOP and POP."""
         others, costs = self._solver.candidates(point.target, previous, ALTERNATIVES)
         ranked = [cheapest.configuration, *(others[n] for n in np.argsort(costs, kind="stable"))]
         methods: tuple[Method, ...] = ("ipop-fewest-switches", "pop")
-        ranked += [self._solver.solve(point.target, previous, method).configuration for method in methods]
+        allowed = SearchTime(TIMEOUT, unfound=ALTERNATIVE_TIME)
+        ranked += [self._solver.solve(point.target, previous, method, allowed).configuration for method in methods]
         distinct = {c.tobytes(): c for c in ranked}.values()
         found = [self._planner.solution_of(point, previous, c, cheapest.bound) for c in distinct]
         return [solution for solution in found if solution.within_tolerance]
 
+    def _late(self, seconds: float) -> Late:
+        """Returns what ends the search for one detour after some seconds."""
+        until = time.perf_counter() + seconds
+
+        def late() -> bool:
+            self._proceed()
+            return time.perf_counter() > until
+
+        return late
+
+    def _time(self, point: TrajectoryPoint, first: float) -> SearchTime:
+        """Returns the time of one search, whose first time is `first` [s]."""
+        _, per_switch, unfound, most = self._allowed
+        left = max(self._began + most - time.perf_counter(), 0.0)
+        return SearchTime(first, per_switch if point.index == 0 else 0.0, unfound, left)
+
     def _remaining(self) -> float:
-        """Returns the time that is left for searches [s]."""
-        return max(self._deadline - time.perf_counter(), 0.0)
+        """Returns what is left of the first time of all searches [s]."""
+        return max(self._began + self._seconds - time.perf_counter(), 0.0)
 
     def _with_deviation(self) -> bool:
         """Returns whether there is time to compute the deviation of a transition."""
         return self._method != MINIMUM_SWITCH or self._remaining() > 0
+
+
+def rounds(served: list[Solution]) -> Iterator[tuple[float, list[Solution]]]:
+    """Yields times of detours [s], 0 for none, and the solutions to try with each, without end if there are any."""
+    yield 0.0, served[1:]
+    yield DETOUR_TIME, served
+    for k in count(1) if served else ():
+        yield DETOUR_TIME * LONGER**k, served[:: 8 * FEWER**k]
 
 
 def staying(before: PlannedTransition, point: TrajectoryPoint) -> PlannedTransition | None:

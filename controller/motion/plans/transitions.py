@@ -12,6 +12,7 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.plans.points import TrajectoryPoint, TrajectoryPoints
 from controller.motion.stages.pacing import Blocked, Infeasible, Pace, Staged, Stager
 from controller.motion.stages.restaging import restage
+from controller.motion.stages.stage_sequencer import Late
 from controller.motion.trajectory import Trajectory, upwards
 from controller.obstacles.keep_out import KeepOutSet
 from controller.obstacles.sweep import Sweep, sweep_of
@@ -71,7 +72,7 @@ class TransitionPlanner:
         previous: Configuration,
         solution: Solution,
         with_deviation: bool = True,
-        detour_time: float = 0.0,
+        late: Late | None = None,
     ) -> PlannedTransition:
         """Returns the transition to a point, with the switches and the cost of its stages.
 
@@ -83,7 +84,7 @@ class TransitionPlanner:
             previous: configuration before, shape (B,).
             solution: of the point, from `previous`.
             with_deviation: compute the deviation, also without an inrush bound.
-            detour_time: time to search for a detour [s].
+            late: ends the search for a detour; None: none is searched.
 
         Raises:
             Refusal: the time from the point before is too short.
@@ -91,7 +92,7 @@ class TransitionPlanner:
         """
         available = self._available(point, solution)
         try:
-            staged = self._stager.staged(previous, solution.configuration, available, with_deviation, detour_time)
+            staged = self._stager.staged(previous, solution.configuration, available, with_deviation, late)
         except Blocked:
             raise
         except Infeasible as error:
@@ -130,7 +131,7 @@ def first_transition(
     keep_out: KeepOutSet,
     commanded: NDArray[np.uint8],
     planned: Staged,
-    proceed: Callable[[], None],
+    proceed: Callable[[], object],
 ) -> Staged:
     """Returns the transition to the first point of a plan from other actuator states than planned.
 

@@ -14,7 +14,8 @@ from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import MOST_POINTS, Trajectory, along
 from controller.search.method import MINIMUM_SWITCH, Method
-from controller.search.solver import TIMEOUT
+from controller.search.solution import SearchTime
+from controller.search.solver import TIMEOUT, search_time
 
 FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s]: most for the first answers of all points; for the search of the whole
 
@@ -41,7 +42,7 @@ def plan_whole(
     planner: TransitionPlanner,
     previous: Configuration,
     method: Method,
-    first: float | None = None,
+    first: SearchTime | None = None,
     seconds: float | None = None,
 ) -> TrajectoryPlan:
     """Returns the cheapest plan found for a trajectory: point by point first, then over the whole trajectory.
@@ -50,13 +51,14 @@ def plan_whole(
         planner: of the trajectory's transitions.
         previous: configuration of the arm at the start, shape (B,).
         method: the search algorithm; the whole trajectory is searched for `minimum-switch` only.
-        first: time for the first answers of all points [s]; None: `first_time`.
+        first: time for the first answers of all points; None: that of `first_time`.
         seconds: time for the search of the whole trajectory [s]; None: WHOLE_TIME.
 
     Raises:
         Refusal: see `PointByPoint.plan`.
     """
-    found = PointByPoint(planner, method, first_time(planner.trajectory) if first is None else first).plan(previous)
+    allowed = search_time(first_time(planner.trajectory)) if first is None else first
+    found = PointByPoint(planner, method, allowed).plan(previous)
     return found if method != MINIMUM_SWITCH else look_ahead(planner, found, previous, seconds)
 
 

@@ -4,8 +4,7 @@ An order of single actuators is searched in which each switch is clear. The orde
 clear as a whole. If there is no such order, a detour is searched, on which some actuators switch back and forth.
 """
 
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from heapq import heappop, heappush
 
 import numpy as np
@@ -13,11 +12,14 @@ import numpy as np
 from controller.obstacles.distance import Index
 from controller.obstacles.sweep import Collision, States, Sweep
 
-DETOUR_TIME = 0.1  # [s] to search one detour
+Late = Callable[[], bool]  # returns whether the time of a search is over; what it raises ends the planning
 
 
 class StageSequencer:
     """Finds collision-free stages from given actuator states. A stage lists the actuators (k,) that switch.
+
+    Attributes:
+        enclosed: all actuator states (n, A) that can be reached, if a search has found that the end is none of them.
 
     Args:
         sweep: swept checks of the arm.
@@ -29,6 +31,7 @@ class StageSequencer:
         self._sweep, self._states, self._most = sweep, states, most
         self._obstruction: Collision | None = None
         self._checked: dict[tuple[bytes, bytes], bool] = {}
+        self.enclosed: States | None = None
 
     @property
     def obstruction(self) -> str:
@@ -64,7 +67,7 @@ class StageSequencer:
             first += low
         return stages
 
-    def order(self, end: States, repeats: bool, timeout: float) -> Index | None:
+    def order(self, end: States, repeats: bool, late: Late) -> Index | None:
         """Returns an order of actuators (n,) in which each switch is clear; None if none is found in time.
 
         Best-first search from both ends. The estimate is the number of actuators that have yet to switch.
@@ -72,18 +75,18 @@ class StageSequencer:
         Args:
             end: actuator states after, shape (A,).
             repeats: an actuator may switch more than once.
-            timeout: time for the search [s].
+            late: called before each step.
         """
-        deadline, n = time.perf_counter() + timeout, int(np.count_nonzero(self._states != end))
+        n = int(np.count_nonzero(self._states != end))
         ends = [self._states, end]
         paths: list[dict[bytes, list[int]]] = [{}, {}]
         heaps: list[list[tuple[float, int, int, bytes, list[int]]]] = [[], []]
         for side in (0, 1):
             heappush(heaps[side], (0.0, 0, 0, ends[side].tobytes(), []))
         count = 0
-        while all(heaps) and time.perf_counter() < deadline:
+        while heaps[0] and not late():
             count += 1
-            side = count % 2
+            side = count % 2 if heaps[1] else 0  # without a way to the end, all that can be reached is found
             *_, code, path = heappop(heaps[side])
             here = np.frombuffer(code, dtype=np.uint8)
             if code in paths[side] or (
@@ -101,6 +104,8 @@ class StageSequencer:
                 remaining = int(differ.sum()) + (-1 if differ[options[k]] else 1)
                 estimate = remaining + (len(path) + 1 + remaining - n) / 2  # a switch away from the end counts twice
                 heappush(heaps[side], (estimate, remaining, -count, following[k].tobytes(), [*path, int(options[k])]))
+        if repeats and not heaps[0]:  # any clear stage can be cut into clear switches, one after the other
+            self.enclosed = np.array([np.frombuffer(code, dtype=np.uint8) for code in paths[0]])
         return None
 
     def _clear(self, states: States, stage: Index) -> bool:

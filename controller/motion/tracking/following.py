@@ -9,11 +9,11 @@ from controller.motion.stages.pacing import Blocked, Pace, Stager
 from controller.motion.stages.restaging import restage
 from controller.obstacles.keep_out import KeepOutSet, States
 from controller.search.method import MINIMUM_SWITCH, Method
-from controller.search.solution import Solution
+from controller.search.solution import SearchTime, Solution
 from controller.search.solver import Solver
 from controller.search.target import SearchTarget
 
-SEARCH_TIME = 0.01  # [s] for one search; it is never worse than IPOP
+SEARCH_TIME = SearchTime(0.01)  # for one search; it is never worse than IPOP
 FAR = 10.0  # tolerances; IPOP missed none of 2000 reachable positions by more than 2
 ALTERNATIVE_TIME, ALTERNATIVES = 0.05, 16  # time [s] and number of other configurations if the cheapest is blocked
 
@@ -40,10 +40,10 @@ def find(query: SetpointQuery, method: Method) -> Solution:
     """Searches by a method; returns IPOP's result if it misses by far, as longer searches miss, too."""
     solver, target, start = query.solver, query.target, query.start
     if method == MINIMUM_SWITCH:
-        first = solver.solve(target, start, "ipop-fewest-switches", hard_timeout=SEARCH_TIME)
+        first = solver.solve(target, start, "ipop-fewest-switches", SEARCH_TIME)
         if first.error > FAR * target.tolerance:
             return first
-    return solver.solve(target, start, method, timeout=SEARCH_TIME, hard_timeout=SEARCH_TIME)
+    return solver.solve(target, start, method, SEARCH_TIME)
 
 
 def stages_to(query: SetpointQuery, end: Configuration, whole: Manipulator, pace: Pace) -> States:
@@ -61,7 +61,7 @@ def stages_to(query: SetpointQuery, end: Configuration, whole: Manipulator, pace
     stager = Stager(reduced, pace, sweep_for(solver))
     for configuration in (end, *solver.candidates(target, start, ALTERNATIVES)[0]):
         try:
-            stages = stager.staged(start, configuration, None, with_deviation=False, detour_time=0.0).stages
+            stages = stager.staged(start, configuration, None, with_deviation=False).stages
             if (collision := keep_out.first_collision(commanded, stages)) is None:
                 return stages
             obstruction = obstruction or Blocked(collision)

@@ -227,6 +227,12 @@ class Abandon(NamedTuple):
     number: int
 
 
+class Hurry(NamedTuple):
+    """Other requests wait for a task: its worker ends its search as soon as there is an answer."""
+
+    number: int
+
+
 class Disconnect(NamedTuple):
     """The executor is silent: close the connection, and connect again."""
 
@@ -247,7 +253,7 @@ class Fail(NamedTuple):
 
 ForClients = Reply | Publish | PublishResult
 ForLedger = Record | RecordCounts
-ForWorkers = Start | Abandon
+ForWorkers = Start | Abandon | Hurry
 Action = ForClients | ForLedger | ForWorkers | ToExecutor | Disconnect | Wake | Notify | Log | Fail
 
 SHUTTING_DOWN = Reason.SHUTTING_DOWN.sentence

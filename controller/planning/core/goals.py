@@ -23,7 +23,7 @@ from controller.refusals.refusal import Refusal, no_motion
 MOST_WAITING, MOST_TRIES = 16, 10  # requests; plans, and programs sent, of one goal while the arm moves
 EXECUTOR_TIMEOUT = 2.0  # [s] for the executor's answer; it answers within milliseconds
 NEWER_WITHIN = 0.2  # [s]; a snapshot comes 20 times a second
-LONGEST_PLANNING = 60.0  # [s]
+LONGEST_PLANNING = 60.0  # [s] beside a goal's own deadline
 TABLES_TIMEOUT = 8.0  # [s] for tables that are rebuilt; less than the 10 s after which Zenoh's queries end
 MOVED = (Reason.MOVED_SINCE_PLANNED, Reason.SWITCH_NOT_CONFIRMED)  # the goal is planned again from the new state
 MOST_LINES = 5  # refusals logged in one second
@@ -116,6 +116,8 @@ class Goals:
             self._refuse(motion, Refusal(Reason.BUSY, most=MOST_WAITING, what="goals"))
         else:
             self._waiting.append(motion)
+            if self._current is not None:
+                self._parts.jobs.hurry(self._current.job)
             self._preparation.end()
             self._programs.pause_improvement()
 
@@ -195,9 +197,11 @@ class Goals:
         if admission.barred(motion.ticket):
             raise Refusal(Reason.OVERTAKEN)
         if motion.job is not None:
-            if self._waits(motion, LONGEST_PLANNING):
+            own = motion.wanted.deadline if isinstance(motion.wanted, GoalMessage) else None
+            longest = LONGEST_PLANNING + (own or 0.0)
+            if self._waits(motion, longest):
                 return
-            raise Refusal(Reason.PLANNING_TOO_LONG, seconds=LONGEST_PLANNING)
+            raise Refusal(Reason.PLANNING_TOO_LONG, seconds=longest)
         if motion.waits is not None and motion.waits is self._view.state and self._waits(motion, NEWER_WITHIN):
             return
         motion.waits = None
@@ -244,6 +248,8 @@ class Goals:
         motion.since = self._moment.now
         task = tasks.PlanGoal(motion.wanted, motion.received, self._parts.correction(), basis)
         motion.job = self._parts.jobs.start(task, partial(self._answered, motion))
+        if self._waiting:
+            self._parts.jobs.hurry(motion.job)
 
     def _plan_jog(self, motion: Motion, wanted: dict[int, int], state: ArmState, basis: tasks.Basis) -> None:
         motion.planned, motion.since = jog_stages(state, wanted, self._parts.pace), self._moment.now

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from controller.planning.core.events import Abandon, Action, Fail, Start
+from controller.planning.core.events import Abandon, Action, Fail, Hurry, Start
 from controller.planning.core.tasks import Answer, Basis, Task
 
 if TYPE_CHECKING:
@@ -147,6 +147,11 @@ class Jobs:
         if number is not None and (job := self._jobs.get(number)) is not None and job.on_answer is not None:
             job.on_answer, job.abandoned_at = None, self._moment.now
             self._act(Abandon(number))
+
+    def hurry(self, number: int | None) -> None:
+        """Ends the search of a task as soon as it has an answer, because another request waits for the worker."""
+        if number is not None and (job := self._jobs.get(number)) is not None and job.on_answer is not None:
+            self._act(Hurry(number))
 
     def answered(self, number: int, answer: Answer, last: bool) -> None:
         """Passes an answer on."""

@@ -27,7 +27,7 @@ from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal, no_motion
 
 MOST_WAITING = 4
-LONGEST = 10.0  # [s] for one query, without its time in the queue
+LONGEST = 10.0  # [s] for one query, without its time in the queue and its own deadline
 CANCELED = "canceled; the arm holds"
 
 
@@ -179,7 +179,8 @@ class Queries:
             raise no_motion(*parts.locks.mode())
         if (refusal := obstruction(state, *parts.locks.mode())) is not None:
             raise refusal
-        return DescribePlan(PlanGoal(query.goal, query.received, parts.correction(), basis), LONGEST)
+        longest = LONGEST + (query.goal.deadline or 0.0)
+        return DescribePlan(PlanGoal(query.goal, query.received, parts.correction(), basis), longest)
 
     def _answered(self, query: Query, answer: Answer) -> None:
         if isinstance(answer, Described):

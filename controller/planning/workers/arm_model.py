@@ -20,8 +20,9 @@ from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import map_densities
 
-# Called between two parts of a task. Raises Abandoned if the task is no longer needed, Refusal if its time is over.
-Proceed = Callable[[], None]
+# Called between two parts of a task. Returns whether the task must end soon. Raises Abandoned if the task is no longer
+# needed, Refusal if its time is over.
+Proceed = Callable[[], bool]
 
 
 class Abandoned(Exception):

@@ -6,15 +6,16 @@ from contextlib import suppress
 from itertools import chain, islice
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
-from controller.motion.decoding.goal import check_reach, schedule
+from controller.motion.decoding.goal import GoalMessage, check_reach, schedule
 from controller.motion.plans.description import describe_plan
 from controller.motion.plans.improvement import Improvement, changed_points
 from controller.motion.plans.plan import TrajectoryPlan
 from controller.motion.plans.point_by_point import PLANNING_TIME, PointByPoint
 from controller.motion.plans.transitions import TransitionPlanner, first_transition
-from controller.motion.plans.whole import first_time, look_ahead
+from controller.motion.plans.whole import WHOLE_TIME, first_time, look_ahead
 from controller.motion.stages.feed import Improved, PlannedPoint, PlanProof, most_stages
 from controller.motion.stages.pacing import Blocked, Staged
 from controller.motion.stages.program import unpack_states
@@ -28,6 +29,8 @@ from controller.program import MOST_PROGRAM_STAGES
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 from controller.search.method import MINIMUM_SWITCH
+from controller.search.solution import SearchTime
+from controller.search.solver import search_time
 
 # --- goals
 
@@ -59,7 +62,7 @@ def plan_goal(model: ArmModel, task: tasks.PlanGoal, proceed: Proceed) -> tasks.
         Abandoned: `proceed` has raised it.
     """
     start, planner = task.basis.start, planner_of(model, task)
-    found = search_plan(model, task.basis, planner, PLANNING_TIME, proceed)
+    found = search_plan(model, task.basis, planner, time_of(model, task.message, PLANNING_TIME), proceed)
     first, *others = transitions = found.transitions
     if start.commanded != start.states:
         arm, keep_out, commanded = model.arm.manipulator, task.basis.scene.keep_out, model.unpack(start.commanded)
@@ -86,18 +89,23 @@ def planner_of(model: ArmModel, task: tasks.PlanGoal) -> TransitionPlanner:
     return TransitionPlanner(model.solver(task.basis.tables, task.basis.scene), trajectory, model.pace)
 
 
+def time_of(model: ArmModel, message: GoalMessage, first: float) -> SearchTime:
+    """Returns the time to plan a goal, of which `first` [s] is for all its points together."""
+    return search_time(first, model.arm.settings.planning.seconds_per_switch, message.deadline)
+
+
 def search_plan(
-    model: ArmModel, basis: tasks.Basis, planner: TransitionPlanner, seconds: float, proceed: Proceed
+    model: ArmModel, basis: tasks.Basis, planner: TransitionPlanner, allowed: SearchTime, proceed: Proceed
 ) -> TrajectoryPlan:
     """Returns a plan whose stages are clear.
 
-    All searches together take at most `seconds`. `proceed` is called before each point and each check of a stage.
+    `proceed` is called before each point, during each search, and before each check of a stage.
 
     Raises:
         Refusal: there is no plan.
     """
     previous = model.configuration(basis.start, planner.solver.manipulator)
-    found = PointByPoint(planner, model.arm.settings.method, seconds).plan(previous, proceed)
+    found = PointByPoint(planner, model.arm.settings.method, allowed).plan(previous, proceed)
     check_size(model, found.transitions)
     # All stages are checked, so that the executor need not ask. Most results are known from the planning.
     before, stages = model.unpack(basis.start.states), stages_of(found.transitions)
@@ -190,7 +198,8 @@ def prepare_search(model: ArmModel, task: tasks.PrepareSearch, proceed: Proceed)
         for _ in solver.expect(previous, model.arm.tolerance):
             proceed()
         if task.rehearsal is not None:
-            plan_goal(model, tasks.PlanGoal(task.rehearsal, 0.0, None, task.basis), proceed)
+            short = msgspec.structs.replace(task.rehearsal, deadline=PLANNING_TIME)
+            plan_goal(model, tasks.PlanGoal(short, 0.0, None, task.basis), proceed)
     return tasks.Done()
 
 
@@ -203,19 +212,22 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
         Refusal: there is no plan, or planning took too long.
         Abandoned: `proceed` has raised it.
     """
-    until = time.monotonic() + task.seconds
+    began, message = time.monotonic(), task.goal.message
 
-    def in_time() -> None:
+    def in_time() -> bool:
         proceed()
-        if time.monotonic() > until:
+        if time.monotonic() > began + task.seconds:
             raise Refusal(Reason.PLANNING_TOO_LONG, seconds=task.seconds)
+        return hurry()
 
     planner = planner_of(model, task.goal)
     reduced = planner.solver.manipulator
-    found = search_plan(model, task.goal.basis, planner, first_time(planner.trajectory), in_time)
+    allowed = time_of(model, message, first_time(planner.trajectory))
+    found = search_plan(model, task.goal.basis, planner, allowed, in_time)
     previous = model.configuration(task.goal.basis.start, reduced)
     if model.arm.settings.method == MINIMUM_SWITCH:
-        found = look_ahead(planner, found, previous, stop=hurry)
+        left = WHOLE_TIME if message.deadline is None else began + message.deadline - time.monotonic()
+        found = look_ahead(planner, found, previous, left, hurry)
     fields = describe_plan(model.arm.manipulator, reduced, previous, found)
     return tasks.Described({**done(fields.pop("message")), **fields})
 

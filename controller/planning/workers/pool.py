@@ -33,20 +33,22 @@ THREADS: dict[str, tuple[type[Task], ...]] = {
 
 @dataclass(eq=False)
 class QueuedTask:
-    """A task with its number. `abandoned` is set by the core's thread, and read by the worker's."""
+    """A task with its number. `abandoned` and `hurried` are set by the core's thread, and read by the worker's."""
 
     number: int
     task: Task
     abandoned: bool = False
+    hurried: bool = False
 
-    def proceed(self) -> None:
-        """Checks that the task is still needed.
+    def proceed(self) -> bool:
+        """Checks that the task is still needed; returns whether it must end soon.
 
         Raises:
             Abandoned: it is not.
         """
         if self.abandoned:
             raise Abandoned
+        return self.hurried
 
 
 class Workers:
@@ -90,6 +92,11 @@ class Workers:
         """Lets a task end soon; a task that has not begun is answered by `Done` when its turn comes."""
         if (queued := self._queued.get(number)) is not None:
             queued.abandoned = True
+
+    def hurry(self, number: int) -> None:
+        """Lets a task end its search as soon as it has an answer."""
+        if (queued := self._queued.get(number)) is not None:
+            queued.hurried = True
 
     def close(self, timeout: float = 2.0) -> None:
         """Abandons all tasks and ends the threads; one that does not end in time [s] ends with the process."""

@@ -200,6 +200,8 @@ def test_goals_of_a_file_are_followed_along_lines(hyperbit, tmp_path):
         ("--goal", "1,2,3,4"),
         ("--goal", "1,2,3", "--turn", "0"),
         ("--goal", "1,2", "--tolerance", "0"),
+        ("--goal", "1,2", "--deadline", "0"),
+        ("--goal", "1,2", "--deadline", "nan"),
         ("--goal", "1,2", "--tolerance", "nan"),
         ("--goal", "1,2", "--method", "guess"),
         ("--goal", "1,2", "--previous", "1"),

@@ -103,6 +103,16 @@ def test_send_follows_lines_within_a_path_tolerance(hyperbit, endpoint, tmp_path
     assert "waypoints[0] to waypoints[1]: 1 s for a line of 0.1 within path_tolerance 0.001" in err
 
 
+def test_send_takes_a_deadline_of_planning(hyperbit, endpoint):
+    words = ("send", "planar16", "--to", "0.5,2.8", "--connect", endpoint)
+    code, out, err = hyperbit(*words, "--deadline", "20")
+    assert (code, err) == (0, "")
+    assert "reached" in out
+    code, _, err = hyperbit(*words, "--deadline", "61")
+    assert code == 1
+    assert "deadline: Expected `float` <= 60.0" in err
+
+
 def test_a_refused_goal_fails_with_code_and_sentence(hyperbit, endpoint):
     code, out, err = hyperbit("send", "planar16", "--to", "9,9", "--connect", endpoint)
     assert (code, out) == (1, "")

@@ -14,14 +14,13 @@ from controller.motion.plans.plan import TrajectoryPlan
 from controller.motion.plans.point_by_point import PointByPoint
 from controller.motion.plans.transitions import TransitionPlanner
 from controller.motion.plans.whole import look_ahead, plan_whole
-from controller.motion.stages import stage_sequencer
 from controller.motion.stages.pacing import Pace
 from controller.motion.trajectory import Trajectory, through
 from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.obstacles import NONE, sphere
 from controller.refusals.refusal import Refusal
 from controller.search.solution import EPSILON
-from controller.search.solver import Solver
+from controller.search.solver import Solver, search_time
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration
 from tests.obstacles.moving import arm, hinge, truss
@@ -42,7 +41,6 @@ PATIENT = 60.0  # [s], so that a busy machine finds as much as an idle one
 @pytest.fixture(autouse=True, scope="module")
 def patient() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stage_sequencer, "DETOUR_TIME", PATIENT)
         patch.setattr(point_by_point, "DETOUR_TIME", PATIENT)
         patch.setattr(point_by_point, "ALTERNATIVE_TIME", PATIENT)
         yield
@@ -78,7 +76,7 @@ def carried_out(manipulator: Manipulator, start: Configuration, found: Trajector
 @pytest.mark.parametrize("fixed", [False, True])
 def test_a_detour_is_counted_in_switches_and_cost_and_is_not_optimal(hinges: Solver, fixed: bool) -> None:
     planner = TransitionPlanner(hinges, goals_at(HINGES, TURNED, fixed=fixed), Pace(0.06))
-    found = PointByPoint(planner, "minimum-switch", PATIENT).plan(FOLDED)
+    found = PointByPoint(planner, "minimum-switch", search_time(PATIENT)).plan(FOLDED)
     (solution,) = found.solutions
     assert solution.configuration.tolist() == TURNED.tolist()
     assert (solution.switches, solution.cost) == (found.switches, found.cost) == (3, DETOUR)
@@ -87,14 +85,14 @@ def test_a_detour_is_counted_in_switches_and_cost_and_is_not_optimal(hinges: Sol
 
 def test_a_whole_plan_is_not_optimal_because_its_configurations_are(hinges: Solver) -> None:
     planner = TransitionPlanner(hinges, goals_at(HINGES, TURNED), Pace(0.06))
-    found = plan_whole(planner, FOLDED, "minimum-switch", PATIENT)
+    found = plan_whole(planner, FOLDED, "minimum-switch", search_time(PATIENT))
     assert (found.switches, found.cost, found.bound, found.certificate) == (3, DETOUR, 2.0, "bound")
     assert found.solutions[0].proof() == found.proof()
 
 
 def test_a_detour_after_the_first_point_is_counted(hinges: Solver) -> None:
     goals = goals_at(HINGES, FOLDED, TURNED, TURNED)
-    found = plan_whole(TransitionPlanner(hinges, goals, Pace(0.06)), FOLDED, "minimum-switch", PATIENT)
+    found = plan_whole(TransitionPlanner(hinges, goals, Pace(0.06)), FOLDED, "minimum-switch", search_time(PATIENT))
     assert [solution.switches for solution in found.solutions] == [0, 3, 0]
     assert [solution.certificate for solution in found.solutions] == ["optimal", "bound", "optimal"]
     assert (found.switches, found.cost, found.certificate) == (3, DETOUR, "bound")
@@ -103,7 +101,7 @@ def test_a_detour_after_the_first_point_is_counted(hinges: Solver) -> None:
 def test_a_fixed_configuration_reached_without_a_detour_is_optimal(hinges: Solver) -> None:
     free = hinges.avoiding(None)
     planner = TransitionPlanner(free, goals_at(HINGES, TURNED, fixed=True), Pace(0.06))
-    found = PointByPoint(planner, "minimum-switch", PATIENT).plan(FOLDED)
+    found = PointByPoint(planner, "minimum-switch", search_time(PATIENT)).plan(FOLDED)
     assert (found.switches, found.cost, found.certificate) == (1, 2.0, "optimal")
 
 
@@ -112,7 +110,7 @@ def test_a_waypoint_keeps_its_proof_when_others_change(trusses: Solver) -> None:
     start, *points = EVERY[rng.integers(len(EVERY), size=4)]
     goals = goals_at(TRUSSES, *points)
     planner = TransitionPlanner(trusses, goals, Pace(0.06))
-    found = PointByPoint(planner, "minimum-switch", PATIENT).plan(start)
+    found = PointByPoint(planner, "minimum-switch", search_time(PATIENT)).plan(start)
     same = found.improved(planner, 0, [s.configuration for s in found.solutions], start)
     assert [s.proof() for s in same.solutions] == [s.proof() for s in found.solutions]
     other = found.improved(planner, 0, [points[0]], start)
@@ -130,7 +128,7 @@ def test_a_plan_is_what_it_says(trusses: Solver, seed: int, among: bool, inrush:
     goals = through(np.arange(float(count)), TRUSSES.tips(points)[:, :2, 3], TOLERANCE)
     planner = TransitionPlanner(solver, goals, Pace(0.06, inrush))
     try:
-        found = PointByPoint(planner, "minimum-switch", PATIENT).plan(start)
+        found = PointByPoint(planner, "minimum-switch", search_time(PATIENT)).plan(start)
     except Refusal:
         return
     for each in (found, look_ahead(planner, found, start)):

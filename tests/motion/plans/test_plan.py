@@ -2,6 +2,8 @@
 
 import re
 from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,9 @@ from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 from controller.search.method import Method
+from controller.search.solution import SearchTime, Solution
 from controller.search.solver import Solver
+from controller.search.target import SearchTarget
 
 POINTS = [(0.55, 2.9), (0.4, 2.9), (3.0, 0.7)]
 
@@ -118,3 +122,40 @@ def test_an_orientation_out_of_reach_is_told_with_the_nearest_pose(solver: Solve
     match = re.fullmatch(form, str(caught.value))
     assert match
     assert float(match[1]) > 0.03
+
+
+class Ended(Exception):
+    """Nobody wants the plan any more."""
+
+
+def test_planning_ends_in_the_middle_of_a_search(solver: Solver) -> None:
+    """No configuration is within this tolerance: the search would take its hour."""
+    calls = 0
+
+    def proceed() -> bool:
+        nonlocal calls
+        calls += 1
+        if calls > 5:
+            raise Ended
+        return False
+
+    planner = TransitionPlanner(solver, trajectory(POINTS[0], tolerance=1e-9))
+    with pytest.raises(Ended):
+        PointByPoint(planner, "minimum-switch", SearchTime(0.0, unfound=3600.0)).plan(
+            contracted(solver.manipulator), proceed
+        )
+
+
+def test_the_gap_extends_the_search_of_the_first_point_only(solver: Solver, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, solve = list[SearchTime](), Solver.solve
+
+    def recorded(self: Solver, target: SearchTarget, previous: np.ndarray, method: Method, *more: Any) -> Solution:
+        asked.append(more[0])
+        return solve(self, target, previous, method, *more)
+
+    monkeypatch.setattr(Solver, "solve", recorded)
+    planner = TransitionPlanner(solver, trajectory(*POINTS))
+    PointByPoint(planner, "minimum-switch", SearchTime(60.0, 0.5, 70.0, 80.0)).plan(contracted(solver.manipulator))
+    assert [time.per_switch for time in asked] == [0.5, 0.0, 0.0]
+    assert [time.unfound for time in asked] == [70.0] * 3
+    assert all(80.0 >= a.most > b.most for a, b in pairwise(asked))

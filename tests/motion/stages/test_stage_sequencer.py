@@ -1,24 +1,28 @@
 """Transitions among obstacles: each stage is clear in any order of its actuators, with no needless stages."""
 
 import re
-from collections.abc import Iterator
-from itertools import pairwise, permutations, product
+from collections.abc import Callable
+from itertools import islice, pairwise, permutations, product
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from controller.manipulator.manipulator import Manipulator
+from controller.motion.plans import point_by_point
 from controller.motion.plans.point_by_point import PointByPoint
 from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages import stage_sequencer
 from controller.motion.stages.pacing import Blocked, Pace, Staged, Stager
+from controller.motion.stages.stage_sequencer import Late, StageSequencer
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.obstacles import box, sphere, together
 from controller.obstacles.sweep import Sweep
 from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
+from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
+from controller.search.solution import SearchTime
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, planar_frames
@@ -39,12 +43,9 @@ around = st.lists(any_shape(2, planar_frames), min_size=1, max_size=3)
 ELBOWS = [hinge(0.0, np.pi / 2, 1.0), hinge(0.0, -np.pi / 2, 1.0)]
 
 
-@pytest.fixture(autouse=True, scope="module")
-def patient() -> Iterator[None]:
+def never() -> bool:
     """A detour is searched to the end, also on a busy machine."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stage_sequencer, "DETOUR_TIME", 60.0)
-        yield
+    return False
 
 
 def displacements(rng: np.random.Generator, before: np.ndarray, staged: Staged) -> np.ndarray:
@@ -60,7 +61,7 @@ def test_stages_touch_nothing_and_keep_to_the_bound(chain, base, regions_around,
     before, after = (rng.integers(0, manipulator.states) for _ in range(2))
     pace, start = Pace(LEAD, inrush), manipulator.actuator_states(before)
     try:
-        staged = Stager(manipulator, pace, Sweep(clearance)).staged(before, after)
+        staged = Stager(manipulator, pace, Sweep(clearance)).staged(before, after, late=never)
     except Blocked:
         return
     assert staged.strict
@@ -92,7 +93,9 @@ def test_an_order_is_found_where_trying_all_finds_one(chain, base, regions_aroun
 
     possible = any(clear(order) for order in permutations(flip))
     try:
-        Stager(manipulator, Pace(LEAD), Sweep(sweep._clearance)).staged(before, manipulator.configuration(end))
+        Stager(manipulator, Pace(LEAD), Sweep(sweep._clearance)).staged(
+            before, manipulator.configuration(end), late=never
+        )
     except Blocked:
         assert not possible
     else:
@@ -105,11 +108,11 @@ def test_a_roundabout_way_is_taken_where_no_order_serves_and_actuators_need_no_r
     post = Sweep(BodyClearance(manipulator, sphere("disc 'post'", (0.29, 1.675), 0.1)))
     before, after = np.array([0, 0]), np.array([1, 0])
     with pytest.raises(Blocked):
-        Stager(manipulator, Pace(LEAD, rest=0.1), post).staged(before, after)
-    staged = Stager(manipulator, Pace(LEAD), post).staged(before, after)
+        Stager(manipulator, Pace(LEAD, rest=0.1), post).staged(before, after, late=never)
+    staged = Stager(manipulator, Pace(LEAD), post).staged(before, after, late=never)
     assert staged.stages.tolist() == [[0, 1], [1, 1], [1, 0]]
     with pytest.raises(Blocked, match="a collision-free transition takes 3 stages, there is time for 2"):
-        Stager(manipulator, Pace(LEAD), post).staged(before, after, 2 * LEAD)
+        Stager(manipulator, Pace(LEAD), post).staged(before, after, 2 * LEAD, late=never)
 
 
 def test_what_need_not_wait_does_not():
@@ -117,23 +120,27 @@ def test_what_need_not_wait_does_not():
     before, after = np.array([0, 0]), np.array([1, 1])
     far = Sweep(BodyClearance(manipulator, sphere("disc", (5.0, 5.0), 0.5)))
     near = Sweep(BodyClearance(manipulator, box("box", (0.0, 2.0), (0.4, 0.4))))
-    free = Stager(manipulator, Pace(LEAD)).staged(before, after)
-    assert Stager(manipulator, Pace(LEAD), far).staged(before, after).stages.tolist() == free.stages.tolist()
-    staged = Stager(manipulator, Pace(LEAD), near).staged(before, after)
+    free = Stager(manipulator, Pace(LEAD)).staged(before, after, late=never)
+    assert (
+        Stager(manipulator, Pace(LEAD), far).staged(before, after, late=never).stages.tolist() == free.stages.tolist()
+    )
+    staged = Stager(manipulator, Pace(LEAD), near).staged(before, after, late=never)
     assert staged.stages.tolist() == [[0, 1], [1, 1]]  # the elbow first
     with pytest.raises(Blocked, match=r"takes 2 stages, there is time for 1: module 2 is in box"):
-        Stager(manipulator, Pace(LEAD), near).staged(before, after, LEAD)
-    assert Stager(manipulator, Pace(LEAD), near).staged(before, after, 2 * LEAD).deviation == staged.deviation
+        Stager(manipulator, Pace(LEAD), near).staged(before, after, LEAD, late=never)
+    assert (
+        Stager(manipulator, Pace(LEAD), near).staged(before, after, 2 * LEAD, late=never).deviation == staged.deviation
+    )
 
 
 def test_no_way_and_a_start_that_touches_are_named():
     manipulator = arm(ELBOWS)
     walls = together([box("box 'shelf'", (0.0, 2.0), (0.4, 0.4)), box("box 'table'", (1.0, -0.9), (0.4, 0.4))])
     with pytest.raises(Blocked, match=r"module 2 is in box '(shelf|table)'"):
-        Stager(manipulator, Pace(LEAD), Sweep(BodyClearance(manipulator, walls))).staged([0, 0], [1, 1])
+        Stager(manipulator, Pace(LEAD), Sweep(BodyClearance(manipulator, walls))).staged([0, 0], [1, 1], late=never)
     stands = Sweep(BodyClearance(manipulator, sphere("disc 'post'", (1.5, 0.0), 0.1)))
     with pytest.raises(Blocked, match="collides where it stands: module 2 is in disc 'post'"):
-        Stager(manipulator, Pace(LEAD), stands).staged(np.array([0, 0]), np.array([1, 1]))
+        Stager(manipulator, Pace(LEAD), stands).staged(np.array([0, 0]), np.array([1, 1]), late=never)
 
 
 CHAIN = [truss("BC" if k % 2 == 0 else "AD", 0.2, 0.2, 0.25) for k in range(4)]
@@ -192,6 +199,103 @@ def test_no_way_is_refused_naming_waypoint_module_and_region():
             np.array([0, 0])
         )
     assert caught.value.code == GOAL_TOLERANCE_VIOLATED
-    form = r"waypoints\[0\]\.position: no collision-free transition to it was found: module 2 is in box '(shelf|table)'"
-    assert re.fullmatch(form, str(caught.value))
+    form = r"waypoints\[0\]\.position: there is no collision-free transition to it; 1 configurations can be reached: "
+    assert re.fullmatch(form + r"module 2 is in box '(shelf|table)'", str(caught.value))
     assert [list(c) for c in product(range(2), repeat=2) if not solver.clearance.blocked([c])[0]] == [[0, 0], [1, 1]]
+
+
+def components(manipulator: Manipulator, sweep: Sweep) -> list[set[bytes]]:
+    """The sets of actuator states that clear switches of single actuators connect, by trying all of them."""
+    states = [manipulator.actuator_states(c) for c in every_configuration(manipulator)]
+    free = {s.tobytes(): s for s in states if sweep.first_collision(s, np.arange(0)) is None}
+    left, found = set(free), list[set[bytes]]()
+    while left:
+        front, own = [left.pop()], set[bytes]()
+        while front:
+            own.add(here := front.pop())
+            for k in range(len(free[here])):
+                there = free[here].copy()
+                there[k] ^= 1
+                if there.tobytes() in left and sweep.first_collision(free[here], np.array([k])) is None:
+                    left.remove(there.tobytes())
+                    front.append(there.tobytes())
+        found.append(own)
+    return found
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("least", [point_by_point.ALTERNATIVE_TIME, 0.0])
+def test_no_way_is_said_only_where_trying_all_switches_finds_none(seed, least, monkeypatch):
+    """Goals of both kinds: within the start's component a transition is found, else the refusal is a proof.
+
+    Without a least time the first rounds try nothing, and the later ones must find the same.
+    """
+    monkeypatch.setattr(point_by_point, "ALTERNATIVE_TIME", least)
+    rng = np.random.default_rng(seed)
+    hinges = arm([hinge(-0.8, 0.8, 0.3)] * 6)
+    tips = hinges.tips(every_configuration(hinges))[:, :2, 3]
+    discs = [sphere(f"disc {k}", tips[rng.integers(len(tips))] * rng.uniform(0.3, 0.9), 0.12) for k in range(2)]
+    clearance = BodyClearance(hinges, together(discs))
+    solver = Solver(hinges, map_densities(hinges, 0.02, 10_000)).avoiding(clearance)
+    known = components(hinges, Sweep(clearance))
+    free = [np.frombuffer(code, dtype=np.uint8) for own in known for code in own]
+    for _ in range(6):
+        start, end = (hinges.configuration(free[rng.integers(len(free))]) for _ in range(2))
+        own = next(own for own in known if hinges.actuator_states(start).tobytes() in own)
+        goal = solver.target(hinges.tip(end)[:2, 3], 0.01)
+        possible = any(goal.met(hinges.configuration(np.frombuffer(code, dtype=np.uint8))) for code in own)
+        planner = TransitionPlanner(solver, through(np.zeros(1), goal.goal[None, :2, 3], 0.01))
+        planning = PointByPoint(planner, "minimum-switch", SearchTime(0.03, unfound=600.0))
+        if possible:
+            planning.plan(start)
+            continue
+        with pytest.raises(Refusal) as caught:
+            planning.plan(start)
+        assert caught.value.reason is Reason.NO_WAY
+
+
+class Ended(Exception):
+    """Nobody wants the plan any more."""
+
+
+def test_a_search_for_a_detour_ends_when_its_caller_wants(solver):
+    """In the middle of the detour, and through the whole planning of a point."""
+    manipulator = arm(ELBOWS)
+    walls = together([box("box 'shelf'", (0.0, 2.0), (0.4, 0.4)), box("box 'table'", (1.0, -0.9), (0.4, 0.4))])
+    own = Solver(manipulator, map_densities(manipulator, 0.05, 10_000), clearance=BodyClearance(manipulator, walls))
+    planner = TransitionPlanner(own, through(np.zeros(1), manipulator.tip([1, 1])[None, :2, 3], 0.01))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(point_by_point, "DETOUR_TIME", 3600.0)
+        patch.setattr(StageSequencer, "order", endless)
+        with pytest.raises(Ended):
+            PointByPoint(planner, "minimum-switch").plan(np.array([0, 0]), after(1000))
+
+
+def endless(self: StageSequencer, end: np.ndarray, repeats: bool, late: Late) -> None:
+    """A search that only its caller ends."""
+    while not late():
+        pass
+
+
+def after(calls: int) -> Callable[[], bool]:
+    """Raises Ended at the last of some calls."""
+    left = iter(range(calls))
+
+    def proceed() -> bool:
+        if next(left, None) is None:
+            raise Ended
+        return False
+
+    return proceed
+
+
+def test_later_rounds_have_more_time_for_fewer_configurations():
+    served = list(range(34))
+    first, *later = islice(point_by_point.rounds(served), 6)
+    assert first == (0.0, served[1:])
+    times, chosen = zip(*later, strict=True)
+    assert chosen[0] == served
+    assert all(b > a for a, b in pairwise(times))
+    assert all(set(b) < set(a) for a, b in pairwise(chosen) if len(a) > 1)
+    assert all(each[0] == 0 for each in chosen)
+    assert list(point_by_point.rounds([])) == [(0.0, []), (point_by_point.DETOUR_TIME, [])]

@@ -24,6 +24,7 @@ from controller.planning.core.events import (
     Event,
     Fail,
     FromExecutor,
+    Hurry,
     LinkDown,
     Publish,
     Published,
@@ -143,6 +144,7 @@ class Desk:
     ) -> None:
         self.arm, self.now, self.wall = arm, FAR, 2 * FAR
         self.inbox, self.published, self.entries = Inbox(), dict[str, Any](), list[tuple[Any, ...]]()
+        self.hurried = list[int]()  # numbers of tasks
         self.logs, self.failures, self.counts = list[str](), list[str](), (0,) * len(arm.manipulator.actuators)
         self.held, self.failing, self.storing = set[type[Task]](), set[type[Task]](), True
         self._decode = RequestDecoder(arm).decode
@@ -238,6 +240,8 @@ class Desk:
             case Abandon(number):
                 if self._queued.pop(number, None) is not None:
                     self._events.append(Answered(number, Done(), True))
+            case Hurry(number):
+                self.hurried.append(number)
             case Wake(at):
                 self._wake = at
             case Log(_, text):

@@ -204,3 +204,19 @@ def test_a_thread_that_ends_unexpectedly_ends_the_process(core: Core, bench: Ben
     core.workers.start(1, PrepareSearch(bench.basis()))
     assert "the planner's thread for goals has ended: RuntimeError" in core.fatal.get(timeout=PATIENCE)
     eventually(lambda: not core.workers._threads[0].is_alive())
+
+
+def test_a_hurried_task_knows_it(core: Core, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun = threading.Event()
+
+    def plan(model: Any, task: Any, proceed: Any) -> Done:
+        begun.set()
+        while not proceed():
+            pass
+        return Done()
+
+    monkeypatch.setattr(computations, "plan_goal", plan)
+    core.workers.start(1, bench.task(A))
+    assert begun.wait(PATIENCE)
+    core.workers.hurry(1)
+    assert core.next() == Answered(1, Done(), True)

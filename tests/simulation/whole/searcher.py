@@ -71,6 +71,9 @@ class Searcher:
             if lane and lane[0][0] == number and number != self._hung:
                 self._agenda.after(self._random.uniform(0.0, ABANDONED_WITHIN), lambda: self._end(number, Done()))
 
+    def hurry(self, number: int) -> None:
+        """Changes nothing: no task of the simulation searches longer because of its gap."""
+
     def _begin(self, lane: deque[tuple[int, Task]]) -> None:
         number, task = lane[0]
         delay = self._random.expovariate(1 / self._mood.delay)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from controller.bench.methods.planar import Array
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.search.method import Method
-from controller.search.solution import Solution
+from controller.search.solution import SearchTime, Solution
 from controller.search.solver import TIMEOUT, Solver
 from controller.workspace.densities import Densities
 
@@ -30,6 +30,5 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
 
 def solution(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Solution:
     """Returns the solver's whole solution, with its certificate."""
-    return problem.solver.solve(
-        problem.solver.target(goal, tolerance), previous, problem.method, timeout=problem.deadline
-    )
+    target, most = problem.solver.target(goal, tolerance), problem.deadline
+    return problem.solver.solve(target, previous, problem.method, SearchTime(most, unfound=most))

@@ -1,0 +1,96 @@
+"""Large arms among obstacles, by deadline: python -m tests.benchmarks.motion.deadlines [--goals N] [--only NAME]
+
+Each goal is the tip of a random configuration that is clear of random obstacles, drawn anew for every few goals. The
+arm starts from another clear configuration. All deadlines plan each goal one after the other, so that they share the
+load of the machine. A configuration exists for each goal; whether a clear transition to it exists is not known.
+"""
+
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from controller.arm.arm import Arm, load
+from controller.armfile.settings import PlanningSettings
+from controller.motion.plans.point_by_point import PLANNING_TIME, PointByPoint
+from controller.motion.plans.transitions import TransitionPlanner
+from controller.motion.stages.pacing import pace_of
+from controller.motion.trajectory import through
+from controller.obstacles.clearance import BodyClearance
+from controller.refusals.refusal import Refusal
+from controller.search.solver import Solver, search_time
+from tests.benchmarks.harness import DEPLOY, CommandLine, percentiles, write_figures
+from tests.benchmarks.motion.obstacle_transitions import scene
+from tests.benchmarks.search.obstacles import drawn
+from tests.benchmarks.solving import ready_solver
+from tests.obstacles.dense import obstacles_of
+
+DEADLINES = (0.05, 0.5, 5.0)  # [s]
+EACH, RADIUS = 5, 0.02  # goals among the same obstacles; half the thickness of the bodies
+FEWEST = 0.02  # least share of clear configurations
+
+
+@dataclass
+class Tally:
+    """Outcomes of one deadline: reasons, "found" for a plan; and times [s]."""
+
+    outcomes: Counter[str] = field(default_factory=Counter)
+    seconds: list[float] = field(default_factory=list)
+
+
+def planned(arm: Arm, solver: Solver, goal: np.ndarray, start: np.ndarray, deadline: float) -> str:
+    """Plans a goal; returns the reason of its refusal, or "found"."""
+    planner = TransitionPlanner(solver, through(np.zeros(1), goal[None], arm.tolerance), pace_of(arm.settings))
+    allowed = search_time(min(PLANNING_TIME, deadline), PlanningSettings().seconds_per_switch, deadline)
+    try:
+        PointByPoint(planner, "minimum-switch", allowed).plan(start)
+    except Refusal as refusal:
+        return str(refusal.reason.value)
+    return "found"
+
+
+def measured(name: str, count: int) -> dict[float, Tally]:
+    """Returns the tallies of one shipped arm by deadline."""
+    arm, rng = load(DEPLOY / name), np.random.default_rng(4)
+    m, solver, tallies = arm.manipulator, ready_solver(arm), {deadline: Tally() for deadline in DEADLINES}
+    done = 0
+    while done < count:
+        clearance = BodyClearance(m, obstacles_of(scene(m, rng)), RADIUS)
+        some = rng.integers(0, m.states, (500, len(m.states)))
+        if np.mean(~clearance.blocked(some)) < FEWEST:
+            continue
+        chosen, _ = drawn(clearance, 2 * EACH, rng)
+        own = solver.avoiding(clearance)
+        for start, end in zip(chosen[:EACH], chosen[EACH:], strict=True):
+            for deadline, tally in tallies.items():
+                began = time.perf_counter()
+                tally.outcomes[planned(arm, own, m.tip(end)[: m.dimension, 3], start, deadline)] += 1
+                tally.seconds.append(time.perf_counter() - began)
+            done += 1
+    return tallies
+
+
+def main() -> None:
+    """Prints the tables."""
+    parser = CommandLine(__doc__, goals=100)
+    parser.add_argument("--only", default="platform8,revolute24", help="names of the arms' files")
+    given = parser.parse()
+    figures = {}
+    for name in given.only.split(","):
+        tallies = measured(f"{name}.yaml", given.goals)
+        reasons = sorted({reason for tally in tallies.values() for reason in tally.outcomes} - {"found"})
+        table = Table("deadline [s]", "found", *reasons, "p50 / p99 / worst [ms]", title=f"{name}: {given.goals} goals")
+        for deadline, tally in tallies.items():
+            times, total = percentiles(tally.seconds, "p50", "p99", "worst"), tally.outcomes.total()
+            shares = (f"{tally.outcomes[reason] / total:.1%}" for reason in ("found", *reasons))
+            table.add_row(f"{deadline:g}", *shares, " / ".join(f"{t:.3g}" for t in times.values()))
+            figures[f"{name} {deadline:g}"] = dict(tally.outcomes) | times
+        Console(width=130).print(table)
+    write_figures(given.json, figures)
+
+
+if __name__ == "__main__":
+    main()
