@@ -11,7 +11,13 @@ import pytest
 
 from tests.keys import DEPLOY
 
-EXECUTOR, PLANNER, PANEL, RECORDER, ROS2 = 1.2, 1.6, 1.5, 1.5, 1.2  # greatest exposure allowed, of `systemd-analyze security`
+EXECUTOR, PLANNER, PANEL, RECORDER, ROS2 = (
+    1.2,
+    1.6,
+    1.5,
+    1.5,
+    1.2,
+)  # greatest exposure allowed, of `systemd-analyze security`
 EXPOSURE = {
     "hyperbit-executor": EXECUTOR,
     "hyperbit": PLANNER,
