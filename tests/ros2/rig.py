@@ -1,6 +1,7 @@
 """A router, a daemon with simulated boards, and a bridge, each a process or a session that can be killed."""
 
 import os
+import re
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -18,6 +19,7 @@ from tests.waiting import eventually
 ACTION = "control_msgs/action/FollowJointTrajectory"
 ROSOUT = qos.Qos(durability=qos.Durability.TRANSIENT_LOCAL, depth=1000)
 TIP = "flat/tip_controller/follow_joint_trajectory"
+OF_TOPIC = re.compile(r"goal (ros2-goal_p\S+) (is accepted|is refused|\w+)")
 PATIENCE = 120.0  # [s]; a busy machine starts a daemon slowly
 
 
@@ -81,11 +83,11 @@ class Rig:
         self.node.subscriber(topic, type_name, lambda it: heard.append(it.message), quality)
         return heard
 
-    def await_words(self, *words: str) -> str:
-        """Waits for a sentence on /rosout that has these words."""
+    def await_words(self, *words: str, since: int = 0) -> str:
+        """Waits for a sentence on /rosout, from number `since`, that has these words."""
 
         def found() -> str:
-            return next((it for it in self.said if all(word in it for word in words)), "")
+            return next((it for it in self.said[since:] if all(word in it for word in words)), "")
 
         return eventually(found, PATIENCE, lambda: f"{words}: {self.said[-5:]}, {self.log('bridge')[-500:]}")
 
@@ -97,6 +99,15 @@ class Rig:
             PATIENCE,
             lambda: f"{self.said}, {self.log('bridge')}, {self.log('daemon')}",
         )
+
+    def await_end(self) -> None:
+        """Waits until no goal of a topic runs; only the bridge's sentences tell these goals' ids."""
+
+        def ended() -> bool:
+            last = {match[1]: match[2] for it in self.said if (match := OF_TOPIC.match(it))}
+            return "is accepted" not in last.values()
+
+        eventually(ended, PATIENCE, lambda: str(self.said[-10:]))
 
     def client(self, action: str = TIP) -> Client:
         """An action client that uses nothing of the wire."""
