@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
@@ -24,7 +24,7 @@ class BookedGoal(msgspec.Struct, frozen=True):
         ended: UNIX time of the result [s].
     """
 
-    uuid: str
+    uuid: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{32}\Z")]
     kind: str
     joints: tuple[str, ...]
     stamp: int

@@ -10,6 +10,7 @@ from controller.ros2.goal_book import BookedGoal, GoalBook
 
 FIRST = BookedGoal("00" * 16, "tip", ("tip_x", "tip_y"), 1_700_000_000_000_000_000)
 SECOND = BookedGoal("11" * 16, "actuators", ("5.left",), 1_700_000_001_000_000_000)
+NO_ID = msgspec.json.encode([msgspec.structs.replace(FIRST, uuid="none")])
 ENDED = msgspec.structs.replace(FIRST, result={"code": 0}, ended=100.0)
 
 
@@ -35,7 +36,7 @@ def test_a_result_is_kept_for_a_while(tmp_path: Path, monkeypatch: pytest.Monkey
     assert book.goals() == [SECOND]
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b'[{"uuid": 5}]', b"\xff"])
+@pytest.mark.parametrize("content", [b"", b"{", b'[{"uuid": 5}]', b"\xff", NO_ID])
 def test_a_damaged_file_forgets_the_goals_and_is_replaced(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.json"
     path.write_bytes(content)
