@@ -346,29 +346,3 @@ def test_a_result_that_waits_for_deviations_is_published_when_another_request_en
         desk.ask("obstacles", {"regions": [{"disc": {"centre": [50.0, 50.0], "radius": 0.1}}]}, "obstacles")
     assert desk.inbox.next("feedback")["waypoint"] == 0
     assert desk.inbox.next("result")["status"] == "succeeded"
-
-
-def test_a_goal_that_waits_hurries_the_search_before_it(desk: Desk) -> None:
-    """Both orders: a goal arrives while another is searched, and a search begins while others wait."""
-    desk.held = {PlanGoal}
-    desk.goal(A, name="a")
-    assert desk.hurried == []
-    desk.goal(B, name="b")
-    desk.goal(C, name="c")
-    assert len(set(desk.hurried)) == 1
-    desk.held = set()
-    desk.release(PlanGoal)
-    desk.executor.decline(desk.executor.expect(Program), Reason.OVERTAKEN)
-    desk.executor.decline(desk.executor.expect(Program), Reason.OVERTAKEN)
-    desk.executor.expect(Program)
-    assert len(set(desk.hurried)) == 2
-
-
-@pytest.mark.parametrize(("deadline", "longest"), [({}, 60.0), ({"deadline": 50.0}, 110.0)])
-def test_planning_that_takes_too_long_is_refused(desk: Desk, deadline: dict[str, float], longest: float) -> None:
-    desk.held = {PlanGoal}
-    desk.goal(A, name="a", **deadline)
-    desk.pass_time(longest - 1.0)
-    assert desk.inbox.empty
-    desk.pass_time(2.0)
-    assert desk.inbox.next("reply")["message"] == f"planning took longer than {longest:g} s"
