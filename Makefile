@@ -6,7 +6,7 @@ STEPS ?= 1000000
 # Bytecode is written when a module is first imported: pip would compile all that it installs.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo panel test page-test vm vm-test vcan-test ros2-test check bench fuzz soak clean
+.PHONY: demo panel test page-test vm vm-test vcan-test ros2-test check bench fleet fuzz soak clean
 
 demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
@@ -52,6 +52,7 @@ page-test: $(VENV)/kernels $(VENV)/page
 	$(BIN)/pytest tests/browser $(ARGS)
 
 # The wire of ROS 2 beside ROS 2's own Python packages, without rmw_zenoh, which has none. They need 540 MB, and Python 3.11.
+# RViz's parser of robot descriptions: apt-get install liburdfdom-tools
 ros2-test: $(VENV)/installed $(VENV)/ros2-jazzy/installed $(VENV)/ros2-kilted/installed
 	$(BIN)/pytest tests/ros2/oracle $(ARGS)
 
@@ -60,7 +61,7 @@ $(VENV)/ros2-kilted/installed: RCLPY := 9.1.2
 $(VENV)/ros2-%/installed:
 	$(PYTHON) -m venv $(@D)
 	$(@D)/bin/pip install --quiet 'ros-rclpy[fastrtps]==$(RCLPY)' $(addprefix ros-,action-msgs diagnostic-msgs nav-msgs \
-		rcl-interfaces sensor-msgs std-srvs test-msgs trajectory-msgs visualization-msgs)
+		rcl-interfaces sensor-msgs std-srvs test-msgs trajectory-msgs visualization-msgs) urdf-parser-py
 	touch $@
 
 check: $(VENV)/installed
@@ -82,7 +83,12 @@ bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.daemon.real_time
 	$(BIN)/python -m tests.benchmarks.daemon.load
 	$(BIN)/python -m tests.benchmarks.daemon.floods
+	$(BIN)/python -m tests.benchmarks.daemon.bridge
 	$(BIN)/python -m tests.benchmarks.motion.steps
+
+# Twenty arms, five clients, two pages and a recorder on this computer, with faults: ten minutes.
+fleet: $(VENV)/installed
+	$(BIN)/python -m tests.benchmarks.fleet $(ARGS)
 
 fuzz: $(VENV)/installed
 	$(BIN)/pip install --quiet --editable '.[fuzz]'

@@ -28,7 +28,7 @@ command -v systemd-sysusers >/dev/null || fail "systemd-sysusers is missing: apt
 # A running program imports modules late and must not find another version's modules. The operator decides when the boards
 # may lose their heartbeat.
 running=
-for service in hyperbit hyperbit-executor hyperbit-panel hyperbit-recorder hyperbit-ros2; do
+for service in hyperbit hyperbit-executor hyperbit-panel hyperbit-recorder hyperbit-ros2 hyperbit-router; do
   case $(systemctl is-active "$service.service" 2>/dev/null) in
   active | activating | reloading | deactivating) running="$running $service" ;;
   esac
@@ -78,11 +78,13 @@ else
   keep "$arm" /etc/hyperbit/arm.yaml
 fi
 keep "$project/deploy/zenoh.json5" /etc/hyperbit/zenoh.json5
+keep "$project/deploy/zenoh-router.json5" /etc/hyperbit/zenoh-router.json5
 keep "$project/deploy/can0.network" /etc/systemd/network/80-can0.network
 keep "$project/deploy/can0.link" /etc/systemd/network/80-can0.link
 # A static group: by it the planner's user and operators may open the executor's socket.
 systemd-sysusers --inline 'g hyperbit -'
-for service in hyperbit hyperbit-executor hyperbit@ hyperbit-executor@ hyperbit-panel hyperbit-recorder hyperbit-ros2; do
+for service in hyperbit hyperbit-executor hyperbit@ hyperbit-executor@ hyperbit-panel hyperbit-recorder hyperbit-ros2 \
+  hyperbit-router; do
   install -D -m 644 "$project/deploy/$service.service" "/etc/systemd/system/$service.service"
 done
 # Explanations for `journalctl -x`.
@@ -104,5 +106,6 @@ Installed and enabled. Next:
   systemctl start hyperbit-panel                         serve the operator's page, see README.md
   systemctl start hyperbit-recorder                      record the arm into /var/lib/hyperbit-recorder
   systemctl start hyperbit-ros2                          show the arm to a ROS 2 system, see README.md
+  systemctl start hyperbit-router                        connect a cell's arms, see fleet.md
   usermod --append --groups hyperbit USER                let USER run `hyperbit halt --local`
 TEXT

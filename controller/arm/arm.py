@@ -1,10 +1,12 @@
 """Builds the arm from its YAML file, and reports each fault with the path of its field."""
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,6 +55,14 @@ class Arm:
     def reduced(self) -> Manipulator:
         """The chain without the module states that the stuck actuators rule out."""
         return lock_actuators(self.manipulator, self.locked)
+
+    @property
+    def digest(self) -> str:
+        """Digest of the fields of the file and of its tables; comments and layout of the file do not change it."""
+        m, digest = self.manipulator, hashlib.sha256(msgspec.json.encode(self.settings))
+        for array in (m.base, m.states, m.rotations, m.translations):
+            digest.update(array.tobytes())
+        return digest.hexdigest()
 
     def clearance(self, manipulator: Manipulator | None = None, others: Obstacles = NONE) -> BodyClearance:
         """Returns the collision checks of the chain, or of a reduced one, against the file's obstacles and others."""

@@ -32,8 +32,29 @@ class CsvFile(NamedTuple):
     def records(self) -> Iterator[tuple[int, dict[str, str]]]:
         """Yields line number and fields by column of each row; missing fields are empty, further fields are ignored."""
         for row in self.rows:
-            fields = row.fields[: len(self.columns)]
-            yield row.line, dict(zip_longest(self.columns, fields, fillvalue=""))
+            yield row.line, record_of(self.columns, row)
+
+
+def csv_rows(path: Path) -> Iterator[CsvRow]:
+    """Yields the rows of a CSV file as they are read, the names of the columns first; an empty line has no fields.
+
+    Raises:
+        InputFaults: the file cannot be read.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets write a byte order mark
+            reader = csv.reader(file, skipinitialspace=True, strict=True)
+            yield CsvRow(1, [column.strip() for column in next(reader, [])])
+            for fields in reader:
+                yield CsvRow(reader.line_num, fields)
+    except (OSError, ValueError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputFaults(path, [f"cannot be read: {reason}"]) from None
+
+
+def record_of(columns: list[str], row: CsvRow) -> dict[str, str]:
+    """Returns the fields of a row by column; missing fields are empty, further fields are ignored."""
+    return dict(zip_longest(columns, row.fields[: len(columns)], fillvalue=""))
 
 
 def read_csv(path: Path, most: int | None = None) -> CsvFile:
@@ -46,15 +67,9 @@ def read_csv(path: Path, most: int | None = None) -> CsvFile:
     Raises:
         InputFaults: the file cannot be read.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets write a byte order mark
-            reader = csv.reader(file, skipinitialspace=True, strict=True)
-            columns = [column.strip() for column in next(reader, [])]
-            lines = islice(reader, None if most is None else most + 1)
-            return CsvFile(columns, [CsvRow(reader.line_num, fields) for fields in lines if fields])
-    except (OSError, ValueError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputFaults(path, [f"cannot be read: {reason}"]) from None
+    rows = csv_rows(path)
+    columns, lines = next(rows).fields, islice(rows, None if most is None else most + 1)
+    return CsvFile(columns, [row for row in lines if row.fields])
 
 
 def read_states(folder: Path, name: str | None, field: str, faults: list[str]) -> CsvFile | None:

@@ -157,9 +157,10 @@ class WorkspaceSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class PlanningSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """The time of planning that one saved switch is worth [s]."""
+    """The time of planning that one saved switch is worth [s], and the number of processes for long plans."""
 
     seconds_per_switch: Annotated[float, Meta(ge=0, le=60)] = 0.01
+    workers: Annotated[int, Meta(ge=0, le=64)] = 0
 
 
 class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):

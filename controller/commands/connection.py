@@ -91,9 +91,10 @@ def connected(arm: str, connect: str, zenoh_file: Path | None, *, find: bool = T
 
 
 def arms_alive(session: zenoh.Session) -> list[str]:
-    """Returns the names of the arms that have a daemon, sorted; none if this client may not ask."""
-    tokens = session.liveliness().get("hyperbit/*/alive", timeout=1.0)
-    return sorted({str(token.ok.key_expr).split("/")[1] for token in tokens if token.ok is not None})
+    """Returns the names of the arms of this namespace that have a daemon, sorted; none if this client may not ask."""
+    from controller.network.fleet import OWN, alive
+
+    return [address.name for address in alive(session, [OWN])]
 
 
 def step_after(arm: str, names: list[str]) -> str:

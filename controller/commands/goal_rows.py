@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from controller.armfile.csv_files import read_csv
+from controller.armfile.csv_files import csv_rows, record_of
 from controller.armfile.strict import InputFaults
 from controller.commands.common import parse_goal
 
@@ -39,24 +40,35 @@ def read_goal_rows(path: Path, further: tuple[str, ...], dimension: int | None =
     Raises:
         InputFaults: the file is missing or wrong; each fault names its line.
     """
-    file = read_csv(path)
-    dimension = dimension or (3 if "z" in file.columns else 2)
-    columns = ["x", "y", "z"][:dimension]
-    turns = ["th"] if dimension == 2 else ["qx", "qy", "qz", "qw"]
-    if set(turns) <= set(file.columns):
-        columns += turns
-    if not set(columns) <= set(file.columns) <= {*columns, *further}:
-        needed = f"columns {','.join(columns)} are needed, {','.join(turns)} and {','.join(further)} are optional"
-        raise InputFaults(path, [f"{needed}; got {file.columns}"])
-    goals: list[GoalRow] = []
-    faults: list[str] = []
-    for line, record in file.records():
-        where = f"line {line}"
-        try:
-            wanted = parse_goal(",".join(record[name] for name in columns).rstrip(","), dimension, where)
-            goals.append(GoalRow(where, *wanted, {name: record.get(name, "") for name in further}))
-        except InputFaults as error:
-            faults += [f"{where}: {fault}" for fault in error.faults]
+    faults = list[str]()
+    goals = list(goal_rows(path, further, dimension, faults))
     if faults or not goals:
         raise InputFaults(path, faults or ["no goals"])
     return goals
+
+
+def goal_rows(path: Path, further: tuple[str, ...], dimension: int | None, faults: list[str]) -> Iterator[GoalRow]:
+    """Yields the goals of a CSV file as they are read; appends a fault for each row that is wrong.
+
+    Raises:
+        InputFaults: the file cannot be read, or its columns are wrong.
+    """
+    rows = csv_rows(path)
+    there = next(rows).fields
+    dimension = dimension or (3 if "z" in there else 2)
+    columns = ["x", "y", "z"][:dimension]
+    turns = ["th"] if dimension == 2 else ["qx", "qy", "qz", "qw"]
+    if set(turns) <= set(there):
+        columns += turns
+    if not set(columns) <= set(there) <= {*columns, *further}:
+        needed = f"columns {','.join(columns)} are needed, {','.join(turns)} and {','.join(further)} are optional"
+        raise InputFaults(path, [f"{needed}; got {there}"])
+    for row in rows:
+        if not row.fields:
+            continue
+        where, record = f"line {row.line}", record_of(there, row)
+        try:
+            wanted = parse_goal(",".join(record[name] for name in columns).rstrip(","), dimension, where)
+            yield GoalRow(where, *wanted, {name: record.get(name, "") for name in further})
+        except InputFaults as error:
+            faults += [f"{where}: {fault}" for fault in error.faults]

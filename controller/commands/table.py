@@ -43,6 +43,12 @@ GROUPS = {
             "List the arms that have a daemon, each with its mode, goal and faults.",
             "hyperbit list",
         ),
+        "fleet": CommandEntry(
+            "use.fleet",
+            "fleet",
+            "Show all arms of a network until Ctrl-C, also below namespaces; in a pipe or with --json print them once.",
+            "hyperbit fleet",
+        ),
         "cancel": CommandEntry(
             "use.requests",
             "cancel",
@@ -146,6 +152,12 @@ GROUPS = {
             "simulate",
             "Run simulated boards on the arm's own bus, in place of the real boards, until SIGTERM.",
             "hyperbit simulate my-arm.yaml --board fixed-mapping",
+        ),
+        "router": CommandEntry(
+            "operate.router",
+            "router",
+            "Run a Zenoh router until SIGTERM: it connects arms, pages and commands of several computers.",
+            "hyperbit router",
         ),
         "demo": CommandEntry(
             "operate.demo",

@@ -29,8 +29,10 @@ from controller.library.errors import (
     LockError,
     ObstacleError,
     PathError,
+    StudyError,
 )
 from controller.library.goals import Goal
+from controller.library.many import map
 from controller.library.modules import Module, platform, prismatic, revolute, transforms, vgt
 from controller.library.obstacles import Box, Disc, HalfPlane, HalfSpace, Obstacle, Sphere
 from controller.library.plot import plot
@@ -64,8 +66,10 @@ __all__ = [
     "Solution",
     "Solver",
     "Sphere",
+    "StudyError",
     "calibrate",
     "load",
+    "map",
     "platform",
     "plot",
     "prismatic",

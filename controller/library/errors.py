@@ -43,5 +43,9 @@ class PathError(Error):
     """No path was found: a goal is out of reach, or an obstacle blocks it. The message has the goal's number."""
 
 
+class StudyError(Error):
+    """Goals cannot be computed by worker processes or on a cluster. The message says what is missing there."""
+
+
 class CalibrationError(Error):
     """The arm cannot be fitted to the measurements."""

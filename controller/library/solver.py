@@ -26,7 +26,7 @@ from controller.motion.trajectory import MOST_POINTS
 from controller.refusals.refusal import Refusal
 from controller.search import solver as search
 from controller.search.method import METHODS, MINIMUM_SWITCH, Method
-from controller.search.solution import Certificate, Solution
+from controller.search.solution import Certificate, SearchTime, Solution
 
 GOAL_DEADLINE, PATH_DEADLINE = search.TIMEOUT, WHOLE_TIME
 
@@ -122,6 +122,7 @@ class Solver:
         *,
         method: Method = MINIMUM_SWITCH,
         deadline: float = GOAL_DEADLINE,
+        effort: float | None = None,
     ) -> Solution:
         """Returns a configuration for a goal. If the goal is out of reach, returns the nearest configuration found.
 
@@ -131,13 +132,16 @@ class Solver:
             method: one of `METHODS`.
             deadline: time for the search for fewest switches [s]. A goal that is not reached by then gets 1 s in all,
                 or the deadline if it is longer.
+            effort: work for the search in place of `deadline`; one unit is about a millisecond of an ordinary computer.
+                The solution is then the same on every run. A goal that is not reached by then gets 1000 in all, or the
+                effort if it is more.
 
         Raises:
-            GoalError: the goal has another dimension than the arm, or the method or the deadline is invalid.
+            GoalError: the goal has another dimension than the arm, or the method, deadline or effort is invalid.
             ConfigurationError: the start is no configuration of the arm.
         """
-        check_search(method, deadline=deadline)
-        return self._solve(self._search, self._with_tolerances(goal), self._start(start), method, deadline)
+        allowed = checked_time(method, deadline, effort)
+        return self._solve(self._search, self._with_tolerances(goal), self._start(start), method, allowed)
 
     def solve_many(
         self,
@@ -146,6 +150,7 @@ class Solver:
         *,
         method: Method = MINIMUM_SWITCH,
         deadline: float = GOAL_DEADLINE,
+        effort: float | None = None,
     ) -> list[Solution]:
         """Returns a configuration for each goal, all from the same start, in the order of the goals.
 
@@ -157,12 +162,13 @@ class Solver:
             start: see solve.
             method: one of `METHODS`.
             deadline: see solve; of each goal.
+            effort: see solve; of each goal.
 
         Raises:
             GoalError: see solve.
             ConfigurationError: the start is no configuration of the arm.
         """
-        check_search(method, deadline=deadline)
+        allowed = checked_time(method, deadline, effort)
         asked, before = [self._with_tolerances(goal) for goal in goals], self._start(start)
         idle, count = SimpleQueue[search.Solver](), min(len(os.sched_getaffinity(0)), len(asked))
         for searcher in self._searches(count):
@@ -171,7 +177,7 @@ class Solver:
         def solved(goal: ToleratedGoal) -> Solution:
             searcher = idle.get()
             try:
-                return self._solve(searcher, goal, before, method, deadline)
+                return self._solve(searcher, goal, before, method, allowed)
             finally:
                 idle.put(searcher)
 
@@ -248,10 +254,10 @@ class Solver:
         return [self._search, *self._others][:count]
 
     def _solve(
-        self, searcher: search.Solver, asked: ToleratedGoal, before: Configuration, method: Method, deadline: float
+        self, searcher: search.Solver, asked: ToleratedGoal, before: Configuration, method: Method, allowed: SearchTime
     ) -> Solution:
         target = searcher.target(asked.target, asked.tolerance, asked.angle_tolerance)
-        return self._whole(searcher.solve(target, before, method, timeout=deadline))
+        return self._whole(searcher.solve(target, before, method, timeout=allowed))
 
     def _with_tolerances(self, goal: Goal | ArrayLike) -> ToleratedGoal:
         return with_tolerances(goal, self.arm.dimension, self.arm.tolerance, self.arm.angle_tolerance)
@@ -281,6 +287,21 @@ class Solver:
     def _whole(self, found: Solution) -> Solution:
         """Returns a solution with its configuration in the numbering of the whole arm."""
         return replace(found, configuration=self.arm._to_whole(found.configuration))
+
+
+def checked_time(method: str, deadline: float, effort: float | None) -> SearchTime:
+    """Returns the time of the search for one goal, or its work if an effort is given.
+
+    Raises:
+        GoalError: there is no such method, or a number is not positive.
+    """
+    if effort is None:
+        check_search(method, deadline=deadline)
+        return search.search_time(deadline)
+    check_search(method)
+    if not 0 < effort < math.inf:
+        raise GoalError(f"effort: a positive number is needed, got {effort!r}")
+    return search.search_effort(effort)
 
 
 def check_search(method: str, **deadlines: float) -> None:

@@ -31,7 +31,8 @@ class Scene(NamedTuple):
         frame_rotations: scratch: rotations of frames F_0 to F_B in the world, shape (B + 1, 3, 3).
         positions: scratch: positions of frames F_0 to F_B in the world, shape (B + 1, 3).
         world: scratch: bodies in the world.
-        checks: scratch: number of configurations that may still be checked, shape (1,).
+        checks: scratch: number of configurations that may still be checked, and number of those checked so far, shape
+            (2,).
     """
 
     arm: ArmBodies
@@ -65,7 +66,7 @@ def scene_of(manipulator: Manipulator, clearance: BodyClearance | None) -> Scene
         rotations,
         positions,
         WorldBodies(np.empty((modules, *clearance.bodies.shape[2:])), np.empty((modules, 4))),
-        np.zeros(1, dtype=np.int64),
+        np.zeros(2, dtype=np.int64),
     )
 
 

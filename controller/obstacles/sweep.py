@@ -45,8 +45,11 @@ class Sweep:
         counts = [len(module.actuators) for module in arm.modules]
         self._starts = np.cumsum([0, *counts])
         self._owners = np.repeat(np.arange(len(counts)), counts)
-        self._flags = 1 << (np.arange(len(self._owners)) - self._starts[self._owners])
-        self._states = [states_of(module.bits) for module in arm.modules]
+        self._weights = np.zeros((len(self._owners), len(counts)))  # of each actuator's state in its module's code
+        actuators = np.arange(len(self._owners))
+        self._weights[actuators, self._owners] = 1 << (actuators - self._starts[self._owners])
+        known = [states_of(module.bits) for module in arm.modules]
+        self._known, self._tables = np.concatenate(known), np.cumsum([0, *map(len, known[:-1])])
         self._displacements = [displacements_of(module) for module in arm.modules]
 
     @property
@@ -54,15 +57,21 @@ class Sweep:
         """Whether "clear" is a proof: all modules have proven bounds, see Module.proven."""
         return all(module.proven for module in self._arm.modules)
 
-    def first_collision(self, states: States, actuators: Index) -> Collision | None:
+    def first_collision(self, states: States, actuators: Index, *, clear_ends: bool = False) -> Collision | None:
         """Returns a possible collision while actuators (k,) switch from states (A,); None if the transition is clear.
 
         Each actuator may be at any displacement, independently of the others. "Clear" is proven if `proven`, for
         modules that move as Module.motion says. Otherwise it relies on samples, see Displacements.rates.
+
+        Args:
+            states: before, shape (A,).
+            actuators: that switch, shape (k,).
+            clear_ends: whether the configurations before and after are known to be clear.
         """
         if self._clearance.free:
             return None
-        return self._sampled(states, actuators) or self._swept(states, actuators)
+        sampled = None if clear_ends and len(actuators) == 1 else self._sampled(states, actuators)
+        return sampled or self._swept(states, actuators)
 
     def blocked(self, states: States) -> NDArray[np.bool_]:
         """Returns which actuator states (n, A) collide or belong to no configuration, shape (n,)."""
@@ -74,8 +83,8 @@ class Sweep:
 
     def _spelled(self, states: States) -> Index:
         """Returns the configurations (n, B) of actuator states (n, A); -1 for a module without such a state."""
-        parts = zip(self._states, self._starts[:-1], self._starts[1:], strict=True)
-        return np.column_stack([known[states[:, a:b] @ self._flags[a:b]] for known, a, b in parts])
+        codes = states.astype(np.float64) @ self._weights  # exact, and faster than integers
+        return np.asarray(self._known[self._tables + codes.astype(np.int64)])
 
     def describe(self, collision: Collision) -> str:
         """Returns a collision as a sentence, as BodyClearance.where has it."""

@@ -20,6 +20,8 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from controller.network.fleet import is_name
+from controller.network.stop_all import stop_all
 from controller.panel import requests
 from controller.panel.access.access import Access
 from controller.panel.access.people import Person
@@ -28,7 +30,7 @@ from controller.panel.access.sessions import LASTS
 from controller.panel.access.wrong_tokens import WrongTokens
 from controller.panel.arm_page import ArmPage, Flood, RequestThreads, encoded
 from controller.panel.arms.arm_view import ArmView
-from controller.panel.arms.arms import Arms, valid
+from controller.panel.arms.arms import Arms
 from controller.panel.arms.metrics import endpoint
 from controller.panel.arms.pages import Page
 from controller.panel.shield import LOCAL, Shield, TooLarge, policy
@@ -71,6 +73,7 @@ class PanelServer:
             Route("/arms/{name}", self._shell, methods=["GET"]),
             Route("/arms/{name}/density", self._density, methods=["GET"]),
             Route("/arms/{name}/stop", self._stop, methods=["POST"]),
+            Route("/stop", self._stop_all, methods=["POST"]),
             Route("/metrics", self._metrics, methods=["GET"]),
             Route("/session", self._enter, methods=["POST"]),
             Route("/session", self._leave, methods=["DELETE"]),
@@ -109,7 +112,7 @@ class PanelServer:
 
     async def _shell(self, request: Request) -> Response:
         """Answers the page itself. It needs no login, because it contains no data."""
-        if not valid(request.path_params.get("name", "a")):
+        if not is_name(request.path_params.get("name", "a")):
             raise HTTPException(404, "There is no such arm.")
         return FileResponse(STATIC / "index.html")
 
@@ -136,9 +139,7 @@ class PanelServer:
 
     async def _stop(self, request: Request) -> Response:
         """Stops an arm without the WebSocket, which may be closed at the moment."""
-        person = self._person(request)
-        if person is None or person.role != "operator":
-            raise HTTPException(403, "Only operators may stop an arm.")
+        self._check_may_stop(request)
         view = self.arms.views.get(request.path_params["name"])
         if view is None:
             raise HTTPException(404, "There is no such arm.")
@@ -147,6 +148,23 @@ class PanelServer:
             return JSONResponse(await loop.run_in_executor(self._threads.stops, view.client.request, "stop"))
         except RuntimeError as error:
             return JSONResponse({"accepted": False, "message": str(error)}, status_code=503)
+
+    async def _stop_all(self, request: Request) -> Response:
+        """Stops all arms below the page's prefix, and answers which have stopped."""
+        self._check_may_stop(request)
+        loop, places = asyncio.get_running_loop(), (f"{self._prefix}/*",)
+        report = await loop.run_in_executor(self._threads.stops, stop_all, self.arms.session, places)
+        failed = [f"{arm}: no answer" for arm in report.silent]
+        failed += [f"{arm}: {answer['message']}" for arm, answer in report.answers.items() if not answer["accepted"]]
+        stopped = ", ".join(str(arm) for arm, answer in report.answers.items() if answer["accepted"])
+        parts = [*failed, f"stopped: {stopped}" if stopped else "no arm has stopped"]
+        return JSONResponse({"accepted": report.complete, "message": "; ".join(parts)})
+
+    def _check_may_stop(self, request: Request) -> None:
+        """Raises HTTPException unless the person of a request is an operator."""
+        person = self._person(request)
+        if person is None or person.role != "operator":
+            raise HTTPException(403, "Only operators may stop an arm.")
 
     async def _enter(self, request: Request) -> Response:
         """Begins a session in exchange for a token, and sets its cookie."""
@@ -189,7 +207,7 @@ class PanelServer:
         if (refusal := self._places.refusal(place)) is not None:
             await socket.close(TOO_MANY, refusal)
             return
-        view = self.arms.open(page, name) if name is None or valid(name) else None
+        view = self.arms.open(page, name) if name is None or is_name(name) else None
         if name is not None and view is None:
             await socket.close(TOO_MANY, "too many arms are known, or there is no such arm")
             return

@@ -185,6 +185,7 @@ class Reason(enum.Enum):
         FEWER,
     )
     PLANNING_TOO_LONG = "planning-too-long", "planning took longer than {seconds} s", FEWER
+    PLAN_CANCELED = "plan-canceled", "the plan was canceled", "send it again, if it is still needed"
 
     # --- the way of a request: controller/gateway, controller/planning/core
 

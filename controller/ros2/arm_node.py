@@ -1,5 +1,6 @@
 """The arm as one node of ROS 2: what it publishes, what it subscribes to, its services and its two actions."""
 
+import contextlib
 import math
 import re
 import time
@@ -11,20 +12,22 @@ from controller.manipulator.described import described
 from controller.network.client import Client
 from controller.pictures.scene import FoxgloveScene
 from controller.ros2 import messages
+from controller.ros2.answers import GoalResult
 from controller.ros2.goal_book import GoalBook
-from controller.ros2.goals import TIMEOUT, ActionGoals, Kind
+from controller.ros2.goals import ActionGoals, Kind
 from controller.ros2.messages import ERROR, INFO, WARN
 from controller.ros2.poses import Fields, Place
 from controller.ros2.requests import Requests
 from controller.ros2.robot import urdf
 from controller.ros2.trajectories import actuator_goal, tip_goal, tip_positions
-from controller.ros2.wire import qos
+from controller.ros2.wire import names, qos
 from controller.ros2.wire.node import Node
 from controller.ros2.wire.session import Session
 
 ROSOUT = qos.Qos(durability=qos.Durability.TRANSIENT_LOCAL, depth=1000)
 SAME = ("name", "frames", "base", "actuators", "dimension", "version")  # of descriptions that are of one node
 MOST_SAID = 20  # sentences on /rosout in a second
+MOST_LETTERS = 1000  # of a sentence: it may quote what came from the network
 ODD = re.compile(r"[^A-Za-z0-9_]")
 
 
@@ -66,21 +69,16 @@ class ArmNode:
     def __init__(
         self, session: Session, client: Client, arm: Mapping[str, Any], book: GoalBook, settings: Settings
     ) -> None:
-        self._arm, self._client, self._book, self._world = arm, client, book, settings.world
+        self._session, self._client, self._book, self._settings = session, client, book, settings
+        self._arm, self._world = arm, settings.world
+        if not isinstance(arm["name"], str):
+            raise TypeError(f"name: {arm['name']!r}")
         self._manipulator = described(arm)
         self._place = Place(settings.world, str(arm["name"]), self._manipulator.base, int(arm["dimension"]))
-        self._oriented = settings.oriented
-        node, namespace = node_name(str(arm["name"]), settings.namespace)
-        self._node = Node(session, node, namespace, settings.domain, settings.distro)
-        self.name = f"{namespace.rstrip('/')}/{node}"
-        self._log = self._node.publisher("/rosout", "rcl_interfaces/msg/Log", ROSOUT)
-        self._states = self._node.publisher("joint_states", "sensor_msgs/msg/JointState")
-        self._tips = self._node.publisher("tip_pose", "geometry_msgs/msg/PoseStamped")
-        self._frames = self._node.publisher("/tf", "tf2_msgs/msg/TFMessage", qos.TF)
-        self._fixed = self._node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", qos.TF_STATIC)
-        self._pictures = self._node.publisher("visualization_marker_array", "visualization_msgs/msg/MarkerArray")
-        self._health = self._node.publisher("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-        self._robot = self._node.publisher("robot_description", "std_msgs/msg/String", qos.LATCHED)
+        self._urdf = urdf(str(arm["name"]), settings.world, self._manipulator)
+        self._node_name, self._namespace = node_name(str(arm["name"]), settings.namespace)
+        names.check_node(self._node_name, self._namespace)
+        self.name = f"{self._namespace.rstrip('/')}/{self._node_name}"
         self._state: Mapping[str, Any] = {}
         self._faults: dict[tuple[str, str], str] = {}
         self._dropped: dict[str, Counter[str]] = {}
@@ -90,27 +88,39 @@ class ArmNode:
         self._markers = messages.Markers(self._scene, str(arm["name"]), self._manipulator.length, self._world)
 
     def open(self) -> None:
-        """Publishes what does not change, and accepts requests from now on."""
-        self._robot.publish({"data": urdf(str(self._arm["name"]), self._world, self._manipulator)})
-        self._requests = Requests(self._node, self._client, self._place, self.say, oriented=self._oriented)
+        """Declares the node, publishes what does not change, and accepts requests from now on.
+
+        Raises:
+            zenoh.ZError: the session is closed. Nothing of the node is left.
+        """
+        with contextlib.ExitStack() as undoing:
+            settings = self._settings
+            self._node = Node(self._session, self._node_name, self._namespace, settings.domain, settings.distro)
+            undoing.callback(self._node.close)
+            self._declare_publishers()
+            self._requests = Requests(self._node, self._client, self._place, self.say, oriented=settings.oriented)
+            undoing.callback(self._requests.close)
+            kinds = {
+                "tip": Kind(
+                    "tip_controller/follow_joint_trajectory",
+                    lambda goal: tip_goal(goal, self._place),
+                    self._tip_feedback,
+                ),
+                "actuators": Kind(
+                    "actuator_controller/follow_joint_trajectory", self._actuator_goal, self._actuator_feedback
+                ),
+            }
+            submit = self._requests.submit
+            self._goals = ActionGoals(self._node, kinds, self._book, self._client, submit, self.say)
+            self._undo = undoing.pop_all()
+        self._robot.publish({"data": self._urdf})
         axes = ("tip_x", "tip_y", "tip_z")[: self._place.dimension]
-        kinds = {
-            "tip": Kind(
-                "tip_controller/follow_joint_trajectory", lambda goal: tip_goal(goal, self._place), self._tip_feedback
-            ),
-            "actuators": Kind(
-                "actuator_controller/follow_joint_trajectory", self._actuator_goal, self._actuator_feedback
-            ),
-        }
-        submit = self._requests.submit
-        self._goals = ActionGoals(self._node, kinds, self._book, self._request, submit, self.say)
         self.say(INFO, f"the arm {self._arm['name']}: joints of the tip {', '.join(axes)}, tip_yaw")
 
     def close(self) -> None:
         """Ends the node; its goals are aborted."""
         self._goals.close()
-        self._requests.close()
-        self._node.close()
+        self._undo.close()
 
     def describes(self, arm: Mapping[str, Any]) -> bool:
         """Returns whether a description is of the arm of this node."""
@@ -127,7 +137,15 @@ class ArmNode:
         self.say(INFO if alive else ERROR, f"the daemon is {'there' if alive else 'gone'}")
 
     def receive_state(self, state: Mapping[str, Any]) -> None:
-        """Tells faults that came, and those that are over."""
+        """Accepts a state; tells faults that came, and those that are over.
+
+        Raises:
+            ValueError: it is a state of another arm; nothing has changed.
+        """
+        for name in ("measured", "commanded"):
+            states, count = state.get(name), len(self._manipulator.actuators)
+            if states is not None and len(states) != count:
+                raise ValueError(f"{name}: {len(states)} states of actuators, expected {count}")
         faults = {(str(it["code"]), str(it["source"])): str(it["message"]) for it in state["faults"]}
         for key in faults.keys() - self._faults.keys():
             self.say(ERROR if state["mode"] == "fault" else WARN, f"{key[0]}: {faults[key]}")
@@ -135,10 +153,10 @@ class ArmNode:
             self.say(INFO, f"{code} at {source} is over")
         self._state, self._faults = state, faults
 
-    def receive_result(self, message: Mapping[str, Any]) -> None:
+    def receive_result(self, result: GoalResult) -> None:
         """Accepts a `result`."""
-        self._goals.receive_result(message)
-        self._requests.receive_result(message)
+        self._goals.receive_result(result)
+        self._requests.receive_result(result)
 
     def publish_state(self, state: Mapping[str, Any]) -> None:
         """Publishes a state: joints, tip, frames, feedback, and markers if they have changed."""
@@ -181,12 +199,20 @@ class ArmNode:
             self._unsaid += 1
             return
         self._said.append(now)
+        text = text if len(text) <= MOST_LETTERS else f"{text[:MOST_LETTERS]}..."
         if self._unsaid:
             text, self._unsaid = f"{text} ({self._unsaid} sentences before were left out)", 0
         self._log.publish(messages.log(time.time(), level, self.name.strip("/").replace("/", "."), text))
 
-    def _request(self, key: str, payload: Mapping[str, Any]) -> dict[str, Any]:
-        return self._client.request(key, payload, TIMEOUT)
+    def _declare_publishers(self) -> None:
+        self._log = self._node.publisher("/rosout", "rcl_interfaces/msg/Log", ROSOUT)
+        self._states = self._node.publisher("joint_states", "sensor_msgs/msg/JointState")
+        self._tips = self._node.publisher("tip_pose", "geometry_msgs/msg/PoseStamped")
+        self._frames = self._node.publisher("/tf", "tf2_msgs/msg/TFMessage", qos.TF)
+        self._fixed = self._node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", qos.TF_STATIC)
+        self._pictures = self._node.publisher("visualization_marker_array", "visualization_msgs/msg/MarkerArray")
+        self._health = self._node.publisher("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+        self._robot = self._node.publisher("robot_description", "std_msgs/msg/String", qos.LATCHED)
 
     def _actuator_goal(self, goal: Any) -> Fields:
         states = self._state.get("measured") or [None] * len(self._manipulator.actuators)

@@ -9,6 +9,7 @@ import msgspec
 
 from controller.network.client import Client
 from controller.network.listener import Listener, ReceivedMessage
+from controller.ros2.answers import GoalResult, State
 from controller.ros2.arm_node import ArmNode, Settings
 from controller.ros2.goal_book import GoalBook
 from controller.ros2.wire.session import Session
@@ -16,7 +17,8 @@ from controller.ros2.wire.session import Session
 PERIOD = 0.02  # [s] between two states
 SLOW = 1.0  # [s] between two diagnostics, and between two repetitions of markers
 ASK_EVERY = 5.0  # [s] for the arm's description, while there is none
-UNEXPECTED = (LookupError, TypeError, ValueError, AttributeError)  # raised by messages of another form than ours
+# Raised by messages of another form than the daemon's.
+UNEXPECTED = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError, msgspec.MsgspecError)
 log = logging.getLogger(__name__)
 
 
@@ -40,6 +42,7 @@ class Bridge:
         self._description = b""
         self._latest: dict[str, dict[str, Any]] = {}  # the last `state` and `diagnostics`
         self._new_state = False
+        self._told = ""  # the last error that was logged
         self._asked = self._slow = -ASK_EVERY  # when the description was asked for, and the slow messages published [s]
 
     def run(self, ending: Callable[[], bool], beat: Callable[[], None]) -> None:
@@ -47,10 +50,7 @@ class Bridge:
         while not ending():
             began = time.monotonic()
             for item in self._listener.receive_messages(PERIOD):
-                try:
-                    self.receive_message(item)
-                except (msgspec.MsgspecError, RecursionError, *UNEXPECTED) as error:
-                    log.warning("a message on %s cannot be read: %r", item.key, error)
+                self._attempt(self.receive_message, item)
             self.tick(time.monotonic())
             beat()
             time.sleep(max(began + PERIOD - time.monotonic(), 0.0))
@@ -65,7 +65,7 @@ class Bridge:
         """Accepts a message of the arm.
 
         Raises:
-            msgspec.MsgspecError, LookupError, TypeError, ValueError: it has another form; nothing has changed.
+            UNEXPECTED: it has another form; nothing has changed.
         """
         node = self._node
         match item.key:
@@ -78,16 +78,17 @@ class Bridge:
                 self._description = b"" if item.key == "alive" else self._description
             case "state":
                 state = msgspec.json.decode(item.data, type=dict[str, Any])
+                msgspec.convert(state, State)
+                if node is not None:
+                    node.receive_state(state)
                 before = self._latest.get("state", {})
                 if state.get("obstacles") != before.get("obstacles"):  # the description has the new ones
                     self._description = b""
                 self._latest["state"], self._new_state = state, True
-                if node is not None:
-                    node.receive_state(state)
             case "diagnostics":
                 self._latest["diagnostics"] = msgspec.json.decode(item.data, type=dict[str, Any])
             case "result" if node is not None:
-                node.receive_result(msgspec.json.decode(item.data, type=dict[str, Any]))
+                node.receive_result(msgspec.json.decode(item.data, type=GoalResult))
 
     def tick(self, now: float) -> None:
         """Publishes what is new or due; `now` [s]."""
@@ -105,12 +106,14 @@ class Bridge:
             self._attempt(self._node.publish_slowly, state, self._latest.get("diagnostics"))
         self._node.poll(now)
 
-    def _attempt(self, publish: Callable[..., None], *arguments: Any) -> None:
-        """Publishes; a state of another form is told, and harms nothing else."""
+    def _attempt(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Calls a function; a message of another form than the daemon's is told once, and harms nothing else."""
         try:
-            publish(*arguments)
+            function(*arguments)
         except UNEXPECTED as error:
-            log.warning("a state cannot be published: %r", error)
+            if repr(error) != self._told:
+                log.warning("%s: the daemon's message has another form: %r", function.__name__, error)
+            self._told = repr(error)
 
     def _describe(self, data: bytes) -> None:
         """Accepts the arm's description; another arm's file makes another node, other obstacles do not."""
@@ -118,8 +121,9 @@ class Bridge:
         if self._node is not None and self._node.describes(arm):
             self._node.receive_obstacles(arm)
         else:
+            node = ArmNode(self._session, self._client, arm, self._book, self._settings)
             self.close()
-            self._node = ArmNode(self._session, self._client, arm, self._book, self._settings)
-            self._node.open()
-            log.info("the arm %s is node %s on domain %d", arm["name"], self._node.name, self._settings.domain)
+            node.open()
+            self._node = node
+            log.info("the arm %s is node %s on domain %d", arm["name"], node.name, self._settings.domain)
         self._description = data

@@ -4,11 +4,15 @@ import logging
 import threading
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 
+from controller.ros2.answers import GoalResult
+
 KEPT = 60.0  # [s] for which a result is kept after its goal's end
+MOST_GOALS = 64  # in the file; of more, the results that came first are forgotten
+LATEST = 2**31 * 10**9  # [ns since 1970] that a message of ROS 2 can hold
 log = logging.getLogger(__name__)
 
 
@@ -22,14 +26,16 @@ class BookedGoal(msgspec.Struct, frozen=True):
         stamp: when it came [ns since 1970].
         result: of the daemon, or of the bridge; None: there is none yet.
         ended: UNIX time of the result [s].
+        canceling: whether a cancel was accepted before its end; then its result may be that it is canceled.
     """
 
     uuid: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{32}\Z")]
     kind: str
     joints: tuple[str, ...]
-    stamp: int
-    result: dict[str, Any] | None = None
+    stamp: Annotated[int, msgspec.Meta(ge=0, lt=LATEST)]
+    result: GoalResult | None = None
     ended: float = 0.0
+    canceling: bool = False
 
     @property
     def id(self) -> str:
@@ -63,8 +69,18 @@ class GoalBook:
         with self._lock:
             return list(self._goals.values())
 
+    def add(self, goal: BookedGoal) -> bool:
+        """Writes a new goal; returns False if its id is that of a goal of the other action."""
+        with self._lock:
+            known = self._goals.get(goal.uuid)
+            if known is not None and known.kind != goal.kind:
+                return False
+            self._goals[goal.uuid] = goal
+            self._write()
+            return True
+
     def put(self, goal: BookedGoal) -> None:
-        """Writes a new goal, or its result."""
+        """Writes what has become of a goal."""
         with self._lock:
             self._goals[goal.uuid] = goal
             self._write()
@@ -78,6 +94,9 @@ class GoalBook:
     def _write(self) -> None:
         until = time.time() - KEPT
         self._goals = {key: goal for key, goal in self._goals.items() if goal.result is None or goal.ended > until}
+        ended = [key for key, goal in self._goals.items() if goal.result is not None]
+        for key in ended[: max(len(self._goals) - MOST_GOALS, 0)]:
+            del self._goals[key]
         fresh = self._path.with_suffix(".new")
         try:
             fresh.write_bytes(msgspec.json.encode(list(self._goals.values())))

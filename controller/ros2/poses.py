@@ -12,6 +12,7 @@ from controller.manipulator.frames import Frame
 Fields = dict[str, Any]
 
 OLDEST = 5.0  # [s] of a pose's stamp, in the past and in the future
+FARTHEST = 1e6  # of a coordinate, as the daemon's; greater ones overflow in a frame
 LENGTH_ERROR = 0.01  # of a quaternion that counts as a unit quaternion
 SECOND = 1_000_000_000  # [ns]
 
@@ -56,6 +57,17 @@ class Place(NamedTuple):
             return self.base
         raise BadGoal(f"{where}.header.frame_id: {name[:100]!r}, expected {self.world!r} or '{self.arm}/0'")
 
+    def position(self, frame: Frame, point: Sequence[float], where: str) -> list[float]:
+        """Returns the coordinates in the world of a point (3,) in a frame (4, 4).
+
+        Raises:
+            BadGoal: a coordinate is farther than the daemon accepts.
+        """
+        if any(abs(x) > FARTHEST for x in point):
+            raise BadGoal(f"{where}: {max(point, key=abs):g}, expected at most {FARTHEST:g}")
+        found: list[float] = (frame @ [*point, 1.0])[: self.dimension].tolist()
+        return found
+
 
 def seconds(stamp: Any) -> float:
     """Returns a time or duration of ROS 2 [s]."""
@@ -93,8 +105,8 @@ def waypoint(message: Any, place: Place, where: str, *, oriented: bool) -> Field
         BadGoal: a number is not finite, the quaternion has no unit length, or the frame is unknown.
     """
     frame = place.frame(message.header.frame_id, where)
-    point = frame @ [*finite(message.pose.position, "xyz", f"{where}.pose.position"), 1.0]
-    result: Fields = {"position": point[: place.dimension].tolist()}
+    point = finite(message.pose.position, "xyz", f"{where}.pose.position")
+    result: Fields = {"position": place.position(frame, point, where)}
     if oriented:
         turned = frame[:3, :3] @ rotation(finite(message.pose.orientation, "xyzw", f"{where}.pose.orientation"), where)
         result["orientation"] = orientation(turned, place.dimension)
@@ -120,7 +132,7 @@ def rotation(quaternion: Sequence[float], where: str) -> Frame:
     Raises:
         BadGoal: its length is not 1.
     """
-    length = float(np.linalg.norm(quaternion))
+    length = math.hypot(*quaternion)
     if abs(length - 1.0) > LENGTH_ERROR:
         raise BadGoal(f"{where}.pose.orientation: a quaternion of length {length:.3g}, expected a unit quaternion")
     x, y, z, w = np.array(quaternion) / length

@@ -2,14 +2,19 @@
 
 import itertools
 import json
+import math
 import threading
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import msgspec
+import zenoh
+
 from controller.network.client import Client, Unanswered
-from controller.ros2.goals import TIMEOUT, Say, told
+from controller.ros2.answers import Answer, ArmAnswer, GoalResult, PlanAnswer, request
+from controller.ros2.goals import Say
 from controller.ros2.messages import INFO, WARN, header
 from controller.ros2.poses import BadGoal, Fields, Place, check_stamp, pose, seconds, waypoint
 from controller.ros2.wire.node import Node
@@ -39,10 +44,11 @@ class Requests:
         self._pool = ThreadPoolExecutor(WORKERS, "ros2")
         self._stops = ThreadPoolExecutor(1, "ros2-stop")  # a stop waits for no plan
         self._free = threading.BoundedSemaphore(MOST_WAITING)
-        self._sent: set[str] = set()  # ids of goals from topics
+        self._sent: dict[str, None] = {}  # ids of goals from topics, the oldest first
+        self._lock = threading.Lock()
         for key in ("stop", "reset", "cancel"):
             node.service(key, "std_srvs/srv/Trigger", self._trigger(key))
-        node.service("plan", "nav_msgs/srv/GetPlan", lambda request: self._queue(lambda: self._plan(request), "plan"))
+        node.service("plan", "nav_msgs/srv/GetPlan", self._plan)
         node.subscriber("goal_pose", "geometry_msgs/msg/PoseStamped", self._later("goal_pose", self._pose_goal))
         node.subscriber("goal_path", "nav_msgs/msg/Path", self._later("goal_path", self._path_goal))
         node.subscriber("setpoint", "geometry_msgs/msg/PoseStamped", self._setpoint)
@@ -72,68 +78,92 @@ class Requests:
             return False
         return True
 
-    def receive_result(self, message: Mapping[str, Any]) -> None:
+    def receive_result(self, result: GoalResult) -> None:
         """Tells how a goal of a topic ended."""
-        if (name := message.get("id")) in self._sent:
-            self._sent.discard(str(name))
-            level = INFO if message.get("status") == "succeeded" else WARN
-            self._say(level, f"goal {name} {message.get('status')}: {message.get('message')}")
+        if self._forget(result.id):
+            level = INFO if result.status == "succeeded" else WARN
+            self._say(level, f"goal {result.id} {result.status}: {result.message}")
 
-    def _queue(self, job: Callable[[], None], name: str) -> None:
-        if not self.submit(job):
-            self._say(WARN, f"a request on {name} is dropped: {MOST_WAITING} wait already")
+    def _remember(self, identity: str) -> None:
+        """Notes a goal of a topic; results may get lost, so that only the latest goals are kept."""
+        with self._lock:
+            self._sent[identity] = None
+            while len(self._sent) > MOST_WAITING:
+                del self._sent[next(iter(self._sent))]
+
+    def _forget(self, identity: str) -> bool:
+        """Returns whether a goal of a topic was noted, and forgets it."""
+        with self._lock:
+            return identity in self._sent and self._sent.pop(identity) is None
+
+    def _answer(self, asked: Request, job: Callable[[], Fields], empty: Fields, pool: ThreadPoolExecutor) -> None:
+        """Replies with what a job returns; with `empty` if too many requests wait, or if the job fails."""
+
+        def run() -> None:
+            fields = empty
+            try:
+                fields = job()
+            finally:
+                asked.reply(fields)
+
+        if not self.submit(run, pool):
+            self._say(WARN, f"a request is refused: {MOST_WAITING} wait already")
+            asked.reply(empty)
 
     def _trigger(self, key: str) -> Callable[[Request], None]:
         """Returns the handler of a Trigger service."""
+        pool = self._stops if key in STOPPING else self._pool
 
-        def run(request: Request) -> None:
+        def run() -> Fields:
             try:
-                answer = self._client.request(key, timeout=TIMEOUT)
+                answer = request(self._client, Answer, key)
             except Unanswered as error:
-                answer = {"accepted": False, "message": str(error)}
-            request.reply({"success": answer["accepted"], "message": told(answer)})
+                return {"success": False, "message": str(error)}
+            return {"success": answer.accepted, "message": answer.text}
 
-        def handle(request: Request) -> None:
-            if not self.submit(lambda: run(request), self._stops if key in STOPPING else None):
-                request.reply({"success": False, "message": f"{MOST_WAITING} requests wait already"})
+        failed: Fields = {"success": False, "message": "the request failed, or too many wait; /rosout says which"}
+        return lambda asked: self._answer(asked, run, failed, pool)
 
-        return handle
-
-    def _plan(self, request: Request) -> None:
+    def _plan(self, asked: Request) -> None:
         """Answers GetPlan: the tip now, and at each point of the plan."""
-        empty: Fields = {"plan": {"header": header(0.0, self._place.world)}}
-        message = request.message
-        try:
-            goal: Fields = {"waypoints": [waypoint(message.goal, self._place, "goal", oriented=self._oriented)]}
-            if message.tolerance > 0:
-                goal["tolerance"] = {"position": float(message.tolerance)}
-            answer = self._client.request("plan", goal, TIMEOUT)
-        except (BadGoal, Unanswered) as error:
-            answer = {"accepted": False, "message": str(error)}
-        if not answer["accepted"]:
-            self._say(WARN, f"no plan: {told(answer)}")
-            request.reply(empty)
-            return
-        head = header(0.0, self._place.world)
-        poses = [{"header": head, "pose": pose(it)} for it in answer["waypoints"]]
-        request.reply({"plan": {"header": head, "poses": poses}})
+        message, head = asked.message, header(0.0, self._place.world)
+
+        def run() -> Fields:
+            try:
+                goal: Fields = {"waypoints": [waypoint(message.goal, self._place, "goal", oriented=self._oriented)]}
+                if math.isfinite(message.tolerance) and message.tolerance > 0:
+                    goal["tolerance"] = {"position": float(message.tolerance)}
+                answer = request(self._client, PlanAnswer, "plan", goal)
+            except (BadGoal, Unanswered) as error:
+                answer = PlanAnswer(accepted=False, message=str(error))
+            if not answer.accepted:
+                self._say(WARN, f"no plan: {answer.text}")
+                return {"plan": {"header": head}}
+            poses = [{"header": head, "pose": pose(msgspec.structs.asdict(it))} for it in answer.waypoints]
+            return {"plan": {"header": head, "poses": poses}}
+
+        self._answer(asked, run, {"plan": {"header": head}}, self._pool)
 
     def _later(self, name: str, convert: Callable[[Any], Fields]) -> Callable[[Received], None]:
         """Returns the callback of a topic of goals."""
 
         def send(message: Any) -> None:
             identity = f"ros2-{name}-{uuid.uuid4().hex[:8]}"
-            self._sent.add(identity)
+            self._remember(identity)
             try:
-                answer = self._client.request("goal", {**convert(message), "id": identity}, TIMEOUT)
+                answer = request(self._client, Answer, "goal", {**convert(message), "id": identity})
             except (BadGoal, Unanswered) as error:
-                answer = {"accepted": False, "message": str(error)}
-            if not answer["accepted"]:
-                self._sent.discard(identity)
-            verb, level = ("accepted", INFO) if answer["accepted"] else ("refused", WARN)
-            self._say(level, f"goal {identity} is {verb}: {told(answer)}")
+                answer = Answer(accepted=False, message=str(error))
+            if not answer.accepted:
+                self._forget(identity)
+            verb, level = ("accepted", INFO) if answer.accepted else ("refused", WARN)
+            self._say(level, f"goal {identity} is {verb}: {answer.text}")
 
-        return lambda received: self._queue(lambda: send(received.message), name)
+        def receive(received: Received) -> None:
+            if not self.submit(lambda: send(received.message)):
+                self._say(WARN, f"a message on {name} is dropped: {MOST_WAITING} requests wait already")
+
+        return receive
 
     def _pose_goal(self, message: Any) -> Fields:
         check_stamp(seconds(message.header.stamp), "goal_pose")
@@ -147,7 +177,7 @@ class Requests:
         check_stamp(seconds(message.header.stamp), "goal_path")
         stamps = [seconds(it.header.stamp) for it in message.poses]
         timed = len(stamps) > 1 and all(a < b for a, b in itertools.pairwise(stamps))
-        step = max(LEAST_STEP, 2 * float(self._client.request("arm", timeout=TIMEOUT)["travel_time"]))
+        step = max(LEAST_STEP, 2 * request(self._client, ArmAnswer, "arm").travel_time)
         times = [it - stamps[0] for it in stamps] if timed else [k * step for k in range(len(stamps))]
         return {
             "waypoints": [
@@ -165,4 +195,7 @@ class Requests:
             self._say(WARN, f"a set-point is refused: {error}")
             return
         payload = {**point, "stamp": seconds(message.header.stamp)}
-        self._client.put("setpoint", json.dumps(payload).encode())
+        try:
+            self._client.put("setpoint", json.dumps(payload).encode())
+        except zenoh.ZError as error:
+            self._say(WARN, f"a set-point is not sent: {error}")

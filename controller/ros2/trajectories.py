@@ -40,10 +40,13 @@ def trajectory(goal: Any) -> Trajectory:
         goal: control_msgs/action/FollowJointTrajectory_Goal.
 
     Raises:
-        BadGoal: it has no points, joints twice, positions that do not match the joints, or numbers that are not finite.
+        BadGoal: it has no points or joints, a joint twice, positions that do not match the joints, or a number that is
+            not finite.
     """
     given = goal.trajectory
     joints = tuple(given.joint_names)
+    if not joints:
+        raise BadGoal("trajectory.joint_names: none, expected at least one", INVALID_JOINTS)
     if len(set(joints)) < len(joints):
         raise BadGoal(f"trajectory.joint_names: {', '.join(joints[:10])}: a joint occurs twice", INVALID_JOINTS)
     if goal.multi_dof_trajectory.points:
@@ -77,8 +80,8 @@ def tip_goal(goal: Any, place: Place) -> Fields:
     columns = {name: found.positions[:, k] for k, name in enumerate(found.joints)}
     waypoints = []
     for k, t in enumerate(found.times):
-        point = frame @ [*(columns[name][k] for name in axes), *([0.0] * (3 - len(axes))), 1.0]
-        entry: Fields = {"t": t, "position": point[: place.dimension].tolist()}
+        point = [*(float(columns[name][k]) for name in axes), *([0.0] * (3 - len(axes)))]
+        entry: Fields = {"t": t, "position": place.position(frame, point, f"trajectory.points[{k}]")}
         if YAW in columns:
             angle = float(columns[YAW][k]) + math.atan2(frame[1, 0], frame[0, 0])
             turn = [0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)]
@@ -155,4 +158,4 @@ def _tolerance(entries: Sequence[Any], where: str, names: Sequence[str]) -> floa
 def tip_positions(told: Mapping[str, Any], joints: Sequence[str]) -> list[float]:
     """Returns the positions of tip joints of a pose of the daemon."""
     known = dict(zip(AXES, told["position"], strict=False)) | {YAW: yaw(told)}
-    return [known[name] for name in joints]
+    return [known.get(name, math.nan) for name in joints]

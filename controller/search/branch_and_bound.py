@@ -7,7 +7,6 @@ is the least lower bound passed over. Poses have two costs to go, of position an
 """
 
 import math
-import time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +16,8 @@ from numpy.typing import NDArray
 from controller.manipulator.kernel_types import F1, F2, I1, UNCOUNTED, named
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import Scene, collides, for_scenes
+from controller.search.clock import MAPS as MAPS_PRICE
+from controller.search.clock import NODE, WALL, Clock
 from controller.search.frame_rows import motions
 from controller.search.solution import EPSILON, Incumbent
 from controller.search.target import QUERY, SearchQuery, SearchTarget, reaches, search_radius
@@ -60,6 +61,7 @@ class Walk(NamedTuple):
         configuration: configuration of the current path, or the one found, shape (B,).
         level: level of the current node, shape (1,); -1 after a complete search.
         bounds: threshold, least lower bound passed over, cost of the incumbent, shape (3,).
+        nodes: number of nodes that the last call searched, shape (1,).
     """
 
     points: Array
@@ -69,11 +71,12 @@ class Walk(NamedTuple):
     configuration: Integers
     level: Integers
     bounds: Array
+    nodes: Integers
 
 
 PLACE: Any = types.UniTuple(float64, 2)  # type: ignore[no-untyped-call]
 TREE = named(Tree, F2, I1, I1, F2, F1)
-WALK = named(Walk, F2, I1, F1, I1, I1, I1, F1)
+WALK = named(Walk, F2, I1, F1, I1, I1, I1, F1, I1)
 
 
 class BranchAndBound:
@@ -99,20 +102,21 @@ class BranchAndBound:
         """Touches the memory, so that no search waits for page faults, and measures the time for maps."""
         costs = np.ones(self._m.bits.shape[:2])
         self.maps.maps(costs, search_radius(self._m, 1e-3 * self._m.length))
-        began = time.perf_counter()
+        began = WALL.now()
         self.maps.maps(2.0 * costs, search_radius(self._m, 1e-3 * self._m.length))
-        self._map_time = time.perf_counter() - began
+        self._map_time = WALL.now() - began
 
-    def map_time(self, target: SearchTarget, costs: Array) -> float:
+    def map_time(self, target: SearchTarget, costs: Array, clock: Clock) -> float:
         """Returns the approximate time for the maps of a goal [s]; 0 if they are ready."""
-        return 0.0 if self.maps.ready(costs, target.radius) else self._map_time
+        measured = 0.0 if self.maps.ready(costs, target.radius) else self._map_time
+        return clock.expected(measured, 0.0 if self.begun else MAPS_PRICE)
 
     def begin(self) -> None:
         """Starts a new goal."""
         self._walk = None
 
     def run(self, target: SearchTarget, seed: Configuration, costs: Array, incumbent: Incumbent, until: float) -> None:
-        """Searches until the incumbent is proven, or until a time by `time.perf_counter()`.
+        """Searches until the incumbent is proven, or until a time by its clock.
 
         A second call for the same goal continues the search.
         """
@@ -122,12 +126,16 @@ class BranchAndBound:
         tree = Tree(self._motions, m.states, ranked, costs, 1.0 / maps.pixels)
         angle = 2 * math.asin(math.sqrt(target.chord) / 2) if target.oriented and target.chord < 4 else math.inf
         headings = self._to_turn.headings(in_levels(costs)[1], UNREACHABLE, angle)
+        clock = incumbent.clock
         if self._walk is None:
             self._walk = start(target, seed, incumbent.bound)
+            clock.charge(MAPS_PRICE)
         walk = self._walk
-        while not incumbent.over and time.perf_counter() < until:
+        while not incumbent.over and clock.now() < until:
             walk.bounds[2] = incumbent.cost
-            if search(tree, maps, headings, target.query, target.scene, walk, AT_ONCE):
+            found = search(tree, maps, headings, target.query, target.scene, walk, AT_ONCE)
+            clock.charge(NODE * int(walk.nodes[0]))
+            if found:
                 configuration = walk.configuration.copy()
                 incumbent.offer(configuration, float(walk.prices[-1]), target.square(m.tip(configuration)))
             elif walk.level[0] < 0:
@@ -143,8 +151,9 @@ def start(target: SearchTarget, seed: Configuration, bound: float) -> Walk:
     points, headings = np.zeros((levels, 2)), np.zeros(levels, dtype=np.int64)
     points[0] = target.position[:2]
     headings[0] = parts(target.rotation[1, 0], target.rotation[0, 0])
-    tried, level = np.zeros(levels, dtype=np.int64), np.zeros(1, dtype=np.int64)
-    return Walk(points, headings, np.zeros(levels), tried, seed.copy(), level, np.array((bound, np.inf, np.inf)))
+    tried, level, nodes = (np.zeros(size, dtype=np.int64) for size in (levels, 1, 1))
+    bounds = np.array((bound, np.inf, np.inf))
+    return Walk(points, headings, np.zeros(levels), tried, seed.copy(), level, bounds, nodes)
 
 
 @njit([PLACE(F2, int64, float64, float64)], **UNCOUNTED, inline="always")
@@ -178,10 +187,10 @@ def search(
     `walk` then has the configuration, and its cost at the last level. The next call continues from there.
     """
     motions, states, ranked, costs, per = tree
-    points, headings, prices, tried, configuration, at, bounds = walk
+    points, headings, prices, tried, configuration, at, bounds, _ = walk
     turns, oriented = to_turn.turns, len(to_turn.values) > 0
     count, most, level, above = len(states), costs.shape[1], at[0], bounds[1]
-    threshold, ceiling = bounds[0] * (1 + EPSILON), bounds[2] * (1 - EPSILON)
+    threshold, ceiling, most_nodes = bounds[0] * (1 + EPSILON), bounds[2] * (1 - EPSILON), nodes
     while level >= 0:
         turn = tried[level]
         if turn == states[level]:
@@ -223,9 +232,9 @@ def search(
             for i in range(count):
                 configuration[i] = ranked[i * most + tried[i] - 1]
             if reaches(query, configuration) and (scene is None or not collides(scene, configuration)):
-                at[0], bounds[1] = level, above
+                at[0], bounds[1], walk.nodes[0] = level, above, most_nodes - nodes
                 return True
         if nodes <= 0:
             break
-    at[0], bounds[1] = level, above
+    at[0], bounds[1], walk.nodes[0] = level, above, most_nodes - nodes
     return False

@@ -12,6 +12,7 @@ from numba import float64, int64, njit, types, uint8
 from numpy.typing import NDArray
 
 from controller.manipulator.kernel_types import F1, F2, I1, S1, named
+from controller.search.clock import INDEXED
 from controller.search.frame_rows import SIDE, Side
 
 Array = NDArray[np.float64]
@@ -142,6 +143,11 @@ class Cells:
         if size < 6:
             mark_levels(grid, size, self._cells[:n], side.costs, bounds, near)
         return Index(table.points, table.costs, table.starts, table.order, near, bounds, grid, scale, least, side)
+
+
+def filling(index: Index) -> float:
+    """Returns the price of an index."""
+    return INDEXED * (len(index.costs) + len(index.starts) / 8)
 
 
 def cost_levels(costs: Array) -> tuple[float, Array]:

@@ -161,6 +161,7 @@ def row_collides(row: int, search: DistalSearch, scene: Scene) -> bool:
     if scene.checks[0] == 0:
         return True
     scene.checks[0] -= 1
+    scene.checks[1] += 1
     rest = row
     for i in range(len(states) - 1, depth - 1, -1):
         scene.states[i] = rest % states[i]
@@ -237,6 +238,7 @@ def carried_back(rotation: Array, other: Array) -> Array:
 def branch_collides(branch: int, search: DistalSearch, scene: Scene) -> bool:
     """Returns whether the modules of a branch, root+1 to depth, collide."""
     root, depth, states, rest = search.table.root, search.table.depth, search.arm.states, branch
+    scene.checks[1] += 1
     for i in range(root, depth):
         scene.states[i] = rest % states[i]
         rest //= states[i]

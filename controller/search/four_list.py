@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.cells import Cells, Index
+from controller.search.cells import Cells, Index, filling
 from controller.search.frame_rows import Side, compose_all, coordinates, invert_all, motions
 from controller.search.matching import Sides, Span
 from controller.search.segment import Segment, Sets, build_segment, room, step
@@ -94,6 +94,11 @@ class FourList:
         self.unit = max(least if least < np.inf else 1.0, most / (BINS - 2), 1e-300)
         self.layers = self._sizes(a, b), self._sizes(c, self.d)
         self._key = (seed.copy(), costs.copy())
+
+    @property
+    def count(self) -> int:
+        """Number of listed rows."""
+        return sum(len(side.costs) for side in (self.a, self.b[0], self.c[0], self.d))
 
     def index(self, radius: float, chord: float) -> Index:
         """Returns the index of the uppermost quarter, see Cells.fill; cached until the rows change."""
@@ -223,6 +228,7 @@ class FourListProof:
         if stream.index is None or FEWER * count < len(stream.index.side.costs):
             cheap = band._replace(frames=band.frames[:count], costs=band.costs[:count], rows=band.rows[:count])
             stream.index = stream.cells.fill(cheap, target.radius, target.chord, BAND_CELLS)
+            incumbent.clock.charge(filling(stream.index))
         low, high = (
             stream.done - 1e-9 * four.unit,
             min(last * four.unit, unexplored) if last < len(layers) else unexplored,
@@ -243,6 +249,7 @@ class FourListProof:
             outer, index = four.c[1], four.index(target.radius, target.chord)
         else:
             outer, index = four.b[0], four.below.fill(self._inner, target.radius, target.chord)
+        incumbent.clock.charge(filling(index))
         at_once = max(AT_ONCE // (LOOKUP * len(outer.costs)), 1)
         for start in range(0, count, at_once):
             if band.costs[start] + done >= incumbent.cost:

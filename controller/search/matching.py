@@ -25,6 +25,9 @@ from controller.search.target import QUERY, SearchQuery, reaches
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+# Work of looking up a product, and of verifying a pair without and with obstacles. A comparison with a point counts 1.
+LOOKUP, VERIFIED, CLEARED = 4, 200, 1600
+
 
 class Matches(NamedTuple):
     """The cheapest matches found so far.
@@ -211,21 +214,22 @@ def keep(
     return True
 
 
-MATCH = for_scenes(lambda scene: types.void(SIDES, SPAN, QUERY, I1, scene, MATCHES))
+MATCH = for_scenes(lambda scene: int64(SIDES, SPAN, QUERY, I1, scene, MATCHES))
 
 
 @cache
-def kernel(planar: bool, posed: bool) -> Callable[..., None]:
+def kernel(planar: bool, posed: bool) -> Callable[..., int]:
     """Returns the matching kernel for planar or spatial arms, positions or poses.
 
-    The kernel keeps the pairs of a span that are within the tolerances, clear, and cheaper than the dearest match.
+    The kernel keeps the pairs of a span that are within the tolerances, clear, and cheaper than the dearest match. It
+    returns its work in comparisons.
     """
     size = (3 if planar else 6) if posed else (2 if planar else 3)
 
     @njit(MATCH, cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
     def match(
         sides: Sides, span: Span, query: SearchQuery, seed: Configuration, scene: Scene | None, matches: Matches
-    ) -> None:
+    ) -> int:
         outer, inner, index = sides
         a, b, points, costs, starts = outer.frames, inner.frames, index.points, index.costs, index.starts
         near, bounds, grid, scale = index.near, index.bounds, index.grid, index.rotation_scale
@@ -233,12 +237,14 @@ def kernel(planar: bool, posed: bool) -> Callable[..., None]:
         # A match compares two cells along each coordinate. Along the first coordinate their points are contiguous.
         corners, farthest = corner_offsets(grid, 1, size), query.radius * query.radius
         low, high, before, ceiling = span.inner_end, span.inner_end, -np.inf, most_cost(matches)
+        work = span.outer_end - span.outer
         for o in range(span.outer, span.outer_end):
             own = outer.costs[o]
             if own < before:
                 low = high = span.inner_end
             before = own
             low, high = affordable(inner.costs, own, span, index.least, ceiling, low, high)
+            work += LOOKUP * (high - low)
             for i in range(low, high):
                 if planar:
                     x, y, z = planar_point(a, o, b, i, scale)
@@ -253,6 +259,7 @@ def kernel(planar: bool, posed: bool) -> Callable[..., None]:
                     continue
                 for corner in range(len(corners)):
                     row = cell + corners[corner]
+                    work += starts[row + 2] - starts[row]
                     for k in range(starts[row], starts[row + 2]):
                         if price + costs[k] > ceiling:
                             continue
@@ -268,8 +275,10 @@ def kernel(planar: bool, posed: bool) -> Callable[..., None]:
                                 continue
                             square += query.weight * query.weight * apart
                         pair = Pair(o, i, index.order[k], price + costs[k], square)
+                        work += VERIFIED if scene is None else CLEARED
                         if keep(pair, sides, query, seed, scene, states, matches):
                             ceiling = most_cost(matches)
+        return work
 
     return match
 
@@ -283,6 +292,6 @@ def load(planar: bool) -> None:
         kernel(planar, posed)
 
 
-def match(sides: Sides, *rest: Any) -> None:
-    """Calls the kernel for these sides, for positions or poses by the index."""
-    kernel(sides.outer.frames.shape[1] == 4, bool(sides.lookup.rotation_scale > 0.0))(sides, *rest)
+def match(sides: Sides, *rest: Any) -> int:
+    """Calls the kernel for these sides, for positions or poses by the index; returns its work in comparisons."""
+    return kernel(sides.outer.frames.shape[1] == 4, bool(sides.lookup.rotation_scale > 0.0))(sides, *rest)

@@ -6,7 +6,6 @@ searches, and two lists around the incumbent, until the deadline.
 """
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import collides
 from controller.search.branch_and_bound import BranchAndBound
+from controller.search.clock import CHANGED, INDEXED, LISTED, WALL, Clock
 from controller.search.four_list import FourList, FourListProof
 from controller.search.frame_rows import motions
 from controller.search.matching import load, put
@@ -36,6 +36,7 @@ GRID = {2: 256, 3: 32}  # extent of the points over the greatest distance of a p
 EASY = 1.5  # below this multiple of the unexplored cost, four lists give a proof sooner than new maps
 REST, REST_FOUND = 0.5, 0.2  # share of the time that the first run of branch and bound leaves: without, with incumbent
 BEAMS = (32, 128, 512)  # widths of beam searches, in order
+MARGIN = 4.0  # of the estimated time for a row
 FAR = 1.0, 1.2  # above these multiples of the unexplored cost of pairs, beam searches precede the proof
 
 
@@ -149,6 +150,7 @@ class MinimumSwitch:
             incumbent.prove(np.inf)
         elif not incumbent.late:
             self._near.list(problem.seed, problem.costs, problem.costs)
+            incumbent.clock.charge(LISTED * self._near.count)
             complete, bound = self._near.match(problem.target, incumbent)
             incumbent.prove(bound)
             if complete:
@@ -165,7 +167,7 @@ class MinimumSwitch:
         if incumbent.cost < np.inf:
             return
         target, modules = problem.target, np.arange(len(problem.seed))
-        configuration = self._paths.follow(target, problem.seed, "ipop-fewest-switches")
+        configuration = self._paths.follow(target, problem.seed, "ipop-fewest-switches", incumbent.clock)
         clear = target.scene is None or not collides(target.scene, configuration)
         served = clear and target.met(configuration)
         cost = float(problem.costs[modules, configuration].sum()) if served else np.inf
@@ -175,7 +177,9 @@ class MinimumSwitch:
     def _quick_proof(self, problem: Problem, incumbent: Incumbent) -> None:
         """Runs the four lists before branch and bound if its maps are not ready and the incumbent is cheap."""
         tree = self._tree
-        if tree is None or problem.unreachable or incumbent.late or tree.map_time(problem.target, problem.costs) == 0.0:
+        if tree is None or problem.unreachable or incumbent.late:
+            return
+        if tree.map_time(problem.target, problem.costs, incumbent.clock) == 0.0:
             return
         if incumbent.cost <= EASY * min(self._near.lower.unexplored, self._near.upper.unexplored):
             self._four_lists(problem, incumbent)
@@ -186,7 +190,7 @@ class MinimumSwitch:
         if tree is None or problem.unreachable or incumbent.late:
             return
         left = incumbent.remaining()
-        if left > tree.map_time(problem.target, problem.costs):
+        if left > tree.map_time(problem.target, problem.costs, incumbent.clock):
             rest = 0.0 if tree.begun else REST_FOUND if incumbent.cost < np.inf else REST
             until = incumbent.until - rest * left
             tree.run(problem.target, problem.seed, problem.costs, incumbent, until)
@@ -202,11 +206,12 @@ class MinimumSwitch:
         starts = near.lower.unexplored, near.upper.unexplored
         if not proof.begun:
             self._four.list(problem.seed, problem.costs)
+            incumbent.clock.charge((LISTED + INDEXED) * self._four.count)
             proof.add(near, (0.0, 0.0), starts, incumbent.cost)
         proof.run(incumbent)
         if not incumbent.over and proof.rest == sum(starts) and incumbent.bound >= proof.rest:
             most = WIDE if incumbent.cost <= FAR[1] * proof.rest else LADDER[-1]
-            self._list(problem.seed, problem.costs, problem.costs, most)
+            self._list(problem, problem.seed, problem.costs, most, incumbent.clock)
             proof.add(wide, starts, (starts[0], wide.upper.unexplored), incumbent.cost)
             proof.run(incumbent)
 
@@ -235,13 +240,13 @@ class MinimumSwitch:
 
     def _beams(self, problem: Problem, incumbent: Incumbent) -> None:
         """Runs wider beam searches, each followed by two lists around the incumbent."""
-        seconds = 0.0
+        seconds, clock = 0.0, incumbent.clock
         for width in BEAMS[1:]:
             if incumbent.proven or incumbent.remaining() < seconds:
                 break
-            began = time.perf_counter()
+            began = clock.now()
             self._paths.widen(problem.target, problem.costs, width, incumbent)
-            seconds = 6.0 * (time.perf_counter() - began)
+            seconds = 6.0 * (clock.now() - began)
             self._wander(problem, incumbent, NEAR)
 
     def _release(self) -> None:
@@ -249,19 +254,20 @@ class MinimumSwitch:
         if self._proof is not None and self._proof.rest > self._near.lower.unexplored + self._near.upper.unexplored:
             self._proof = None
 
-    def _list(self, seed: Configuration, distances: Array, costs: Array, most: int) -> None:
-        """Lists the wide halves, and estimates the time for a row, with a margin."""
-        began = time.perf_counter()
-        self._wide.list(seed, distances, costs, most)
-        count = len(self._wide.lower.costs) + len(self._wide.upper.costs)
-        self._row_time = 4.0 * (time.perf_counter() - began) / count
+    def _list(self, problem: Problem, seed: Configuration, distances: Array, most: int, clock: Clock) -> None:
+        """Lists the wide halves around a seed (B,), and estimates the time for a row, with a margin."""
+        began = WALL.now()
+        self._wide.list(seed, distances, problem.costs, most)
+        self._row_time = MARGIN * (WALL.now() - began) / self._wide.count
+        clock.charge(LISTED * self._wide.count)
 
     def _wander(self, problem: Problem, incumbent: Incumbent, most: int) -> None:
         """Matches two lists around the incumbent repeatedly, until this does not improve it."""
         self._release()
-        while incumbent.remaining() > most * self._row_time:
+        clock = incumbent.clock
+        while incumbent.remaining() > most * clock.expected(self._row_time, MARGIN * LISTED):
             seed, cost = incumbent.configuration, incumbent.cost
-            self._list(seed, distances(self._m, seed), problem.costs, most)
+            self._list(problem, seed, distances(self._m, seed), most, clock)
             self._wide.match(problem.target, incumbent)
             if incumbent.cost >= cost:
                 break
@@ -286,12 +292,12 @@ class Nearest:
 
     def improve(self, target: SearchTarget, incumbent: Incumbent) -> None:
         """Offers nearer configurations to an incumbent of infinite cost until its deadline is near."""
-        seconds = 0.0
+        seconds, clock = 0.0, incumbent.clock
         while incumbent.remaining() > 1.5 * seconds:
-            began, before = time.perf_counter(), incumbent.square
+            began, before = clock.now(), incumbent.square
             self._change(target, incumbent)
             self._pair(target, incumbent)
-            seconds = time.perf_counter() - began
+            seconds = clock.now() - began
             if incumbent.square >= before * (1 - 1e-9):
                 break
 
@@ -302,6 +308,7 @@ class Nearest:
         count = len(self._m.modules)
         sets = Sets(self._motions, self._m.states, seed, away, self._free)
         segment = build_segment(sets, self._rows, 0, count)
+        incumbent.clock.charge(CHANGED * len(segment.costs))
         squares, side = target.squares(segment.frames), segment.side()
         nearer = np.flatnonzero(squares < incumbent.square)
         for row in nearer[np.argsort(squares[nearer])].tolist():
@@ -315,11 +322,12 @@ class Nearest:
         """Offers the nearest of all configurations that differ in few actuators of each half, if it is very near."""
         two, size = self._two, self._m.dimension
         two.list(incumbent.configuration, distances(self._m, incumbent.configuration), self._free, NEAR)
+        incumbent.clock.charge(LISTED * two.count)
         extent = float(np.ptp(two.upper.frames[:, :size], axis=0).max())
         within = min(float(np.sqrt(incumbent.square)), extent / GRID[size])
         if within == 0.0:
             return
-        near = Incumbent(incumbent.configuration, incumbent.until)
+        near = Incumbent(incumbent.configuration, incumbent.until, clock=incumbent.clock)
         near.offer(incumbent.configuration, 0.0, incumbent.square)
         two.match(replace(target, tolerance=within, angle_tolerance=math.inf), near)
         incumbent.offer(near.configuration, np.inf, near.square)

@@ -1,7 +1,6 @@
 """POP, IPOP (section 3.2) and a beam search: a descent by the densities, completed with the exact distal table."""
 
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.scene import Scene
+from controller.search.clock import CHECKED, DESCENT, FINISHED, GROWN, WALL, Clock
 from controller.search.descent import Beam, DescentTables, beam_search, descend
 from controller.search.distal_table import DistalSearch, Wanted, build_distal_table, finish
 from controller.search.method import PaperMethod, StageCosts, Variant, mean_cost, stage_costs
@@ -38,7 +38,9 @@ class Paths:
         self._arm, self._levels = tables_of(manipulator), levels_of(densities)
         self._edge = densities.edge()
 
-    def follow(self, target: SearchTarget, previous: Configuration, method: PaperMethod | Variant) -> Configuration:
+    def follow(
+        self, target: SearchTarget, previous: Configuration, method: PaperMethod | Variant, clock: Clock = WALL
+    ) -> Configuration:
         """Returns the first configuration within the tolerances as the threshold rises, otherwise the nearest found.
 
         With obstacles the descents and a beam search first accept only configurations within the tolerances, then the
@@ -48,6 +50,7 @@ class Paths:
             target: the goal.
             previous: configuration to stay close to, shape (B,).
             method: the algorithm, and for IPOP the secondary criterion.
+            clock: of the search.
         """
         best, aim, ladder = previous, target, ENOUGH
         most = least = np.inf if target.scene is None else within_squares(target)
@@ -55,16 +58,16 @@ class Paths:
         if method == "pop":
             aim, ladder = replace(target, tolerance=0.0), (np.inf,)  # the nearest
         for enough in ladder:
-            configuration, square, within = self._descend(aim, costs, enough, most)
+            configuration, square, within = self._descend(aim, costs, enough, most, clock)
             if square < least or within:
                 best, least = configuration, square
             if within:
                 break
         if least == most and target.scene is not None:
-            best, least = self._around(aim, costs, best, most)
+            best, least = self._around(aim, costs, best, most, clock)
         if least == most and target.scene is not None:
-            configuration, square, _ = self._descend(aim, costs, np.inf, np.inf)
-            best = configuration if square < np.inf else self._around(aim, costs, best, np.inf)[0]
+            configuration, square, _ = self._descend(aim, costs, np.inf, np.inf, clock)
+            best = configuration if square < np.inf else self._around(aim, costs, best, np.inf, clock)[0]
         return best
 
     def widen(self, target: SearchTarget, costs: StageCosts, width: int, incumbent: Incumbent) -> None:
@@ -77,10 +80,11 @@ class Paths:
             incumbent: the best so far.
         """
         modules = np.arange(len(self.manipulator.modules))
-        most, worth = within_squares(target), mean_cost(self.manipulator, costs)
+        most, worth, clock = within_squares(target), mean_cost(self.manipulator, costs), incumbent.clock
+        clock.charge(self._growth(width))
         for configuration, wanted, price in self._beam(target.position, target.scene, costs, worth, width):
             if price < incumbent.cost:
-                square, within = self.finish(wanted, target, costs, configuration, most)
+                square, within = self.finish(wanted, target, costs, configuration, most, clock)
                 cost = float(costs[modules, configuration].sum())
                 if within and cost < incumbent.cost and target.met(configuration):
                     incumbent.offer(configuration, cost, square)
@@ -92,15 +96,19 @@ class Paths:
         costs: StageCosts,
         configuration: Configuration,
         most: float = np.inf,
+        clock: Clock = WALL,
     ) -> tuple[float, bool]:
-        """Decides the last modules for a position (3,) in frame F_root, see distal_table.finish."""
+        """Decides the last modules for a position (3,) in frame F_root, see distal_table.finish; charges the clock."""
         asked = Wanted(target.rotation, target.tolerance, target.exact_chord, target.weight)
         search = DistalSearch(self.table, costs, self._arm)
+        before = 0 if target.scene is None else int(target.scene.checks[1])
         found: tuple[float, bool] = finish(wanted, asked, most, search, configuration, target.scene)
+        checks = 0 if target.scene is None else int(target.scene.checks[1]) - before
+        clock.charge(FINISHED + CHECKED * checks)
         return found
 
     def _around(
-        self, target: SearchTarget, costs: StageCosts, best: Configuration, most: float
+        self, target: SearchTarget, costs: StageCosts, best: Configuration, most: float, clock: Clock
     ) -> tuple[Configuration, float]:
         """Returns the first configuration of a beam with a squared error below `most`, and this error.
 
@@ -109,13 +117,15 @@ class Paths:
             costs: the secondary criterion, shape (B, Kmax).
             best: returned with `most` if there is none, shape (B,).
             most: squared error.
+            clock: of the search.
         """
-        towards, until = self._towards(target.position), time.perf_counter() + BEAM_TIME
+        towards, until = self._towards(target.position), clock.now() + BEAM_TIME
+        clock.charge(self._growth(BEAM))
         for configuration, wanted, _ in self._beam(towards, target.scene, costs, 1.0, BEAM):
-            square, _ = self.finish(wanted, target, costs, configuration, most)
+            square, _ = self.finish(wanted, target, costs, configuration, most, clock)
             if square < most:
                 return configuration, square
-            if time.perf_counter() > until:
+            if clock.now() > until:
                 break
         return best, most
 
@@ -136,6 +146,10 @@ class Paths:
         count = beam_search(goal, self._tables(costs), worth, beam, scene)
         yield from zip(configurations[:count], beam.wanted, beam.costs.tolist(), strict=False)
 
+    def _growth(self, width: int) -> float:
+        """Returns the price of a beam of some width."""
+        return GROWN * width * int(self.manipulator.states[: self.table.root].sum())
+
     def _tables(self, costs: StageCosts) -> DescentTables:
         """Returns what a descent to the distal table's root goes by."""
         return DescentTables(self._arm, self._levels, costs, self.table.root)
@@ -151,7 +165,7 @@ class Paths:
         return np.asarray(self._edge[np.argmin(((self._edge - goal) ** 2).sum(axis=1))])
 
     def _descend(
-        self, target: SearchTarget, costs: StageCosts, enough: float, most: float
+        self, target: SearchTarget, costs: StageCosts, enough: float, most: float, clock: Clock
     ) -> tuple[Configuration, float, bool]:
         """Returns the configuration of one descent, its squared error, and whether it is within the tolerances.
 
@@ -160,10 +174,11 @@ class Paths:
         configuration = np.zeros(len(self.manipulator.modules), dtype=np.int64)
         x, y, z = self._towards(target.position).tolist()
         thresholds = self._thresholds(target, enough)
+        clock.charge(DESCENT)
         wanted = descend((x, y, z), self._tables(costs), thresholds, configuration, target.scene)
         if math.isnan(wanted[0]):
             return configuration, most, False
-        square, within = self.finish(np.array(wanted), target, costs, configuration, most)
+        square, within = self.finish(np.array(wanted), target, costs, configuration, most, clock)
         return configuration, square, within
 
     def _thresholds(self, target: SearchTarget, enough: float) -> NDArray[np.float64]:

@@ -1,7 +1,6 @@
 """The incumbent of a search with its lower bound and deadline; the solution of a goal and its certificate."""
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -10,6 +9,7 @@ import numpy as np
 
 from controller.manipulator.frames import Array, Frame
 from controller.manipulator.manipulator import Configuration
+from controller.search.clock import WALL, Clock, WorkClock
 
 Certificate = Literal["optimal", "bound", "unreachable", "unknown"]
 
@@ -30,12 +30,18 @@ class SearchTime(NamedTuple):
         per_switch: further time for each switch that, by the lower bound, may still be saved.
         unfound: time as long as no configuration within the tolerances is found.
         most: the deadline.
+        by_work: whether all times are work, see WorkClock.
     """
 
     first: float
     per_switch: float = 0.0
     unfound: float = 0.0
     most: float = math.inf
+    by_work: bool = False
+
+    def clock(self) -> Clock:
+        """Returns a clock for one search."""
+        return WorkClock() if self.by_work else WALL
 
     def allowed(self, gap: float) -> float:
         """Returns the time of a search [s].
@@ -55,7 +61,8 @@ class Incumbent:
         cost: cost of its switches; infinite if no configuration within the tolerances is known.
         square: squared error, see SearchTarget.
         bound: lower bound of the cost of all configurations within the tolerances; it never falls.
-        until: deadline, by `time.perf_counter()`. The stages of the search check it between parts of their work.
+        until: deadline, by the clock. The stages of the search check it between parts of their work.
+        clock: of this search; the stages charge it for their work.
 
     Args:
         configuration: the first, shape (B,).
@@ -63,6 +70,7 @@ class Incumbent:
         later: returns the deadline after `extend`, from the difference of cost and bound; None: it stays.
         hurried: called with each check of the deadline. It returns whether an extended search must end as soon as it
             has a configuration; what it raises ends the search at once.
+        clock: of this search.
     """
 
     def __init__(
@@ -71,8 +79,10 @@ class Incumbent:
         until: float,
         later: Callable[[float], float] | None = None,
         hurried: Callable[[], bool] = lambda: False,
+        clock: Clock = WALL,
     ) -> None:
         self.configuration, self.until, self._later, self._hurried = configuration, until, later, hurried
+        self.clock = clock
         self.cost, self.square, self.bound = np.inf, np.inf, 0.0
         self._extended = False
 
@@ -95,7 +105,7 @@ class Incumbent:
         """Returns the time until the deadline [s]."""
         if self._hurried() and self._extended and self.cost < np.inf:
             self.until = -np.inf
-        return self.until - time.perf_counter()
+        return self.until - self.clock.now()
 
     def extend(self) -> bool:
         """Lets the deadline follow the difference of cost and bound; returns whether time is left."""
@@ -140,6 +150,7 @@ class Solution:
         angle: angle between the orientations of tip and goal [rad]; 0 for a goal without orientation.
         clear: whether the arm collides with nothing. If not, the search has found no clear configuration.
         dimension: 2 for a planar arm, 3 for a spatial arm.
+        effort: work of the search, if it was limited by work; None: it was limited by time.
     """
 
     configuration: Configuration
@@ -153,6 +164,7 @@ class Solution:
     angle: float = 0.0
     clear: bool = True
     dimension: int = 3
+    effort: float | None = None
 
     @property
     def position(self) -> Array:

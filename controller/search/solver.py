@@ -1,7 +1,6 @@
 """Inverse kinematics of one goal by any method: the entry of the search."""
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import replace
@@ -15,6 +14,7 @@ from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.scene import scene_of
+from controller.search.clock import EFFORT, START, WALL
 from controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
 from controller.search.minimum_switch import MinimumSwitch, Problem
 from controller.search.paths import Paths
@@ -145,34 +145,37 @@ class Solver:
             target: goal and tolerances, from `target` of this solver.
             previous: configuration before, from which switches are counted, shape (B,).
             method: `minimum-switch`, or POP or IPOP (section 3.2) with its secondary criterion.
-            timeout: time of a minimum-switch search. A number is its first time [s], see `search_time`.
+            timeout: time or work of a minimum-switch search. A number is its first time [s], see `search_time`.
             hurried: see Incumbent.
         """
-        began, weight = time.perf_counter(), self._mean_weight
+        started, weight = WALL.now(), self._mean_weight
         seed = np.asarray(previous, dtype=np.int64)
         allowed = timeout if isinstance(timeout, SearchTime) else search_time(timeout)
+        clock = allowed.clock()
+        began = clock.now()
+        clock.charge(START)
 
         def later(gap: float) -> float:
             return began + allowed.allowed(gap / weight)
 
-        incumbent = Incumbent(seed, began + allowed.allowed(0.0), later, hurried)
+        incumbent = Incumbent(seed, began + allowed.allowed(0.0), later, hurried, clock)
         if method in (MINIMUM_SWITCH, "ipop-previous", "ipop-fewest-switches") and self.feasible(target, seed):
             incumbent.offer(seed.copy(), 0.0, 0.0)
         elif method == MINIMUM_SWITCH:
             costs = switch_costs(self.manipulator, seed, self.weights)
             self._minimum.improve(Problem(target, seed, costs, self._unreachable(target)), incumbent)
         else:
-            best = self._paths.follow(target, seed, method)
+            best = self._paths.follow(target, seed, method, clock)
             if target.hard and not self.feasible(target, best) and not self._unreachable(target):
                 incumbent.offer(best, np.inf, target.square(self.manipulator.tip(best)))
                 incumbent.extend()  # densities have no orientations
                 self._minimum.repair(target, incumbent)
                 best = incumbent.configuration
             incumbent = Incumbent(best, incumbent.until)
-        seconds = time.perf_counter() - began
+        seconds, effort = WALL.now() - started, round((clock.now() - began) / EFFORT, 3) if allowed.by_work else None
         found = self.described(incumbent.configuration, target, seed)
         bound = min(incumbent.bound, found.cost) if found.within_tolerance else incumbent.bound
-        return replace(found, seconds=seconds, bound=bound)
+        return replace(found, seconds=seconds, bound=bound, effort=effort)
 
     def candidates(self, target: SearchTarget, previous: Configuration, most: int) -> tuple[NDArray[np.int64], Vector]:
         """Returns at most `most` of the cheapest configurations (n, B) within the tolerances, and their costs (n,).
@@ -235,3 +238,12 @@ def search_time(first: float, per_switch: float = 0.0, deadline: float | None = 
     if deadline is None:
         return SearchTime(first, per_switch, UNFOUND)
     return SearchTime(first, per_switch, deadline, deadline)
+
+
+def search_effort(effort: float) -> SearchTime:
+    """Returns the work of a search that goes on until that of UNFOUND as long as nothing is found.
+
+    Args:
+        effort: work of the search for fewest switches; one unit takes about EFFORT seconds on an ordinary computer.
+    """
+    return search_time(effort * EFFORT)._replace(by_work=True)

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.cells import Cells, Index
+from controller.search.cells import Cells, Index, filling
+from controller.search.clock import COMPARED
 from controller.search.frame_rows import coordinates, fixed, invert_all, motions
 from controller.search.matching import Matches, Sides, Span, match, put
 from controller.search.segment import Segment, Sets, build_segment, room
@@ -87,12 +88,18 @@ class TwoList:
             self._sorted = (radius, chord)
         return self._index
 
+    @property
+    def count(self) -> int:
+        """Number of listed rows."""
+        return len(self.lower.costs) + len(self.upper.costs)
+
     def match(self, target: SearchTarget, incumbent: Incumbent) -> tuple[bool, float]:
         """Offers the cheapest pair to the incumbent; ties are broken by distance.
 
         Returns whether all pairs were compared before the deadline, and the least cost of an unexplored configuration.
         """
         index, lower, goal = self.index(target.radius, target.chord), self.lower.side(), fixed(target.row)
+        incumbent.clock.charge(filling(index))
         unexplored = min(self.lower.unexplored, self.upper.unexplored)
         for start in range(0, len(lower.costs), AT_ONCE):
             if start > 0 and incumbent.late:
@@ -123,7 +130,7 @@ def improve(
     """
     square = incumbent.square if nearer else -np.inf
     matches = Matches(np.full((1, 3), -1), np.array([incumbent.cost]), np.array([square]))
-    match(sides, span, target.query, seed, target.scene, matches)
+    incumbent.clock.charge(COMPARED * match(sides, span, target.query, seed, target.scene, matches))
     if matches.rows[0, 0] >= 0:
         configuration = seed.copy()
         put_match(configuration, seed, sides, matches.rows[0].tolist())

@@ -3,6 +3,7 @@
 import argparse
 import gc
 import json
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -53,6 +54,12 @@ def timed(call: Callable[[], T], clock: Callable[[], float] | None = None) -> tu
     clock = clock or time.perf_counter  # which --busy replaces
     began = clock()
     return call(), clock() - began
+
+
+def processor_time(pid: int) -> float:
+    """Returns the processor time of a process so far [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager

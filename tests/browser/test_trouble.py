@@ -118,7 +118,7 @@ def test_all_arms_are_stopped_from_the_list(trouble: Trouble, driver: object) ->
     shown.says(".arms", "planar16")
     shown.press("#stop-all")
     eventually(lambda: "stop" in trouble.daemon.commands())
-    shown.says(".notice", "Stop all: sent to planar16")
+    shown.says(".notice", "Stop all: stopped: planar16")
 
 
 def test_the_legend_names_all_that_is_drawn(trouble: Trouble, driver: object) -> None:

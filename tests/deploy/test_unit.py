@@ -11,12 +11,13 @@ import pytest
 
 from tests.keys import DEPLOY
 
-EXECUTOR, PLANNER, PANEL, RECORDER, ROS2 = (
+EXECUTOR, PLANNER, PANEL, RECORDER, ROS2, ROUTER = (
     1.2,
     1.6,
     1.5,
     1.5,
     1.2,
+    1.5,
 )  # greatest exposure allowed, of `systemd-analyze security`
 EXPOSURE = {
     "hyperbit-executor": EXECUTOR,
@@ -26,6 +27,7 @@ EXPOSURE = {
     "hyperbit-panel": PANEL,
     "hyperbit-recorder": RECORDER,
     "hyperbit-ros2": ROS2,
+    "hyperbit-router": ROUTER,
 }
 UNITS = {name: DEPLOY / f"{name}.service" for name in EXPOSURE}
 
@@ -159,6 +161,19 @@ def test_the_bridge_to_ros_2_is_off_at_first_and_reaches_this_computer_only() ->
     assert "AF_CAN" not in bridge["RestrictAddressFamilies"][0]
     assert "Group" not in bridge, "the executor's socket is not for it"
     assert bridge["StateDirectory"] == ["hyperbit-ros2"], "the goals of action clients outlive it"
+
+
+def test_the_router_is_off_at_first_and_reaches_networks_only() -> None:
+    router, install = settings(UNITS["hyperbit-router"]), (DEPLOY / "install.sh").read_text()
+    assert "hyperbit-router" in install
+    assert "enable hyperbit-router" not in install.replace("--now ", "")
+    assert "AF_CAN" not in router["RestrictAddressFamilies"][0]
+    assert "Group" not in router, "the executor's socket is not for it"
+    assert router["MemoryDenyWriteExecute"] == ["yes"]
+    assert not {"StateDirectory", "CacheDirectory"} & router.keys(), "it keeps nothing"
+    assert all(f"hyperbit.{part}.pem" in router["LoadCredential"] for part in ("ca", "certificate", "key"))
+    file = (DEPLOY / "zenoh-router.json5").read_text()
+    assert file.count("/run/credentials/hyperbit-router.service/hyperbit.") == 3
 
 
 def test_units_of_instances_differ_in_names_and_folders_only() -> None:

@@ -95,7 +95,7 @@ class PlayedDaemon:
             answer = {**answer, "waypoints": [point], "switches": 3}
         if key == "goal":
             answer = {**answer, "id": payload["id"]}
-        query.reply(query.key_expr, json.dumps(answer).encode())
+        query.reply(f"hyperbit/{self._name}/{key}", json.dumps(answer).encode())
 
     def commands(self) -> list[str]:
         """Returns the keys of the requests, in order."""

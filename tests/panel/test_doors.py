@@ -76,6 +76,21 @@ def test_a_stop_over_http_is_the_operators(site: Site) -> None:
     assert site.daemon.commands() == ["stop"]
 
 
+def test_a_stop_for_all_is_the_operators_and_names_the_arms(site: Site) -> None:
+    assert site.browser.post("/stop", headers={"origin": ORIGIN}).status_code == 403
+    assert site.browser.post("/stop", headers=site.cookie(VIEWER)).status_code == 403
+    assert site.browser.get("/stop", headers=site.cookie(OPERATOR)).status_code == 405
+    foreign = {**site.cookie(OPERATOR), "origin": "http://evil.example"}
+    assert site.browser.post("/stop", headers=foreign).status_code == 403
+    assert site.daemon.asked == []
+    answer = site.browser.post("/stop", headers=site.cookie(OPERATOR)).json()
+    assert answer == {"accepted": True, "message": f"stopped: {ARM}"}
+    assert site.daemon.commands() == ["stop"]
+    site.daemon.answer = {"accepted": False, "code": -1, "message": "the executor is away"}
+    refused = {"accepted": False, "message": f"{ARM}: the executor is away; no arm has stopped"}
+    assert site.browser.post("/stop", headers=site.cookie(OPERATOR)).json() == refused
+
+
 def test_cookies_are_for_this_page_alone(site: Site) -> None:
     answer = site.browser.post("/session", json={"token": OPERATOR}, headers={"origin": ORIGIN})
     parts = {part.strip().lower() for part in answer.headers["set-cookie"].split(";")[1:]}

@@ -2,18 +2,13 @@
 
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 
-from controller.motion.plans import whole
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages.pacing import pace_of
 from controller.planning.core.events import Answered
 from controller.planning.core.tasks import ImprovePlan, PlanGoal
 from controller.program import Acknowledge, Cancel, Program, Replacement, Reset, Stop, unpack
 from controller.refusals import codes
 from controller.refusals.reasons import Reason
-from controller.search.solver import Solver
 from controller.workspace.densities import Densities
 from tests.planning.rig.desk import Desk
 
@@ -246,33 +241,6 @@ def test_a_goal_of_a_configuration_is_reached_by_that_one_only(desk: Desk) -> No
         desk.executor.end(program)
         assert desk.inbox.next("result")["status"] == status
         desk.show(outputs=0)
-
-
-def test_a_plan_query_is_answered_while_goals_wait(desk: Desk) -> None:
-    desk.goal(A)
-    program = desk.executor.expect(Program)  # the planner waits for the executor's answer
-    payload = {"waypoints": [{"position": desk.tip(*B)}]}
-    desk.ask("plan", payload, "plan")
-    answer = desk.inbox.next("plan")
-    assert answer["accepted"]
-    assert [w["t"] for w in answer["waypoints"]] == [0]
-    desk.executor.accept(program)
-    assert desk.inbox.next("reply")["accepted"]
-
-
-def test_a_plan_query_is_answered_as_plans_are_made_elsewhere(desk: Desk, small_densities, monkeypatch) -> None:
-    monkeypatch.setattr(whole, "WHOLE_TIME", 60.0)  # so that both prove the fewest switches on any machine
-    manipulator = desk.arm.reduced
-    positions = np.array([desk.tip(*row) for row in ((1, 2, 3, 4), (5, 6, 7, 0), (1, 2, 0, 0))])
-    waypoints = [{"t": 10 * k, "position": position.tolist()} for k, position in enumerate(positions)]
-    desk.ask("plan", {"waypoints": waypoints}, "plan")
-    answer = desk.inbox.next("plan")
-    goals = whole.TipGoals(positions, np.full(3, 0.002), np.tile(np.eye(3), (3, 1, 1)), np.full(3, np.inf))
-    pace = pace_of(desk.arm.settings)
-    solver, home = Solver(manipulator, small_densities), np.zeros(4, dtype=np.int64)
-    plan = whole.plan_whole(TransitionPlanner(solver, whole.unhurried(goals, pace), pace), home, "minimum-switch")
-    assert answer["certificate"] == plan.certificate == "optimal"
-    assert answer["switches"] == answer["lower_bound"] == plan.switches
 
 
 def test_too_many_goals_are_refused_at_once(desk: Desk) -> None:

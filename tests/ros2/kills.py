@@ -1,4 +1,6 @@
-"""Kills bridge, daemon and router while goals of an action client run: each accepted goal has exactly one result.
+"""Kills bridge, router, planner, executor, or both of these, while goals of an action client run.
+
+Each accepted goal has exactly one result.
 
 python -m tests.ros2.kills [--each 20]
 """
@@ -15,18 +17,21 @@ from pathlib import Path
 from tests.ros2.client import Client, Result
 from tests.ros2.rig import Rig, begin, result_of
 
+VICTIMS = {"bridge": ["bridge"], "planner": ["planner"], "executor": ["executor"], "daemon": ["executor", "planner"]}
 PLACES = ((1.4, 2.3), (-1.4, 2.3))
 
 
 def kill(rig: Rig, victim: str) -> None:
-    """Kills one and starts it again."""
+    """Kills what the victim is, and starts it again."""
     if victim == "router":
         rig.router.stop()
         time.sleep(0.3)
         rig.router.start()
-    else:
-        rig.kill(victim)
-        rig.start(victim)
+        return
+    for name in VICTIMS[victim]:
+        rig.kill(name)
+    for name in VICTIMS[victim]:
+        rig.start(name)
 
 
 def goal_with_kill(rig: Rig, client: Client, victim: str, number: int) -> Result | None:
@@ -63,9 +68,8 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=20, help="kills of each")
     each = parser.parse_args().each
     with ExitStack() as closing:
-        folder = Path(closing.enter_context(tempfile.TemporaryDirectory()))
-        rig = Rig(folder, closing, travel_time=1.0)
-        for victim in ("bridge", "daemon", "router"):
+        rig = Rig(Path(closing.enter_context(tempfile.TemporaryDirectory())), closing, travel_time=1.0)
+        for victim in ("router", *VICTIMS):
             print(f"{victim}: {each} kills, {dict(run(rig, victim, each))}", flush=True)
 
 

@@ -1,4 +1,4 @@
-"""A router, a daemon with simulated boards, and a bridge, each a process or a session that can be killed."""
+"""A router, an executor with simulated boards, a planner, and a bridge, each of which can be killed."""
 
 import os
 import re
@@ -49,13 +49,15 @@ class Rig:
         self.node = Node(self.session, "peer")
         self.said: list[str] = []
         self.node.subscriber("/rosout", "rcl_interfaces/msg/Log", lambda it: self.said.append(it.message.msg), ROSOUT)
-        self.start("daemon")
-        self.start("bridge")
+        for name in ("executor", "planner", "bridge"):
+            self.start(name)
 
     def start(self, name: str) -> None:
-        """Starts the daemon or the bridge."""
+        """Starts the executor, the planner, or the bridge."""
+        boards = [str(self._arm), "--simulate", "--socket", str(self._folder / "executor.sock")]
         words = {
-            "daemon": ["run", str(self._arm), "--simulate", "--connect", self.router.endpoint],
+            "executor": ["execute", *boards],
+            "planner": ["run", *boards, "--connect", self.router.endpoint],
             "bridge": ["ros2", "flat", "--connect", self.router.endpoint, "--ros", self.router.endpoint],
         }[name]
         environment = {**os.environ, "RUNTIME_DIRECTORY": str(self._folder), "STATE_DIRECTORY": str(self._folder)}
@@ -69,7 +71,7 @@ class Rig:
             )
 
     def kill(self, name: str) -> None:
-        """Kills the daemon's planner or the bridge."""
+        """Kills a process."""
         self._processes[name].kill()
         self._processes[name].wait()
 
@@ -97,7 +99,7 @@ class Rig:
         eventually(
             lambda: states and states[-1].status[0].message.startswith("ready"),
             PATIENCE,
-            lambda: f"{self.said}, {self.log('bridge')}, {self.log('daemon')}",
+            lambda: f"{self.said}, {self.log('bridge')}, {self.log('planner')}",
         )
 
     def await_end(self) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from controller.armfile.strict import InputFaults
+from controller.commands.connection import LOG
 
 if TYPE_CHECKING:
     import zenoh
@@ -63,7 +64,7 @@ def opened_session(connect: str, zenoh_file: Path | None, process: ArmProcess) -
 
     from controller.network import session
 
-    zenoh.init_log_from_env_or("error")
+    zenoh.init_log_from_env_or(LOG)
     warned = False
     while True:
         try:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +12,7 @@ import numpy as np
 from controller.arm.arm import Arm
 from controller.armfile.strict import InputFaults
 from controller.commands.common import configuration, parse_goal
-from controller.commands.goal_rows import Orientation, read_goal_rows
+from controller.commands.goal_rows import Orientation, goal_rows
 from controller.manipulator import frames
 from controller.manipulator.locked import transferred
 from controller.manipulator.manipulator import Configuration
@@ -30,6 +32,8 @@ class PlanOptions(NamedTuple):
         path_tolerance: follow straight lines between the goals within this distance.
         method: search method.
         deadline: longest time of planning [s].
+        effort: work of each search, in place of a deadline.
+        apart: search each goal of a file by itself.
     """
 
     goal: str | None
@@ -41,6 +45,8 @@ class PlanOptions(NamedTuple):
     path_tolerance: float | None
     method: Method | None
     deadline: float | None
+    effort: float | None = None
+    apart: bool = False
 
 
 class WantedGoal(NamedTuple):
@@ -71,12 +77,16 @@ class PlanTask(NamedTuple):
     Attributes:
         start: configuration of the reduced arm before the first goal, shape (B,).
         described: configuration of the reduced arm to describe instead of a search; None: search.
-        goals: the goals.
+        goal: the goal of `--goal`.
+        total: number of goals in the file of `--goals`, which is read again as they are needed.
+        digest: of this file.
     """
 
     start: Configuration
-    described: Configuration | None
-    goals: list[WantedGoal]
+    described: Configuration | None = None
+    goal: WantedGoal | None = None
+    total: int = 0
+    digest: str = ""
 
 
 def read_task(arm: Arm, options: PlanOptions) -> PlanTask:
@@ -89,18 +99,20 @@ def read_task(arm: Arm, options: PlanOptions) -> PlanTask:
     home = np.zeros(len(arm.reduced.modules), dtype=np.int64)
     start = home if options.previous is None else unlocked(arm, options.previous, "--previous")
     if options.configuration is not None:
-        return PlanTask(start, unlocked(arm, options.configuration, "--configuration"), [])
+        return PlanTask(start, unlocked(arm, options.configuration, "--configuration"))
     if options.goal is not None:
-        return PlanTask(start, None, [WantedGoal(*parse_goal(options.goal, arm.manipulator.dimension, "--goal"))])
-    path = options.goals or Path()
-    goals = read_goals(arm, path)
-    if options.path_tolerance is not None:
-        check_lines(goals, path)
-    return PlanTask(start, None, goals)
+        return PlanTask(start, goal=WantedGoal(*parse_goal(options.goal, arm.manipulator.dimension, "--goal")))
+    path, count = options.goals or Path(), 0
+    for goal in read_goals(arm, path):
+        count += 1
+        if options.path_tolerance is not None:
+            check_line(goal, path)
+    with path.open("rb") as file:
+        return PlanTask(start, total=count, digest=hashlib.file_digest(file, "sha256").hexdigest())
 
 
 def check_options(options: PlanOptions) -> None:
-    """Checks which options are given together, and the range of the tolerances.
+    """Checks which options are given together, and the range of tolerances, time and work.
 
     Raises:
         InputFaults: an option is wrong.
@@ -112,42 +124,50 @@ def check_options(options: PlanOptions) -> None:
         ("--turn", "angle", options.angle_tolerance),
         ("--path-tolerance", "length", options.path_tolerance),
         ("--deadline", "time", options.deadline),
+        ("--effort", "work", options.effort),
     )
     for name, kind, value in tolerances:
         if value is not None and not 1e-9 <= value <= 1e6:
             raise InputFaults(Path(name), [f"{value:g} is no {kind} from 1e-9 to 1e6"])
     if options.path_tolerance is not None and options.goals is None:
         raise InputFaults(Path("--path-tolerance"), ["lines need several goals: give --goals FILE.csv"])
+    if options.apart and (options.goals is None or options.path_tolerance is not None):
+        raise InputFaults(Path("--apart"), ["it is for --goals FILE.csv, without --path-tolerance"])
+    if options.effort is not None and options.goals is not None and not options.apart:
+        raise InputFaults(
+            Path("--effort"), ["a trajectory is planned by time; add --apart to search each goal by itself"]
+        )
+    if options.effort is not None and options.deadline is not None:
+        raise InputFaults(Path("--effort"), ["a search ends by work or by time: give --effort or --deadline"])
 
 
-def read_goals(arm: Arm, path: Path) -> list[WantedGoal]:
-    """Reads goals from a CSV file: position, and orientation and previous configuration if given.
+def read_goals(arm: Arm, path: Path) -> Iterator[WantedGoal]:
+    """Yields the goals of a CSV file as they are read: position, and orientation and previous configuration if given.
 
     Raises:
         InputFaults: the file is missing or wrong; each fault names its line.
     """
-    goals: list[WantedGoal] = []
-    faults: list[str] = []
-    for row in read_goal_rows(path, ("previous",), arm.manipulator.dimension):
+    faults, count = list[str](), 0
+    for row in goal_rows(path, ("previous",), arm.manipulator.dimension, faults):
         try:
             previous = unlocked(arm, row.more["previous"], row.where) if row.more["previous"] else None
-            goals.append(WantedGoal(row.position, row.orientation, previous))
+            yield WantedGoal(row.position, row.orientation, previous)
+            count += 1
         except InputFaults as error:
             faults += [f"{row.where}: {fault}" for fault in error.faults]
-    if faults:
-        raise InputFaults(path, faults)
-    return goals
+    if faults or not count:
+        raise InputFaults(path, faults or ["no goals"])
 
 
-def check_lines(goals: list[WantedGoal], path: Path) -> None:
-    """Checks that straight lines can join the goals of a file.
+def check_line(goal: WantedGoal, path: Path) -> None:
+    """Checks that a straight line can end at a goal of a file.
 
     Raises:
-        InputFaults: a goal has an orientation, or a previous configuration.
+        InputFaults: the goal has an orientation, or a previous configuration.
     """
-    if any(goal.previous is not None for goal in goals):
+    if goal.previous is not None:
         raise InputFaults(path, ["column previous: remove it, each line begins at the end of the previous line"])
-    if any(goal.orientation is not None for goal in goals):
+    if goal.orientation is not None:
         raise InputFaults(path, ["orientations: remove them, lines are followed by position only"])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from controller.arm.arm import Arm
 from controller.commands.common import CommandFailed, densities_of, errors
 from controller.commands.goal_rows import Orientation
-from controller.commands.study.plan_goals import PlanOptions, PlanTask, WantedGoal
+from controller.commands.study.plan_goals import PlanOptions, WantedGoal
 from controller.manipulator.manipulator import Configuration
 from controller.refusals.refusal import Refusal
 from controller.search.method import Method
@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # the search's kernels take a second to import
     from controller.motion.plans.plan import TrajectoryPlan
     from controller.motion.plans.whole import TipGoals
     from controller.motion.trajectory import Trajectory
-    from controller.search.solution import Solution
+    from controller.search.solution import SearchTime, Solution
     from controller.search.solver import Solver
 
 
@@ -52,6 +52,7 @@ class GoalSearch(NamedTuple):
         path_tolerance: follow straight lines between the goals within this distance; None: do not.
         method: search method.
         deadline: longest time of planning [s]; None: no bound of its own.
+        effort: work of each search in place of time; None: by time.
     """
 
     arm: Arm
@@ -61,6 +62,16 @@ class GoalSearch(NamedTuple):
     path_tolerance: float | None
     method: Method
     deadline: float | None = None
+    effort: float | None = None
+
+    @property
+    def allowed(self) -> SearchTime:
+        """Time or work of the search for one goal."""
+        from controller.search.solver import TIMEOUT, search_effort, search_time
+
+        if self.effort is not None:
+            return search_effort(self.effort)
+        return search_time(TIMEOUT, self.arm.settings.planning.seconds_per_switch, self.deadline)
 
 
 def prepared_search(arm: Arm, options: PlanOptions, *, silent: bool) -> GoalSearch:
@@ -77,14 +88,15 @@ def prepared_search(arm: Arm, options: PlanOptions, *, silent: bool) -> GoalSear
         options.path_tolerance,
         options.method or arm.settings.method,
         options.deadline,
+        options.effort,
     )
 
 
-def described(search: GoalSearch, task: PlanTask, configuration: Configuration) -> PointSolution:
+def described(search: GoalSearch, start: Configuration, configuration: Configuration) -> PointSolution:
     """Returns a configuration as the solution of its own tip position, without a search."""
     position = search.solver.manipulator.tip(configuration)[: search.solver.manipulator.dimension, 3]
     target = search.solver.target(position, search.tolerance)
-    solution = search.solver.described(configuration, target, task.start)
+    solution = search.solver.described(configuration, target, start)
     return PointSolution(position.tolist(), None, solution)
 
 
@@ -93,29 +105,31 @@ def search_each(search: GoalSearch, goals: list[WantedGoal], start: Configuratio
 
     Each search starts at the previous solution, or at the goal's own previous configuration.
     """
-    from controller.search.solver import TIMEOUT, search_time
-
-    solver, per_switch = search.solver, search.arm.settings.planning.seconds_per_switch
-    allowed = search_time(TIMEOUT, per_switch, search.deadline)
     for goal in goals:
-        own = start if goal.previous is None else goal.previous
-        angle_tolerance = np.inf if goal.orientation is None else search.angle_tolerance
-        target = solver.target(goal.target(), search.tolerance, angle_tolerance)
-        found = solver.solve(target, own, search.method, allowed)
-        start = found.configuration
-        yield PointSolution(goal.position, goal.orientation, found)
+        found = search_one(search, goal, start)
+        start = found.solution.configuration
+        yield found
+
+
+def search_one(search: GoalSearch, goal: WantedGoal, start: Configuration) -> PointSolution:
+    """Returns the solution of a goal, searched from its own previous configuration, or from `start` (B,)."""
+    own = start if goal.previous is None else goal.previous
+    angle_tolerance = np.inf if goal.orientation is None else search.angle_tolerance
+    target = search.solver.target(goal.target(), search.tolerance, angle_tolerance)
+    found = search.solver.solve(target, own, search.method, search.allowed)
+    return PointSolution(goal.position, goal.orientation, found)
 
 
 def follow(search: GoalSearch, goals: list[WantedGoal], start: Configuration) -> Iterator[PointSolution]:
     """Yields the solution of each point of a trajectory, as the daemon answers `plan`.
 
-    The trajectory leaves enough time for all switches. A goal with a previous configuration begins a new trajectory.
-    Goals that cannot be planned as one trajectory are searched separately.
+    The trajectory leaves enough time for all switches. Goals that cannot be planned as one trajectory are searched
+    separately.
 
     Args:
         search: the search.
         goals: the goals.
-        start: configuration before the first goal, shape (B,).
+        start: configuration before the first goal, unless this goal has its own, shape (B,).
 
     Raises:
         CommandFailed: the lines between the goals cannot be followed.
@@ -126,29 +140,31 @@ def follow(search: GoalSearch, goals: list[WantedGoal], start: Configuration) ->
     from controller.search.solver import search_time
 
     pace, per_switch = pace_of(search.arm.settings), search.arm.settings.planning.seconds_per_switch
-    for part in trajectories(goals):
-        start = start if part[0].previous is None else part[0].previous
-        try:
-            trajectory = unhurried(as_arrays(search, part), pace, search.path_tolerance)
-            planner = TransitionPlanner(search.solver, trajectory, pace)
-            first = search_time(first_time(trajectory), per_switch, search.deadline)
-            found = plan_whole(planner, start, search.method, first, search.deadline)
-        except Refusal as refusal:
-            if search.path_tolerance is not None:
-                raise CommandFailed(str(refusal)) from None
-            errors.print(f"no plan of the whole trajectory: {refusal}; each goal is searched separately")
-            for answer in search_each(search, [goal._replace(previous=None) for goal in part], start):
-                start = answer.solution.configuration
-                yield answer
-        else:
-            yield from points(part, trajectory, found)
-            start = found.solutions[-1].configuration
+    start = start if goals[0].previous is None else goals[0].previous
+    try:
+        trajectory = unhurried(as_arrays(search, goals), pace, search.path_tolerance)
+        planner = TransitionPlanner(search.solver, trajectory, pace)
+        first = search_time(first_time(trajectory), per_switch, search.deadline)
+        found = plan_whole(planner, start, search.method, first, search.deadline)
+    except Refusal as refusal:
+        if search.path_tolerance is not None:
+            raise CommandFailed(str(refusal)) from None
+        errors.print(f"no plan of the whole trajectory: {refusal}; each goal is searched separately")
+        yield from search_each(search, [goal._replace(previous=None) for goal in goals], start)
+    else:
+        yield from points(goals, trajectory, found)
 
 
-def trajectories(goals: list[WantedGoal]) -> list[list[WantedGoal]]:
-    """Returns the goals of each trajectory; a goal with a previous configuration begins a new one."""
-    begins = [k for k, goal in enumerate(goals) if k == 0 or goal.previous is not None]
-    return [goals[first:end] for first, end in zip(begins, [*begins[1:], len(goals)], strict=True)]
+def trajectories(goals: Iterable[WantedGoal]) -> Iterator[list[WantedGoal]]:
+    """Yields the goals of each trajectory; a goal with a previous configuration begins a new one."""
+    part = list[WantedGoal]()
+    for goal in goals:
+        if part and goal.previous is not None:
+            yield part
+            part = []
+        part.append(goal)
+    if part:
+        yield part
 
 
 def points(goals: list[WantedGoal], trajectory: Trajectory, found: TrajectoryPlan) -> Iterator[PointSolution]:

@@ -19,6 +19,7 @@ from controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Hello, Malf
 ENDPOINT = "tcp/127.0.0.1:7447"  # as in controller.commands.common, which takes longer to import
 ARM = "The arm's file, or its name. With --local it may be absent: all arms of this computer."
 LOCAL = "Ask the executor of this computer directly at its socket, without planner and Zenoh."
+ALL = "Stop all arms of the network, also below namespaces, and tell which have stopped."  # as in `stop`
 ZENOH = "Zenoh configuration file, instead of an endpoint."
 ANSWER_WITHIN = 1.0  # [s]
 JOIN = "join the executor's group: sudo usermod --append --groups hyperbit USER, or use sudo"
@@ -28,23 +29,24 @@ SEARCH = "name the executor's socket or its folder by --socket, or start an exec
 def halt(
     arm: Annotated[str, typer.Argument(metavar="ARM", help=ARM, show_default=False)] = "",
     local: Annotated[bool, typer.Option("--local", help=LOCAL)] = False,
+    all_arms: Annotated[bool, typer.Option("--all", help=ALL)] = False,
     socket: Annotated[Path | None, typer.Option(help="With --local: the socket, or its folder.")] = None,
     connect: Annotated[str, typer.Option(help="Zenoh endpoint of the daemon.")] = ENDPOINT,
     zenoh_file: Annotated[Path | None, typer.Option("--zenoh", help=ZENOH)] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Stop the arm as `stop` does; --local needs neither planner nor Zenoh. No substitute for a power switch."""
-    if local:
+    if local and not (arm and all_arms):
         halt_here(arm, socket, as_json)
         return
     from controller.armfile.strict import InputFaults
     from controller.commands.use.requests import stop
 
-    if not arm:
-        raise InputFaults(Path("halt"), ["give the arm's name, or --local"])
+    if bool(arm) == all_arms:
+        raise InputFaults(Path("halt"), ["give either the arm's name, --all or --local"])
     if socket is not None:
         raise InputFaults(Path("--socket"), ["only with --local"])
-    stop(arm, connect, zenoh_file, as_json)
+    stop(arm, all_arms, connect, zenoh_file, as_json)
 
 
 def halt_here(arm: str, socket: Path | None, as_json: bool) -> None:

@@ -2,56 +2,60 @@
 
 from __future__ import annotations
 
-import queue
-import time
+import contextlib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from controller.commands.common import ENDPOINT, AsJson, CommandFailed, Connect, ZenohFile, print_json
-from controller.commands.connection import START, arms_alive, open_session
+from controller.commands.connection import START, open_session
 
 if TYPE_CHECKING:
-    import zenoh
+    from controller.network.fleet import ArmStatus
 
 STATE_TIMEOUT = 2.0  # [s] for the states of all arms; each arm publishes several a second
 
 
 def list_(connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
     """List the arms that have a daemon, each with its mode, goal and faults."""
-    from controller.network.client import decoded
+    for arm in arms_now(connect, zenoh_file):
+        if as_json:
+            print_json(fields_of(arm))
+        else:
+            typer.echo(line_of_arm(arm))
 
-    news: queue.SimpleQueue[tuple[str, dict[str, Any]]] = queue.SimpleQueue()
 
-    def hear(sample: zenoh.Sample) -> None:
-        news.put((str(sample.key_expr).split("/")[1], decoded(sample)))
+def arms_now(connect: str, zenoh_file: Path | None, *, described: bool = False) -> list[ArmStatus]:
+    """Returns the arms that are alive, each with its state, and if `described` with host and version.
 
-    with open_session(connect, zenoh_file) as session, session.declare_subscriber("hyperbit/*/state", hear):
-        names = arms_alive(session)
-        states, until = dict[str, dict[str, Any]](), time.monotonic() + STATE_TIMEOUT
-        while set(names) - set(states):
-            try:
-                name, state = news.get(timeout=max(until - time.monotonic(), 0.0))
-            except queue.Empty:
-                break
-            states[name] = state
-    if not names:
+    Raises:
+        CommandFailed: no arm is alive.
+    """
+    from controller.network.fleet import Fleet
+
+    with open_session(connect, zenoh_file) as session, contextlib.closing(Fleet(session)) as fleet:
+        arms = [arm for arm in fleet.wait_for_states(STATE_TIMEOUT, described=described) if arm.gone_at is None]
+    if not arms:
         raise CommandFailed(f"no arm at {zenoh_file or connect}", START)
-    for name in names:
-        print_arm(name, states.get(name), as_json)
+    return arms
 
 
-def print_arm(name: str, state: dict[str, Any] | None, as_json: bool) -> None:
-    """Prints one arm; `state` is None if none came."""
-    if as_json:
-        fields = ("mode", "reason", "simulated", "goal", "faults")
-        print_json({"name": name, **{field: state and state.get(field) for field in fields}})
-        return
-    if state is None:
-        typer.echo(f"{name}: alive, but it publishes no state")
-        return
-    simulated = " (simulated)" if state.get("simulated") else ""
-    typer.echo(f"{name}{simulated}: {state['mode']}, {'; '.join(reason_and_faults(state))}")
+def fields_of(arm: ArmStatus) -> dict[str, Any]:
+    """Returns an arm as the fields of a line of JSON; those of the state are null if no state came."""
+    state = {field: arm.state and arm.state[field] for field in ("mode", "reason", "simulated", "goal", "faults")}
+    return {"name": arm.address.name, "namespace": arm.address.namespace, **state}
+
+
+def line_of_arm(arm: ArmStatus) -> str:
+    """Returns an arm in one line."""
+    if arm.gone_at is not None:
+        return f"{arm.address}: gone"
+    if arm.state is None:
+        return f"{arm.address}: alive, but it publishes no state" + (" that can be read" if arm.age is not None else "")
+    simulated = " (simulated)" if arm.state["simulated"] else ""
+    old = "publishes no state any more; the last was: " if arm.is_old else ""
+    return f"{arm.address}{simulated}: {old}{arm.state['mode']}, {'; '.join(reason_and_faults(arm.state))}"
 
 
 def reason_and_faults(state: dict[str, Any]) -> list[str]:

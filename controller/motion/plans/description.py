@@ -30,7 +30,7 @@ def describe_solution(whole: Manipulator, reduced: Manipulator, solution: Soluti
         "error": solution.error,
         "orientation_error": solution.angle if oriented else None,
         "switches": solution.switches,
-        "seconds": solution.seconds,
+        **({"seconds": solution.seconds} if solution.effort is None else {"effort": solution.effort}),
         "cost": solution.cost,
         **solution.proof(),
     }

@@ -197,9 +197,9 @@ class PointByPoint:
 
     def _time(self, point: TrajectoryPoint, first: float) -> SearchTime:
         """Returns the time of one search, whose first time is `first` [s]."""
-        _, per_switch, unfound, most = self._allowed
-        left = max(self._began + most - time.perf_counter(), 0.0)
-        return SearchTime(first, per_switch if point.index == 0 else 0.0, unfound, left)
+        allowed = self._allowed
+        left = max(self._began + allowed.most - time.perf_counter(), 0.0)
+        return SearchTime(first, allowed.per_switch if point.index == 0 else 0.0, allowed.unfound, left)
 
     def _remaining(self) -> float:
         """Returns what is left of the first time of all searches [s]."""

@@ -89,9 +89,8 @@ class StageSequencer:
             side = count % 2 if heaps[1] else 0  # without a way to the end, all that can be reached is found
             *_, code, path = heappop(heaps[side])
             here = np.frombuffer(code, dtype=np.uint8)
-            if code in paths[side] or (
-                path and not self._clear(flipped(here, np.array(path[-1:])), np.array(path[-1:]))
-            ):
+            last = np.array(path[-1:], dtype=np.int64)
+            if code in paths[side] or (path and not self._clear(flipped(here, last), last, clear_ends=True)):
                 continue
             paths[side][code] = path
             if code in paths[1 - side]:
@@ -108,10 +107,10 @@ class StageSequencer:
             self.enclosed = np.array([np.frombuffer(code, dtype=np.uint8) for code in paths[0]])
         return None
 
-    def _clear(self, states: States, stage: Index) -> bool:
+    def _clear(self, states: States, stage: Index, *, clear_ends: bool = False) -> bool:
         key = states.tobytes(), np.sort(stage).tobytes()
         if key not in self._checked:
-            collision = self._sweep.first_collision(states, stage)
+            collision = self._sweep.first_collision(states, stage, clear_ends=clear_ends)
             self._checked[key] = collision is None
             self._obstruction = collision or self._obstruction
         return self._checked[key]

@@ -11,6 +11,7 @@ import msgspec
 import zenoh
 
 from controller.network.client import Client
+from controller.network.fleet import is_name
 from controller.panel.arms.arm_view import ArmView
 from controller.panel.arms.metrics import Counters
 from controller.panel.arms.pages import Page
@@ -33,6 +34,7 @@ class Arms:
     Attributes:
         views: data of each arm, by name.
         counters: counts results and faults, for metrics.
+        session: of all requests.
 
     Args:
         session: open session.
@@ -42,7 +44,7 @@ class Arms:
     def __init__(self, session: zenoh.Session, prefix: str = "hyperbit") -> None:
         self.views: dict[str, ArmView] = {}
         self.counters = Counters()
-        self._session, self._prefix = session, prefix
+        self.session, self._prefix = session, prefix
         self._loop = asyncio.get_running_loop()
         self._pages: set[Page] = set()
         self._alive = set[str]()  # names whose liveliness token exists
@@ -108,7 +110,7 @@ class Arms:
     def _name(self, sample: zenoh.Sample) -> str | None:
         """Returns the name of a sample's arm; None if the key belongs to no arm."""
         parts = str(sample.key_expr)[len(self._prefix) + 1 :].split("/")
-        return parts[0] if len(parts) == 2 and valid(parts[0]) else None
+        return parts[0] if len(parts) == 2 and is_name(parts[0]) else None
 
     def _schedule(self, act: Callable[[], None]) -> None:
         """Schedules a call on the loop; drops it if too many calls wait."""
@@ -129,9 +131,9 @@ class Arms:
     def _view(self, name: str) -> ArmView | None:
         """Returns the data of an arm, created if it is new; None if there are too many arms."""
         if name not in self.views:
-            if not valid(name) or (len(self.views) >= MOST_ARMS and not self._drop_longest_gone()):
+            if not is_name(name) or (len(self.views) >= MOST_ARMS and not self._drop_longest_gone()):
                 return None
-            view = self.views[name] = ArmView(name, Client(self._session, name, prefix=self._prefix), self._loop)
+            view = self.views[name] = ArmView(name, Client(self.session, name, prefix=self._prefix), self._loop)
             if name in self._alive:
                 view.hear_alive(True)
         return self.views[name]
@@ -212,8 +214,3 @@ class Arms:
         now = time.monotonic()
         known = sorted((view.summary(now) for view in self.known()), key=lambda entry: str(entry["name"]))
         return msgspec.json.encode({"section": "arms", "arms": known})
-
-
-def valid(name: str) -> bool:
-    """Returns whether a text is a valid name of an arm."""
-    return 0 < len(name) <= 64 and name.isascii() and name.replace("-", "a").replace("_", "a").isalnum()

@@ -92,7 +92,7 @@ class Core:
         tracker = arm.settings.tracker
         parts.tip_bias = None if tracker is None else TipBiasEstimator(parts, tracker)
         self._goals, self._queries = Goals(parts, searches), Queries(parts)
-        self._requests = ExecutorRequests(parts, self._goals)
+        self._requests = ExecutorRequests(parts, self._goals, self._queries)
         self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts)
         self._status = Status(parts, self._stream, self._goals, self._queries)
         self._report_at = self._alive_at = 0.0  # times of the next report and keep-alive [s]

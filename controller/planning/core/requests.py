@@ -34,9 +34,10 @@ CANCELED = "canceled; the arm holds"
 class ExecutorRequests:
     """Requests that the executor answers; the request's number is the number of the executor's request."""
 
-    def __init__(self, parts: Parts, goals: Goals) -> None:
+    def __init__(self, parts: Parts, goals: Goals, queries: Queries) -> None:
         self._parts, self._view, self._act = parts, parts.view, parts.act
         self._locks, self._goals, self._programs = parts.locks, goals, parts.programs
+        self._queries = queries
         self._pending: dict[int, float] = {}  # time of each request that is not answered yet [s]
 
     def receive_request(self, request: Request) -> None:
@@ -81,6 +82,8 @@ class ExecutorRequests:
             self._send(number, Cancel(number, running.program.program, CANCELED))
         elif self._goals.cancel(goal):
             self._act(Reply(number, done("canceled before it began")))
+        elif self._queries.cancel(goal):
+            self._act(Reply(number, done("the plan is canceled")))
         else:
             self._act(Reply(number, done(f"goal {goal} is not running")))
 
@@ -161,6 +164,15 @@ class Queries:
                 else:
                     job = self._parts.jobs.start(task, partial(self._answered, query))
                     self._waiting[query.request] = query._replace(job=job)
+
+    def cancel(self, goal: str) -> bool:
+        """Ends the query of a goal with this id; returns whether there was one."""
+        for query in list(self._waiting.values()):
+            if query.goal.id == goal:
+                self._parts.jobs.abandon(query.job)
+                self._refuse(query, Refusal(Reason.PLAN_CANCELED))
+                return True
+        return False
 
     def end_queries(self) -> None:
         """Refuses all queries: the process ends."""

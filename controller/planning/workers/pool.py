@@ -7,6 +7,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from controller.planning.core.events import Answered, Event
 from controller.planning.core.tasks import Answer, Task
 from controller.planning.workers import computations
 from controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
+from controller.planning.workers.long_plans import LongPlanner, is_long
 from controller.refusals.refusal import Refusal
 from controller.workspace.densities import Densities
 
@@ -29,6 +31,7 @@ THREADS: dict[str, tuple[type[Task], ...]] = {
     "checks": (tasks.CheckStages, tasks.CheckStanding, tasks.BuildScene),
     "tables": (tasks.BuildTables,),
 }
+LONG_PLANS = "long plans"  # threads that wait for processes
 
 
 @dataclass(eq=False)
@@ -54,6 +57,8 @@ class QueuedTask:
 class Workers:
     """Carries out tasks, each kind in a thread of its own. All methods are for one thread; only `close` waits.
 
+    Plans that may take long go to `planning.workers` processes, if there are any.
+
     Each task is answered by `Answered`; its last answer is marked.
 
     Args:
@@ -75,10 +80,13 @@ class Workers:
         self._for_goals, self._for_queries = ArmModel(arm, "goals"), ArmModel(arm, "queries")
         self._for_setpoints = ArmModel(arm, "setpoints")
         self._queued: dict[int, QueuedTask] = {}  # not answered; a worker removes its own
-        self._queues = {name: queue.SimpleQueue[QueuedTask | None]() for name in THREADS}
+        self._queues = {name: queue.SimpleQueue[QueuedTask | None]() for name in (*THREADS, LONG_PLANS)}
         self._queue_of = {kind: self._queues[name] for name, kinds in THREADS.items() for kind in kinds}
+        self._processes = [LongPlanner(arm, weights) for _ in range(arm.settings.planning.workers)]
+        carriers = [(name, self._perform) for name in THREADS]
+        carriers += [(LONG_PLANS, partial(self._plan_long, process)) for process in self._processes]
         self._threads = [
-            threading.Thread(target=self._run, args=(name,), name=name, daemon=True) for name in self._queues
+            threading.Thread(target=self._run, args=carrier, name=carrier[0], daemon=True) for carrier in carriers
         ]
         for thread in self._threads:
             thread.start()
@@ -86,7 +94,8 @@ class Workers:
     def start(self, number: int, task: Task) -> None:
         """Queues a task. It waits for those of the same thread before it: abandon what is less urgent."""
         self._queued[number] = queued = QueuedTask(number, task)
-        self._queue_of[type(task)].put(queued)
+        is_apart = self._processes and is_long(task)
+        (self._queues[LONG_PLANS] if is_apart else self._queue_of[type(task)]).put(queued)
 
     def abandon(self, number: int) -> None:
         """Lets a task end soon; a task that has not begun is answered by `Done` when its turn comes."""
@@ -102,18 +111,20 @@ class Workers:
         """Abandons all tasks and ends the threads; one that does not end in time [s] ends with the process."""
         for queued in list(self._queued.values()):
             queued.abandoned = True
-        for waiting in self._queues.values():
-            waiting.put(None)
+        for thread in self._threads:
+            self._queues[thread.name].put(None)
         until = time.monotonic() + timeout
         for thread in self._threads:
             thread.join(max(until - time.monotonic(), 0.0))
+        for process in self._processes:
+            process.close()
 
     # --- the workers' threads
 
-    def _run(self, name: str) -> None:
+    def _run(self, name: str, perform: Callable[[QueuedTask], Answer | Iterator[Answer]]) -> None:
         try:
             while (queued := self._queues[name].get()) is not None:
-                for answer, last in self._answers(queued):
+                for answer, last in self._answers(queued, perform):
                     if last:
                         self._queued.pop(queued.number, None)
                     self._post(Answered(queued.number, answer, last))
@@ -121,12 +132,14 @@ class Workers:
             log.critical("the thread for %s has ended", name, exc_info=True)
             self._fatal(f"the planner's thread for {name} has ended: {error!r}")
 
-    def _answers(self, queued: QueuedTask) -> Iterator[tuple[Answer, bool]]:
+    def _answers(
+        self, queued: QueuedTask, perform: Callable[[QueuedTask], Answer | Iterator[Answer]]
+    ) -> Iterator[tuple[Answer, bool]]:
         """Yields the answers to a task, and whether each is the last one; no Exception leaves it."""
         last: Answer = tasks.Done()
         try:
             queued.proceed()
-            answer = self._perform(queued)
+            answer = perform(queued)
             if isinstance(answer, Iterator):
                 for part in answer:
                     yield part, False
@@ -161,6 +174,10 @@ class Workers:
                 return build_scene(self._arm, task)
             case tasks.BuildTables():
                 return build_tables(self._arm, self._densities, self._weights, task)
+
+    def _plan_long(self, process: LongPlanner, queued: QueuedTask) -> Answer:
+        assert isinstance(queued.task, tasks.DescribePlan)
+        return process.plan(queued.task, queued.proceed)
 
     def _hurry(self, queued: QueuedTask) -> bool:
         """Returns whether a query must end early: it is abandoned, a goal is planned, or another query waits."""

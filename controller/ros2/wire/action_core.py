@@ -107,7 +107,8 @@ class ActionCore:
             case GoalRestored():
                 if event.uuid in self.goals:
                     raise IllegalTransition(f"goal {event.uuid.hex()} is known already")
-                self.goals[event.uuid] = Goal(RESTORED, event.goal, Status.EXECUTING, event.stamp)
+                status = Status.CANCELING if event.canceling else Status.EXECUTING
+                self.goals[event.uuid] = Goal(RESTORED, event.goal, status, event.stamp)
                 return [PublishStatus(self.infos())]
             case GoalDecided():
                 return list(self._decide(event))

@@ -34,11 +34,12 @@ class GoalRequested(NamedTuple):
 
 
 class GoalRestored(NamedTuple):
-    """A server before this one had accepted this goal, at `stamp` [ns since 1970]; it is executing."""
+    """A server before this one had accepted this goal, at `stamp` [ns since 1970]; it is executing, or canceling."""
 
     uuid: bytes
     goal: Any
     stamp: int
+    canceling: bool = False
 
 
 class GoalDecided(NamedTuple):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 SECOND = 1_000_000_000  # [ns]
 CANCEL, STATUS = "action_msgs/srv/CancelGoal", "action_msgs/msg/GoalStatusArray"
-LOG = logging.getLogger(__name__)
+log = logging.getLogger(__name__)
 
 
 class GoalHandle:
@@ -126,18 +126,19 @@ class ActionServer:
         with self._lock:
             return self._core.status(uuid)
 
-    def restore(self, uuid: bytes, stamp: int) -> GoalHandle:
-        """Returns a goal that a server before this one had accepted; it is executing, and its message is not known.
+    def restore(self, uuid: bytes, stamp: int, *, canceling: bool = False) -> GoalHandle:
+        """Returns a goal that a server before this one had accepted; its message is not known.
 
         Args:
             uuid: id of the goal, 16 bytes.
             stamp: when it was accepted [ns since 1970].
+            canceling: whether that server had accepted to cancel it; otherwise it is executing.
 
         Raises:
             IllegalTransition: the goal is known already.
         """
         handle = GoalHandle(uuid, None, self)
-        self.step(events.GoalRestored(uuid, handle, stamp))
+        self.step(events.GoalRestored(uuid, handle, stamp, canceling))
         return handle
 
     def close(self, result: Any = None) -> None:
@@ -223,14 +224,14 @@ class ActionServer:
                 if self._policy.may_cancel(goal):
                     chosen.append(goal.uuid)
             except Exception:
-                LOG.exception("may_cancel of %s failed", self._type)
+                log.exception("may_cancel of %s failed", self._type)
         self.step(events.CancelDecided(request, tuple(chosen)))
 
     def _tell_canceling(self, goal: GoalHandle) -> None:
         try:
             self._policy.on_cancel(goal)
         except Exception:
-            LOG.exception("on_cancel of %s failed", self._type)
+            log.exception("on_cancel of %s failed", self._type)
 
 
 def _uuid(holder: Any) -> bytes:

@@ -76,7 +76,7 @@ def message(fields: Mapping[str, Any], name: str, types: Types) -> Any:
         UnknownType: the type is not known.
     """
     cls = types.message_class(name)
-    entries = types.store.get_msgdef(name).fields
+    _, entries = types.store.fielddefs[name]
     if unknown := fields.keys() - {field for field, _ in entries}:
         raise BadMessage(f"{name} has no field {', '.join(map(repr, sorted(unknown)))}")
     given = {**DEFAULTS.get(name, {}), **fields}

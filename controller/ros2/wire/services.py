@@ -18,7 +18,7 @@ from controller.ros2.wire.topics import Dropped, Received, receive
 from controller.ros2.wire.types import Types
 
 MOST_OPEN = 64  # requests of a service that wait for their reply
-LOG = logging.getLogger(__name__)
+log = logging.getLogger(__name__)
 
 
 class NoReply(TimeoutError):
@@ -104,12 +104,14 @@ class Service:
             self._handler(Request(received, lambda value: self._reply(number, received, value)))
         except Dropped as error:
             self.dropped[error.reason] += 1
+            query.drop()  # type: ignore[no-untyped-call]  # else its client waits as long as a log holds this traceback
         except Exception:
             with self._lock:
                 replied = self._open.pop(number, None) is None
             if not replied:
                 self.dropped["callback"] += 1
-            LOG.exception("the handler of %s failed", self.token.text)
+                query.drop()  # type: ignore[no-untyped-call]
+            log.exception("the handler of %s failed", self.token.text)
 
     def _reply(self, number: int, received: Received, value: Any) -> None:
         data = serialize(value, f"{self._name}_Response", self._types)

@@ -19,7 +19,7 @@ from controller.ros2.wire.tokens import Token
 from controller.ros2.wire.types import Types
 
 HEARTBEAT = 0.5  # [s]; how often a publisher tells the number of its last sample, as rmw_zenoh
-LOG = logging.getLogger(__name__)
+log = logging.getLogger(__name__)
 
 
 class Received(NamedTuple):
@@ -65,14 +65,14 @@ def receive(payload: zenoh.ZBytes | None, attachment: zenoh.ZBytes | None, name:
     try:
         source = attachments.parse(None if attachment is None else attachment.to_bytes())
     except BadAttachment as error:
-        LOG.debug("%s: %s", name, error)
+        log.debug("%s: %s", name, error)
         raise Dropped("attachment") from None
     if payload is not None and len(payload) > MOST_BYTES:
         raise Dropped("size")
     try:
         message = deserialize(b"" if payload is None else payload.to_bytes(), name, types)
     except BadMessage as error:
-        LOG.debug("%s", error)
+        log.debug("%s", error)
         raise Dropped("content") from None
     return Received(message, *source)
 
@@ -161,7 +161,7 @@ class Subscriber:
             self.dropped[error.reason] += 1
         except Exception:
             self.dropped["callback"] += 1
-            LOG.exception("the callback of %s failed", self.token.text)
+            log.exception("the callback of %s failed", self.token.text)
 
 
 def _publishing(qos: Qos) -> Mapping[str, Any]:

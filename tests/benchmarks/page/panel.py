@@ -18,7 +18,6 @@ import sys
 import threading
 import time
 from contextlib import ExitStack
-from pathlib import Path
 
 import httpx2
 import numpy as np
@@ -27,7 +26,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from controller.panel.access.people import digest_of
 from tests.benchmarks.daemon.chain.parts import Parts
-from tests.benchmarks.harness import CommandLine, percentiles, report
+from tests.benchmarks.harness import CommandLine, percentiles, processor_time, report
 from tests.system.stack.observer import Observer
 from tests.waiting import PATIENCE, eventually
 
@@ -50,12 +49,6 @@ def page(closing: ExitStack, url: str, cookie: str) -> ClientConnection:
 
     threading.Thread(target=read, daemon=True).start()
     return socket
-
-
-def processor_time(process: subprocess.Popen[str]) -> float:
-    """Processor time of a process so far [s]."""
-    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def serve(closing: ExitStack, parts: Parts) -> tuple[str, str]:
@@ -113,9 +106,9 @@ def main() -> None:
                 for _ in range(count):
                     page(pages, url, cookie)
                 time.sleep(2.0)
-                before = processor_time(parts.processes["planner"])
+                before = processor_time(parts.processes["planner"].pid)
                 time.sleep(wanted.seconds)
-                share = (processor_time(parts.processes["planner"]) - before) / wanted.seconds
+                share = (processor_time(parts.processes["planner"].pid) - before) / wanted.seconds
             shares.setdefault(f"{count + 1} pages", []).append(round(100 * share, 2))
         real_time = client.diagnosed()["real_time"]
     syncs = parts.record("syncs")["at"]

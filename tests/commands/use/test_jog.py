@@ -52,7 +52,7 @@ def test_a_socket_is_for_local_halts_only(hyperbit, tmp_path):
 
 def test_halt_over_zenoh_needs_the_arm(hyperbit):
     code, _, err = hyperbit("halt", *NOWHERE)
-    assert (code, "give the arm's name, or --local" in err) == (2, True)
+    assert (code, "give either the arm's name, --all or --local" in err) == (2, True)
 
 
 def test_a_local_halt_without_an_executor_fails_with_a_message(hyperbit, tmp_path):

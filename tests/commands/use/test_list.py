@@ -13,8 +13,9 @@ from rich.console import Console
 
 from controller.commands.connection import connected
 from controller.commands.operate import demo
-from controller.commands.use.list import print_arm
+from controller.commands.use.list import line_of_arm
 from controller.commands.use.watch import View, line_of
+from controller.network.fleet import ArmAddress, ArmStatus
 from tests.gateway.conftest import endpoint as private_endpoint  # noqa: F401
 
 INTERLOCK = {"code": "interlock", "message": "interlock gate is open"}
@@ -85,10 +86,10 @@ def test_watch_prints_changes_as_lines_in_a_pipe(hyperbit, endpoint):
     assert "; tip (" in second
 
 
-def test_a_fault_that_is_the_reason_of_the_mode_is_printed_once(capsys):
-    print_arm("a", STATE, as_json=False)
+def test_a_fault_that_is_the_reason_of_the_mode_is_printed_once():
+    arm = ArmStatus(ArmAddress("", "a"), None, STATE, 0.0, None, None, is_new=False)
     stuck = "stuck: actuator 2.1 did not move"
-    assert capsys.readouterr().out == f"a: fault, interlock: interlock gate is open; {stuck}\n"
+    assert line_of_arm(arm) == f"a: fault, interlock: interlock gate is open; {stuck}"
     assert line_of(STATE) == f"fault: interlock: interlock gate is open; tip (unknown); {stuck}"
     ready = {**STATE, "mode": "ready", "reason": "holding", "faults": [STUCK]}
     assert line_of(ready) == f"ready: holding; tip (unknown); {stuck}"

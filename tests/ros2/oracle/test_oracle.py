@@ -4,16 +4,22 @@ import json
 import os
 import queue
 import random
+import re
+import shutil
 import subprocess
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import FieldDesc
+from scipy.spatial.transform import Rotation
 
+from controller.arm.arm import load
+from controller.ros2.robot import urdf
 from controller.ros2.wire import qos
 from controller.ros2.wire.action_server import GoalHandle, Policy
 from controller.ros2.wire.cdr import deserialize, message, serialize
@@ -26,6 +32,8 @@ from tests.ros2.wire.conftest import Router
 from tests.waiting import PATIENCE, eventually
 
 ENVIRONMENTS = Path(__file__).parents[3] / ".venv"
+ARMS = Path(__file__).parents[3] / "deploy"
+CHECK_URDF = shutil.which("check_urdf")
 ORACLE = Path(__file__).with_name("with_rclpy.py")
 FIBONACCI = "test_msgs/action/Fibonacci"
 DEFINITION = "int32 order\n---\nint32[] sequence\n---\nint32[] sequence\n"
@@ -92,6 +100,37 @@ def test_ros_2_reads_all_messages_and_has_the_same_hashes(distribution: str) -> 
         back = deserialize(bytes.fromhex(answer)[: len(data)], name, types)
         if data != EMPTY:  # its one byte may have any value, too
             assert serialize(back, name, types) == data, name
+
+
+@pytest.mark.parametrize("arm", sorted(ARMS.glob("*.yaml")), ids=lambda it: it.stem)
+def test_ros_2_reads_the_description_of_the_robot(distribution: str, arm: Path) -> None:
+    manipulator = load(arm).manipulator
+    types, text = Types(distribution), urdf("arm", "world", manipulator)
+    data = serialize(message({"data": text}, "std_msgs/msg/String", types), "std_msgs/msg/String", types)
+    name, root, joints = asked(distribution, "robot", data.hex())
+    assert (name, root) == ("arm", "world")
+    assert [it[0] for it in joints if it[1] == "prismatic"] == list(manipulator.actuators)
+    frame, at = np.eye(4), "world"
+    fixed = {parent: (child, xyz, rpy) for _, kind, parent, child, xyz, rpy in joints if kind == "fixed"}
+    while at in fixed:
+        at, xyz, rpy = fixed[at]
+        step = np.eye(4)
+        step[:3, :3], step[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+        frame = frame @ step
+    assert at == "arm/tip"
+    contracted = manipulator.tip(np.zeros(len(manipulator.modules), dtype=np.int64))
+    np.testing.assert_allclose(frame, contracted, atol=1e-6 * manipulator.length)
+
+
+@pytest.mark.skipif(CHECK_URDF is None, reason="RViz's own parser is not installed: apt-get install liburdfdom-tools")
+@pytest.mark.parametrize("arm", sorted(ARMS.glob("*.yaml")), ids=lambda it: it.stem)
+def test_rvizs_parser_reads_the_description_of_the_robot(arm: Path, tmp_path: Path) -> None:
+    manipulator, file = load(arm).manipulator, tmp_path / "arm.urdf"
+    file.write_text(urdf("arm", "world", manipulator))
+    done = subprocess.run([str(CHECK_URDF), file], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "root Link: world" in done.stdout
+    assert len(re.findall(r"child\(\d", done.stdout)) == 2 + len(manipulator.modules) + len(manipulator.actuators)
 
 
 class Side:

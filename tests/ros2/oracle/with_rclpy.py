@@ -1,6 +1,7 @@
 """ROS 2 itself, in a virtual environment of its own: reads messages, and runs the script with rclpy's action server.
 
 python with_rclpy.py messages < [[type, hex], ...]     prints for each its hash, and the hex that rclpy writes
+python with_rclpy.py robot < hex of std_msgs/String    prints name, root and joints that ROS 2's parser reads
 python with_rclpy.py action                            prints what the script notes
 """
 
@@ -41,6 +42,16 @@ def messages():
         message = deserialize_message(bytes.fromhex(data), class_of(name))
         told.append([hash_of(name), serialize_message(message).hex()])
     json.dump(told, sys.stdout)
+
+
+def robot():
+    from rclpy.serialization import deserialize_message
+    from urdf_parser_py.urdf import URDF
+
+    text = deserialize_message(bytes.fromhex(sys.stdin.read()), class_of("std_msgs/msg/String")).data
+    read = URDF.from_xml_string(text.encode())
+    joints = [[it.name, it.type, it.parent, it.child, it.origin.xyz, it.origin.rpy] for it in read.joints]
+    json.dump([read.name, read.get_root(), joints], sys.stdout)
 
 
 class Side:
@@ -164,4 +175,4 @@ def action():
 
 
 if __name__ == "__main__":
-    {"messages": messages, "action": action}[sys.argv[1]]()
+    {"messages": messages, "robot": robot, "action": action}[sys.argv[1]]()

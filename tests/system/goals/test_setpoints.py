@@ -1,5 +1,6 @@
 """A moving goal, streamed by a Zenoh publisher, to the actuators and back."""
 
+import itertools
 import time
 from contextlib import ExitStack
 
@@ -102,10 +103,17 @@ def test_a_stream_replaces_a_goal_and_a_goal_the_stream(
     client.goal(MIDDLE, LEFT, times=[0, HOUR], id="a")
     eventually(lambda: client.feedback("a"))
 
-    def replace(attempt: int) -> None:
+    names = (f"b{number}" for number in itertools.count())
+
+    def accepted() -> str:
+        """Sends a goal; on a busy machine the arm follows the stream to another place before it can begin."""
+        answer = client.goal(RIGHT, id=next(names))
+        assert answer["accepted"] or answer["reason"] in ("moved-since-planned", "arm-moved"), answer
+        return answer["id"] if answer["accepted"] else ""
+
+    def replace(_: int) -> None:
         assert client.result("a")["message"] == "replaced by a setpoint"
-        assert client.goal(RIGHT, id=f"b{attempt}")["accepted"]
-        assert client.result(f"b{attempt}")["status"] == "succeeded"
+        assert client.result(eventually(accepted))["status"] == "succeeded"
         assert client.wait_now("ready")["goal"] is None
         assert np.linalg.norm(tip(boards, arm) - RIGHT) <= arm.tolerance, "the stream is the one from before"
 
@@ -118,7 +126,7 @@ def test_cancel_holds_while_the_stream_goes_on_and_a_fresh_one_is_followed(
     client: Observer, publisher: Publisher, motions: Motions
 ) -> None:
     def cancel(_: int) -> None:
-        assert client.ask("cancel")["message"] == "canceled"
+        assert client.ask("cancel")["message"].startswith("canceled")  # perhaps while actuators travel
         motions.clear()
         client.wait_now("ready", "following was canceled")
         received = publisher.status()["received"]

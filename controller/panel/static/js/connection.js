@@ -104,10 +104,10 @@ export function inWords({ message, advice }) {
   return advice ? `${message} → ${advice}` : message;
 }
 
-// Requests a stop over HTTP, while the WebSocket is closed.
-export async function stopOverHttp(arm) {
+// Requests a stop over HTTP, which needs no WebSocket: of one arm at /arms/NAME/stop, of all arms at /stop.
+export async function stopOverHttp(path) {
   try {
-    const response = await fetch(`/arms/${arm}/stop`, { method: "POST" });
+    const response = await fetch(path, { method: "POST" });
     const text = await response.text();
     return response.headers.get("content-type")?.includes("json")
       ? JSON.parse(text)

@@ -31,7 +31,7 @@ export function showHeader(name, connection, notify) {
     document.body.classList.toggle("viewer", viewer);
   });
   pressToStop(part("stop"), async () =>
-    notify(connection.open ? await connection.ask({ do: "stop" }) : await stopOverHttp(name), "Stop"));
+    notify(connection.open ? await connection.ask({ do: "stop" }) : await stopOverHttp(`/arms/${name}/stop`), "Stop"));
   onHold(part("reset"), async () => notify(await connection.ask({ do: "reset" }), "Reset"));
   const watch = setInterval(() => {
     if (!part("silence")) return clearInterval(watch); // the login form is shown

@@ -32,7 +32,7 @@ export function showList(onLogin) {
   }, 250);
 }
 
-// The person of the page, and the button that stops all arms, for operators.
+// The person of the page, and the button for operators that stops all arms, also arms that the list does not show yet.
 function showStopAll(connection) {
   const stop = document.getElementById("stop-all");
   const notify = notifier();
@@ -40,13 +40,7 @@ function showStopAll(connection) {
     document.querySelector(".who").textContent = `${you.name}, ${you.role}`;
     stop.disabled = you.role !== "operator";
   });
-  pressToStop(stop, async () => {
-    const names = (connection.latest.arms?.arms ?? []).filter((arm) => arm.alive).map((arm) => arm.name);
-    const answers = await Promise.all(names.map(stopOverHttp));
-    const refused = answers.flatMap((answer, k) => (answer.accepted ? [] : [`${names[k]}: ${answer.message}`]));
-    const done = names.length ? `sent to ${names.join(", ")}` : "no arm is there";
-    notify({ accepted: refused.length === 0, message: refused.length ? refused.join("; ") : done }, "Stop all");
-  });
+  pressToStop(stop, async () => notify(await stopOverHttp("/stop"), "Stop all"));
 }
 
 // An arm's entry stays the same element: a press on it, or the focus, outlasts the next message.

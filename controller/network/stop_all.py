@@ -1,0 +1,79 @@
+"""Stops all arms of a network, and tells which have answered."""
+
+import itertools
+import queue
+import time
+from typing import NamedTuple
+
+import msgspec
+import zenoh
+
+from controller.network.client import Message
+from controller.network.fleet import PLACES, ArmAddress, address_of, alive
+
+FIRST_WAIT, LONGEST_WAIT = 0.1, 1.0  # [s] for answers, before the arms that are silent are asked again
+ROUNDS = 2  # at least: the second finds arms that started during the first
+TIMEOUT = 5.0  # [s] until an arm that is alive counts as silent; a daemon answers within some hundredths of a second
+
+
+class StopReport(NamedTuple):
+    """What became of a stop for all arms.
+
+    Attributes:
+        answers: answer of each arm; an arm that accepts answers when nothing can switch any more.
+        silent: arms that are alive and did not answer.
+    """
+
+    answers: dict[ArmAddress, Message]
+    silent: list[ArmAddress]
+
+    @property
+    def complete(self) -> bool:
+        """Whether an arm is there, and all that are there have stopped."""
+        return bool(self.answers) and not self.silent and all(it["accepted"] for it in self.answers.values())
+
+
+def stop_all(session: zenoh.Session, places: tuple[str, ...] = PLACES, timeout: float = TIMEOUT) -> StopReport:
+    """Stops the arms at `places`, and asks again until each arm that is alive has answered.
+
+    The first request goes to all arms at once by wildcards, before any list of arms is read: it also reaches arms that
+    this session does not know yet. A router's access control may refuse wildcards, and an arm may start meanwhile.
+    Therefore each arm whose token exists, and that has not answered, is asked by its name.
+
+    Args:
+        session: open session.
+        places: key expressions of arms, such as "hyperbit/*".
+        timeout: time after which an arm that does not answer counts as silent [s].
+    """
+    replies: queue.SimpleQueue[zenoh.Reply] = queue.SimpleQueue()
+    answers: dict[ArmAddress, Message] = {}
+    seen, keys, wait = set[ArmAddress](), places, FIRST_WAIT
+    until = time.monotonic() + timeout
+    for rounds in itertools.count(1):
+        for key in keys:
+            session.get(f"{key}/stop", replies.put, target=zenoh.QueryTarget.ALL, timeout=timeout)
+        seen.update(alive(session, places))
+        pause = min(time.monotonic() + wait, until)
+        while not (seen and seen <= answers.keys()):
+            try:
+                note(replies.get(timeout=max(pause - time.monotonic(), 0.0)), answers)
+            except queue.Empty:
+                break
+        silent = sorted(seen - answers.keys())
+        if time.monotonic() >= until or (rounds >= ROUNDS and not silent):
+            break
+        keys = tuple(it.prefix for it in silent) if answers or silent else places
+        wait = min(2 * wait, LONGEST_WAIT)
+    return StopReport(dict(sorted(answers.items())), silent)
+
+
+def note(reply: zenoh.Reply, answers: dict[ArmAddress, Message]) -> None:
+    """Adds an arm's answer to `answers`; ignores what is no answer of an arm."""
+    if reply.ok is None or (address := address_of(str(reply.ok.key_expr))) is None:
+        return
+    try:
+        answer = msgspec.json.decode(reply.ok.payload.to_bytes(), type=Message)
+    except (msgspec.MsgspecError, RecursionError, UnicodeError):
+        return
+    if isinstance(answer.get("accepted"), bool) and isinstance(answer.get("message"), str):
+        answers[address] = answer

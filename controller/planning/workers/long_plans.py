@@ -1,0 +1,194 @@
+"""Plans that may take seconds, each in a process of its own: they hold neither the planner's threads nor their lock."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from importlib.metadata import version
+from multiprocessing.connection import Connection, wait
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.arm.arm import Arm
+from controller.motion.decoding.goal import GoalMessage
+from controller.obstacles.obstacles import Obstacles
+from controller.planning.core import tasks
+from controller.planning.core.tasks import Answer, DescribePlan
+from controller.planning.workers import computations
+from controller.planning.workers.arm_model import ArmModel, build_scene, build_tables
+from controller.refusals.refusal import Refusal
+from controller.workspace.cache import default_directory, load_or_map
+from controller.workspace.densities import Densities
+
+log = logging.getLogger(__name__)
+
+LONG = 1.0  # [s]: a plan with a later deadline is long
+POLL = 0.05  # [s] between two looks whether a plan is still wanted
+START = 60.0  # [s] for a process to start, on a busy machine
+NICE = 10  # goals and set-points go first, where the service lets a process lower its priority
+SPAWN = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
+
+
+class LongPlan(NamedTuple):
+    """A plan for another process, which builds tables and obstacles of its own.
+
+    Attributes:
+        message, received, bias: of `PlanGoal`.
+        start: of its basis.
+        locked: locked states of `Tables`.
+        scene, obstacles: generation of `VersionedScene`, and the obstacles that were sent.
+        seconds: longest time [s].
+    """
+
+    message: GoalMessage
+    received: float
+    bias: tuple[float, ...] | None
+    start: tasks.ArmStart
+    locked: bytes
+    scene: int
+    obstacles: Obstacles
+    seconds: float
+
+
+def is_long(task: tasks.Task) -> bool:
+    """Returns whether a task is a plan that may take longer than LONG."""
+    return isinstance(task, DescribePlan) and (task.goal.message.deadline or 0.0) > LONG
+
+
+class LongPlanner:
+    """A process that plans. It is killed with a plan that is no longer wanted, and another one starts at once.
+
+    Args:
+        arm, weights: as in `build_tables`.
+    """
+
+    def __init__(self, arm: Arm, weights: NDArray[np.float64]) -> None:
+        self._arguments = arm, weights, version("hyperbit")
+        self._start()
+
+    def plan(self, task: DescribePlan, proceed: Callable[[], object]) -> Answer:
+        """Returns the answer to a task; calls `proceed` again and again, which may raise."""
+        until = time.monotonic() + START + task.seconds
+        try:
+            self._connection.send(packed(task))
+            while not self._connection.poll(POLL):
+                proceed()
+                if time.monotonic() > until:
+                    raise TimeoutError(f"no answer after {START + task.seconds:g} s")
+            answer: Answer = self._connection.recv()
+        except (EOFError, OSError) as error:
+            self._restart()
+            log.error("the process for long plans has failed, another one starts: %r", error)
+            return tasks.Failed(f"the process for long plans has failed: {error!r}")
+        except BaseException:
+            self._restart()
+            raise
+        if isinstance(answer, tasks.Failed):
+            log.error("a long plan has failed: %s", answer.reason)
+        return answer
+
+    def close(self) -> None:
+        """Kills the process."""
+        self._connection.close()
+        self._process.kill()
+        self._process.join()
+
+    def _restart(self) -> None:
+        self.close()
+        self._start()
+
+    def _start(self) -> None:
+        """Starts the process, which takes seconds to be ready; plans wait for it."""
+        self._connection, theirs = SPAWN.Pipe()
+        self._process = SPAWN.Process(target=serve, args=(theirs, *self._arguments), name="long plans", daemon=True)
+        self._process.start()
+        theirs.close()
+
+
+def packed(task: DescribePlan) -> LongPlan:
+    """Returns what another process needs of a task."""
+    goal = task.goal
+    start, tables, scene = goal.basis
+    own = start, tables.locked, scene.generation, scene.keep_out.sent
+    return LongPlan(goal.message, goal.received, goal.bias, *own, task.seconds)
+
+
+# --- the other process
+
+
+def serve(connection: Connection, arm: Arm, weights: NDArray[np.float64], expected: str) -> None:
+    """Answers plans until the other process ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    with contextlib.suppress(OSError):
+        os.nice(NICE)
+    planner = Planner(arm, weights)
+    planner.prepare(arm.locked.astype(np.uint8).tobytes())
+    answer_plans(connection, planner, expected)
+
+
+def answer_plans(connection: Connection, planner: Planner, expected: str) -> None:
+    """Answers each plan that arrives, until the connection ends; refuses all if this is not the expected version."""
+    found = version("hyperbit")
+    other = tasks.Failed(f"the daemon is hyperbit {expected}, installed is {found}: restart the daemon")
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            plan = connection.recv()
+            connection.send(planner.answer(plan) if found == expected else other)
+
+
+def end_with_parent() -> None:
+    """Ends this process, also within a search, when the process that has started it ends."""
+    if (parent := multiprocessing.parent_process()) is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+class Planner:
+    """Plans, with the tables and obstacles of the latest plan.
+
+    Args:
+        arm, weights: as in `build_tables`.
+    """
+
+    def __init__(self, arm: Arm, weights: NDArray[np.float64]) -> None:
+        self._arm, self._weights, self._model = arm, weights, ArmModel(arm, "queries")
+        self._densities: Densities | None = None
+        self._tables: tasks.Tables | None = None
+        self._scene: tasks.VersionedScene | None = None
+
+    def answer(self, plan: LongPlan) -> Answer:
+        """Returns the answer to a plan; nothing leaves it."""
+        try:
+            basis = tasks.Basis(plan.start, self.prepare(plan.locked), self._scene_of(plan))
+            goal = tasks.PlanGoal(plan.message, plan.received, plan.bias, basis)
+            task = DescribePlan(goal, plan.seconds)
+            return computations.describe(self._model, task, lambda: False, lambda: False)
+        except Refusal as refusal:
+            return refusal.data
+        except Exception:
+            return tasks.Failed(traceback.format_exc())
+
+    def prepare(self, locked: bytes) -> tasks.Tables:
+        """Returns the tables for locked states, those of the latest plan if they are the same."""
+        arm, known = self._arm, self._tables
+        if self._densities is None:
+            self._densities = load_or_map(arm.reduced, arm.pixel, arm.level_pixels, default_directory())
+        if known is None or known.locked != locked:
+            number = 0 if known is None else known.generation + 1
+            self._tables = known = build_tables(arm, self._densities, self._weights, tasks.BuildTables(number, locked))
+        return known
+
+    def _scene_of(self, plan: LongPlan) -> tasks.VersionedScene:
+        if self._scene is None or self._scene.generation != plan.scene:
+            self._scene = build_scene(self._arm, tasks.BuildScene(plan.scene, plan.obstacles)).scene
+        return self._scene

@@ -1,0 +1,74 @@
+"""The load of `hyperbit fleet`, and the time of a stop for all, with many played arms behind a router on loopback.
+
+python -m tests.benchmarks.daemon.fleet [--arms 20 50] [--json PATH]
+"""
+
+import os
+import pty
+import subprocess
+import sys
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import zenoh
+
+from controller.network.stop_all import stop_all
+from tests.benchmarks.harness import CommandLine, report, timed
+from tests.network.played import PlayedArm, Router
+
+SETTLED, MEASURED = 5.0, 8.0  # [s] before a measurement, and of it
+STATE = {"measured": [0] * 48, "commanded": [0] * 48, "tip": {"position": [0.55, 2.9], "orientation": 0.3}}
+TICKS = os.sysconf("SC_CLK_TCK")
+
+
+def publish(arms: list[PlayedArm], ending: threading.Event) -> None:
+    """Publishes a state of each arm 20 times a second."""
+    while not ending.wait(0.05):
+        for arm in arms:
+            arm.publish(**STATE)
+
+
+def load(endpoint: str) -> float:
+    """Returns the share of a processor that `hyperbit fleet` takes in a terminal."""
+    leader, follower = pty.openpty()
+    command = [sys.executable, "-m", "controller.cli", "fleet", "--connect", endpoint]
+    with subprocess.Popen(command, stdin=follower, stdout=follower, stderr=follower) as process:
+        threading.Thread(target=lambda: [os.read(leader, 1 << 16) for _ in iter(int, 1)], daemon=True).start()
+
+        def used() -> float:
+            fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+            return (int(fields[11]) + int(fields[12])) / TICKS
+
+        time.sleep(SETTLED)
+        before = used()
+        time.sleep(MEASURED)
+        share = (used() - before) / MEASURED
+        process.send_signal(2)
+    return share
+
+
+def main() -> None:
+    """Measures for each number of arms."""
+    command_line = CommandLine(__doc__)
+    command_line.add_argument("--arms", type=int, nargs="+", default=[20, 50], help="numbers of arms")
+    wanted, figures, bars = command_line.parse(), {}, {}
+    for count in wanted.arms:
+        with ExitStack() as stack:
+            router, ending = Router(stack), threading.Event()
+            arms = [PlayedArm(stack, router.client(f"cell{k // 10}"), f"arm{k % 10}") for k in range(count)]
+            publishing = threading.Thread(target=publish, args=(arms, ending))
+            publishing.start()
+            stack.callback(publishing.join)
+            stack.callback(ending.set)
+            share = load(router.endpoint)
+            with zenoh.open(router.client()) as session:
+                stopped, seconds = timed(lambda session=session: stop_all(session))
+        figures[f"{count} arms"] = {"fleet, share of a processor": share, "all have answered a stop after [s]": seconds}
+        bars[f"all {count} have stopped"] = stopped.complete and len(stopped.answers) == count
+    report(figures, bars, wanted.json)
+
+
+if __name__ == "__main__":
+    main()

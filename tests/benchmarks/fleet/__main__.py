@@ -1,0 +1,176 @@
+"""Many arms on one computer: rates, latency and costs as arms are added, then faults.
+
+python -m tests.benchmarks.fleet [--arms 1,2,5,10,20] [--seconds 30] [--picture PNG] [--json PATH]
+
+Each arm is the paper's, with two simulated boards, and has a planner and an executor. Five clients, two pages and a
+recorder share a router with them. Each arm gets a goal a second, if it keeps up. A computer for each arm would bear
+more than this one: the table says what all together need.
+"""
+
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import zenoh
+from rich.console import Console
+from rich.table import Table
+
+from controller.arm.arm import load
+from tests.benchmarks.fleet.faults import play
+from tests.benchmarks.fleet.plant import PATIENCE, Cost, Plant, sum_of
+from tests.benchmarks.fleet.traffic import Place, Traffic, ends
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, report
+from tests.waiting import eventually
+
+SETTLE = 5.0  # [s] after the last arm has begun to serve
+OTHERS = ("router", "page1", "page2", "recorder")
+
+
+class Row(NamedTuple):
+    """One number of arms.
+
+    Attributes:
+        arms: how many.
+        goals: ended goals a second, of each arm.
+        answer: time to the answer, median and 99 % [ms].
+        end: time to the result, median and 99 % [ms].
+        states: messages of state a second, of each arm.
+        planner, others: processor time over time, of each arm with its executor, and of router, pages and recorder.
+        memory: of each arm with its executor [MB].
+        ended: how goals ended.
+    """
+
+    arms: int
+    goals: float
+    answer: tuple[float, float]
+    end: tuple[float, float]
+    states: float
+    arm: float
+    others: float
+    memory: float
+    ended: dict[str, int]
+
+
+def main() -> None:
+    """Measures, prints the table, draws the picture, and plays the faults."""
+    parser = CommandLine(__doc__)
+    parser.add_argument("--arms", default="1,2,5,10,20", help="numbers of arms, increasing (default: %(default)s)")
+    parser.add_argument("--seconds", type=float, default=30.0, help="time of each number (default: %(default)g)")
+    parser.add_argument("--picture", type=Path, help="draw latency over arms there")
+    options = parser.parse()
+    counts = [int(it) for it in options.arms.split(",")]
+    with ExitStack() as closing:
+        plant = Plant(Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="hb"))), closing)
+        traffic = Traffic(plant, places())
+        closing.callback(traffic.close)
+        rows = [measured(plant, traffic, count, options.seconds) for count in counts]
+        show(rows)
+        faults = play(plant, traffic)
+    print(*faults, sep="\n")
+    if options.picture:
+        draw(rows, options.picture)
+    bars = {
+        "no goal doubled": not traffic.doubled,
+        "no goal without a result": not traffic.unknown,
+        "states and goals of the most arms at 90 % of one arm's": rows[-1].states >= 0.9 * rows[0].states
+        and rows[-1].goals >= 0.9 * rows[0].goals,
+    }
+    figures = {"rows": [row._asdict() for row in rows], "faults": faults, "all": ends(traffic.sent)}
+    report({**figures, "doubled": traffic.doubled, "unknown": traffic.unknown}, bars, options.json)
+
+
+def places() -> list[Place]:
+    """Returns tips of random configurations."""
+    manipulator = load(PAPER_ARM).manipulator
+    states = np.random.default_rng(9).integers(0, 8, (500, len(manipulator.states)))
+    return [tip.tolist() for tip in manipulator.tips(states)[:, :2, 3]]
+
+
+def measured(plant: Plant, traffic: Traffic, count: int, seconds: float) -> Row:
+    """Adds arms up to `count`, and sends goals to all."""
+    while len(plant.arms) < count:
+        name = plant.add_arm()
+        eventually(lambda name=name: plant.ready(name), PATIENCE)
+        if len(plant.arms) == 1:
+            plant.start_page(1)
+            plant.start_page(2)
+            plant.start_recorder()
+    time.sleep(SETTLE)
+    heard: Counter[str] = Counter()
+
+    def hear(sample: zenoh.Sample) -> None:
+        heard[str(sample.key_expr)] += 1
+
+    with plant.session() as listening, listening.declare_subscriber("hyperbit/*/state", hear):
+        before, began = costs(plant), time.monotonic()
+        goals = traffic.run(plant.arms, seconds)
+        took = time.monotonic() - began
+        after = costs(plant)
+    arms, others = (it[1].seconds - it[0].seconds for it in zip(before, after, strict=True))
+    row = Row(
+        count,
+        round(len(goals) / count / took, 3),
+        middle_and_most([it.answered for it in goals]),
+        middle_and_most([it.ended for it in goals]),
+        round(sum(heard.values()) / count / took, 1),
+        round(arms / count / took, 3),
+        round(others / took, 3),
+        round(after[0].memory / count, 1),
+        ends(goals),
+    )
+    print(row, file=sys.stderr, flush=True)
+    return row
+
+
+def costs(plant: Plant) -> tuple[Cost, Cost]:
+    """Returns the costs of all arms, and of all else."""
+    return sum_of(plant.costs(plant.arms)), sum_of(plant.costs(OTHERS))
+
+
+def middle_and_most(times: Sequence[float]) -> tuple[float, float]:
+    """Returns median and 99 % of times [s] in milliseconds."""
+    median, most = 1e3 * np.quantile(times, (0.5, 0.99))
+    return round(float(median), 1), round(float(most), 1)
+
+
+def show(rows: Sequence[Row]) -> None:
+    """Prints the table."""
+    table = Table("arms", "goals/s an arm", "answer p50, p99 [ms]", "result p50, p99 [ms]", "states/s an arm",
+                  "processor an arm", "of all else", "MB an arm", "ended")  # fmt: skip
+    for row in rows:
+        pairs = [f"{a:g}, {b:g}" for a, b in (row.answer, row.end)]
+        how = ", ".join(f"{count} {status}" for status, count in row.ended.items())
+        numbers = (row.states, f"{100 * row.arm:.0f} %", f"{100 * row.others:.0f} %", row.memory)
+        table.add_row(str(row.arms), str(row.goals), *pairs, *map(str, numbers), how)
+    Console(width=160).print(table)
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draws latency over arms."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    counts = [row.arms for row in rows]
+    for name, color, pairs in (
+        ("answer", "C0", [row.answer for row in rows]),
+        ("result", "C1", [row.end for row in rows]),
+    ):
+        for k, (part, style) in enumerate((("half of the goals", "-"), ("99 %", "--"))):
+            axes.plot(counts, [pair[k] for pair in pairs], style, color=color, marker="o", label=f"{name}, {part}")
+    axes.set(xscale="log", yscale="log", xlabel="arms on one computer", ylabel="time from the goal's put [ms]")
+    axes.set_xticks(counts, [str(count) for count in counts])
+    axes.minorticks_off()
+    axes.grid(alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=120)
+
+
+if __name__ == "__main__":
+    main()

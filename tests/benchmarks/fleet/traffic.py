@@ -1,0 +1,136 @@
+"""Clients that send goals to many arms, and follow each goal to its end."""
+
+import threading
+import time
+import uuid
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import zenoh
+
+from controller.network.client import Client, Unanswered, decoded
+from tests.benchmarks.fleet.plant import PATIENCE, Plant
+
+EVERY = 1.0  # [s] between the goals of an arm
+ASK = 5.0  # [s] without a result, after which a client asks for it
+Place = list[float]
+
+
+class Sent(NamedTuple):
+    """A goal: its arm and id, times from its put to answer and result [s], and its status."""
+
+    arm: str
+    id: str
+    answered: float
+    ended: float
+    status: str
+
+
+class Traffic:
+    """Goals for each arm from several clients, at a steady rate as long as the arm keeps up.
+
+    Attributes:
+        sent: goals whose end is known, or that were refused.
+        unknown: goals whose end no client could learn.
+
+    Args:
+        plant: has the arms.
+        places: that the arms go to in turn, shape (n, 2).
+        clients: sessions; an arm's goals all come from one.
+    """
+
+    def __init__(self, plant: Plant, places: Sequence[Place], clients: int = 5) -> None:
+        self._places, self.sent, self.unknown = places, list[Sent](), list[str]()
+        self._sessions = [plant.session() for _ in range(clients)]
+        self._results: dict[str, tuple[float, dict[str, Any]]] = {}
+        self._heard: dict[str, set[str]] = defaultdict(set)
+        self._changed, self._ended = threading.Condition(), threading.Event()
+        self._hearing = self._sessions[0].declare_subscriber("hyperbit/*/result", self._hear)
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def doubled(self) -> list[str]:
+        """Ids of goals that had different results."""
+        return [goal for goal, ends in self._heard.items() if len(ends) > 1]
+
+    def run(self, arms: Sequence[str], seconds: float) -> list[Sent]:
+        """Sends goals to arms for a time; returns those of this time, once all of them have ended."""
+        since = len(self.sent)
+        self.begin(arms)
+        time.sleep(seconds)
+        self.end()
+        return self.sent[since:]
+
+    def begin(self, arms: Sequence[str]) -> None:
+        """Begins to send goals."""
+        self._ended.clear()
+        self._threads = [threading.Thread(target=self._drive, args=(k, arm)) for k, arm in enumerate(arms)]
+        for thread in self._threads:
+            thread.start()
+
+    def end(self) -> None:
+        """Sends no more goals, and returns when each goal's end is known or given up."""
+        self._ended.set()
+        for thread in self._threads:
+            thread.join()
+
+    def close(self) -> None:
+        """Ends all sessions."""
+        self._hearing.undeclare()  # type: ignore[no-untyped-call]
+        for one in self._sessions:
+            one.close()  # type: ignore[no-untyped-call]
+
+    def _hear(self, sample: zenoh.Sample) -> None:
+        message, now = decoded(sample), time.monotonic()
+        with self._changed:
+            self._heard[message["id"]].add(message["status"])
+            self._results.setdefault(message["id"], (now, message))
+            self._changed.notify_all()
+
+    def _drive(self, number: int, arm: str) -> None:
+        """Sends goals to one arm; a goal waits for the end of the one before."""
+        client = Client(self._sessions[number % len(self._sessions)], arm)
+        due, turn = time.monotonic() + EVERY * number / len(self._threads), number
+        while not self._ended.wait(max(due - time.monotonic(), 0.0)):
+            due, turn = max(due + EVERY, time.monotonic()), turn + 1
+            self._goal(client, arm, self._places[turn % len(self._places)])
+
+    def _goal(self, client: Client, arm: str, place: Place) -> None:
+        """Sends a goal and follows it to its end."""
+        goal, began = uuid.uuid4().hex[:12], time.monotonic()
+        try:
+            answer = client.request("goal", {"id": goal, "waypoints": [{"position": place}]})
+        except Unanswered:
+            answer = {"accepted": None}
+        answered = time.monotonic() - began
+        if answer["accepted"] is False:
+            self.sent.append(Sent(arm, goal, answered, answered, f"refused: {answer['message']}"))
+            return
+        if (end := self._end_of(client, goal, known=answer["accepted"] is True)) is None:
+            self.unknown.append(f"{arm} {goal}")
+        else:
+            self.sent.append(Sent(arm, goal, answered, end[0] - began, end[1]))
+
+    def _end_of(self, client: Client, goal: str, *, known: bool) -> tuple[float, str] | None:
+        """Returns when and how a goal ended; "not received" if the daemon had not answered and does not know it."""
+        until = time.monotonic() + PATIENCE
+        while time.monotonic() < until:
+            with self._changed:
+                if self._changed.wait_for(lambda: goal in self._results, ASK):
+                    at, message = self._results[goal]
+                    return at, message["status"]
+            try:
+                answer = client.request("result", {"id": goal})
+            except Unanswered:
+                continue  # the daemon or the network is gone
+            if answer.get("result"):
+                return time.monotonic(), answer["result"]["status"]
+            if not known and not answer["accepted"]:
+                return time.monotonic(), "not received"
+        return None
+
+
+def ends(goals: Sequence[Sent]) -> dict[str, int]:
+    """Returns how many goals ended in which way."""
+    return dict(Counter(it.status for it in goals).most_common())

@@ -1,0 +1,121 @@
+"""Time of `hyperbit plan --goals --apart` with one process, with local workers, and on a Dask cluster.
+
+Each row runs the command on the same goals and compares the results byte by byte. The rate leaves out the start of the
+command: imports, tables and worker processes.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import hyperbit as hb
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
+
+PORT = 18787
+
+
+class Row(NamedTuple):
+    """One way to search the goals.
+
+    Attributes:
+        workers: who computed.
+        seconds: time of the whole command [s].
+        first: time until its first result [s].
+        rate: goals in a second after that.
+        faster: the rate over that of one process.
+        whole_faster: time of the whole command with one process over this time.
+        same: whether the results are the same bytes.
+    """
+
+    workers: str
+    seconds: float
+    first: float
+    rate: float
+    faster: float
+    whole_faster: float
+    same: bool
+
+
+class Run(NamedTuple):
+    """The output of the command, its time and the time until its first result [s]."""
+
+    output: bytes
+    seconds: float
+    first: float
+
+
+def main() -> None:
+    """Prints the table."""
+    line = CommandLine(__doc__, goals=10_000)
+    line.add_argument("--effort", type=float, default=10.0, help="of each goal (default: 10)")
+    line.add_argument("--workers", type=int, default=2, help="number of worker processes (default: 2)")
+    given = line.parse()
+    with tempfile.TemporaryDirectory() as folder:
+        goals = Path(folder) / "goals.csv"
+        arm = hb.load(PAPER_ARM)
+        tips = arm.frames(arm.sample(given.goals, seed=1))[:, :2, 3].tolist()
+        goals.write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y in tips))
+        words = "--goals", str(goals), "--apart", "--effort", str(given.effort), "--json"
+        runs = {"this process": plan(words), f"{given.workers} local": plan((*words, "--workers", str(given.workers)))}
+        with cluster(given.workers, Path(folder)) as address:
+            runs[f"{given.workers} of a cluster"] = plan((*words, "--dask", address))
+    one, rows = runs["this process"], list[Row]()
+    for name, run in runs.items():
+        faster = (one.seconds - one.first) / (run.seconds - run.first)
+        rate = given.goals / (run.seconds - run.first)
+        rows.append(
+            Row(name, run.seconds, run.first, rate, faster, one.seconds / run.seconds, run.output == one.output)
+        )
+    print("| workers | whole command [s] | first result [s] | goals/s | rate, times | command, times | same bytes |")
+    print("|---|---|---|---|---|---|---|")
+    for row in rows:
+        numbers = f"{row.seconds:.1f} | {row.first:.1f} | {row.rate:.0f} | {row.faster:.2f} | {row.whole_faster:.2f}"
+        print(f"| {row.workers} | {numbers} | {'yes' if row.same else 'NO'} |")
+    write_figures(given.json, [row._asdict() for row in rows])
+
+
+def plan(words: Sequence[str]) -> Run:
+    """Runs the command; its results come through a pipe."""
+    began, first, lines = time.perf_counter(), 0.0, list[bytes]()
+    command = [sys.executable, "-m", "controller.cli", "plan", str(PAPER_ARM), *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            first = first or time.perf_counter() - began
+            lines.append(line)
+    if process.returncode:
+        sys.exit(process.returncode)
+    return Run(b"".join(lines), time.perf_counter() - began, first)
+
+
+@contextmanager
+def cluster(count: int, folder: Path) -> Iterator[str]:
+    """Starts a scheduler and workers of one thread each, as on several computers."""
+    address = f"tcp://127.0.0.1:{PORT}"
+    scheduler = ["scheduler", "--host", "127.0.0.1", "--port", str(PORT), "--no-dashboard"]
+    worker = ["worker", address, "--nthreads", "1", "--no-dashboard", "--local-directory", str(folder)]
+    commands = [scheduler, *[worker] * count]
+    processes = [
+        subprocess.Popen([sys.executable, "-m", "dask", *words], stderr=subprocess.DEVNULL) for words in commands
+    ]
+    try:
+        from distributed import Client
+
+        with Client(address, timeout=60) as client:
+            client.wait_for_workers(count, timeout=60)
+        yield address
+    finally:
+        for process in processes[::-1]:
+            process.terminate()
+            process.wait()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+"""plan --goals --apart: each goal by itself, by work, and results in a file that a second run goes on with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import hyperbit as hb
+from controller.commands.study import plan_results, plan_study
+
+ARM = """name: short
+tolerance: {position: 0.01}
+modules: [{type: vgt, count: 4, width: 0.2, lengths: [0.2, 0.25]}]
+"""
+START = "7070"
+
+pytestmark = pytest.mark.usefixtures("own_folders")
+
+
+@pytest.fixture
+def arm(tmp_path) -> hb.Arm:
+    (tmp_path / "short.yaml").write_text(ARM)
+    return hb.load(tmp_path / "short.yaml")
+
+
+@pytest.fixture
+def plan(hyperbit, tmp_path, arm):
+    """Runs `plan` for twelve goals; each third one has a previous configuration of its own."""
+    tips = arm.frames(arm.sample(12, seed=2))[:, :2, 3].tolist()
+    rows = [f"{x!r},{y!r},{START if k % 3 == 0 else ''}\n" for k, (x, y) in enumerate(tips)]
+    (tmp_path / "goals.csv").write_text("x,y,previous\n" + "".join(rows))
+    words = "plan", str(tmp_path / "short.yaml"), "--goals", str(tmp_path / "goals.csv")
+    return lambda *more: hyperbit(*words, *more)
+
+
+def interrupted_after(monkeypatch, goals: int) -> None:
+    """Ctrl-C comes with the search after some goals."""
+    search, left = plan_study.search_one, [goals]
+
+    def searched(*given):
+        left[0] -= 1
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        return search(*given)
+
+    monkeypatch.setattr(plan_study, "search_one", searched)
+
+
+def test_each_goal_is_searched_from_the_start_or_its_own_configuration(plan, arm, tmp_path):
+    lines = [json.loads(line) for line in plan("--apart", "--effort", "20", "--json")[1].splitlines()]
+    ik = hb.Solver(arm)
+    for k, line in enumerate(lines):
+        alone = ik.solve(line["goal"], START if k % 3 == 0 else None, effort=20)
+        assert line["configuration"] == arm.format(alone.configuration)
+        assert (line["switches"], line["certificate"]) == (alone.switches, alone.certificate)
+        assert line["effort"] == alone.effort
+        assert not {"seconds", "trajectory"} & line.keys()
+    assert len(lines) == 12
+
+
+@pytest.mark.parametrize("apart", [("--apart", "--effort", "20"), ()])
+def test_results_are_in_the_file_line_by_line(plan, apart, tmp_path):
+    output = tmp_path / "out.jsonl"
+    code, out, err = plan(*apart, "--output", str(output))
+    header, *lines = [json.loads(line) for line in output.read_text().splitlines()]
+    assert (code, out) == (0, "")
+    assert f"{output} has the results of 12 goals" in err
+    assert set(header) == {"study", "hyperbit", "arm", "goals", "options"}
+    printed = [json.loads(line) for line in plan(*apart, "--json")[1].splitlines()]
+    assert [line["goal"] for line in lines] == [line["goal"] for line in printed]
+    if apart:
+        assert lines == printed
+    code, _, err = plan(*apart, "--output", str(output))
+    assert (code, len(output.read_text().splitlines())) == (0, 13)
+    assert "has 12 of 12 goals" in err
+
+
+def test_an_interrupted_study_goes_on_where_it_ended(plan, monkeypatch, tmp_path):
+    words, whole, output = ("--apart", "--effort", "20", "--output"), tmp_path / "whole.jsonl", tmp_path / "out.jsonl"
+    plan(*words, str(whole))
+    with monkeypatch.context() as patch:
+        interrupted_after(patch, 5)
+        code, _, err = plan(*words, str(output))
+    assert code == 130
+    assert f"interrupted: {output} has 5 of 12 goals; the same command goes on after them" in err
+    for cut in (0, 1, 40):
+        text = output.read_bytes()
+        output.write_bytes(text[: len(text) - cut])
+        with monkeypatch.context() as patch:
+            interrupted_after(patch, 2)
+            assert plan(*words, str(output))[0] == 130
+    code, _, err = plan(*words, str(output))
+    assert (code, output.read_bytes()) == (0, whole.read_bytes())
+
+
+def test_a_trajectory_that_was_not_finished_is_planned_again(plan, tmp_path):
+    output = tmp_path / "out.jsonl"
+    plan("--output", str(output))
+    lines = output.read_bytes().splitlines(keepends=True)
+    output.write_bytes(b"".join(lines[:6]))  # the header, one trajectory of three goals, and two goals of the next
+    code, _, err = plan("--output", str(output))
+    assert code == 0
+    assert f"{output} has 3 of 12 goals" in err
+    again = output.read_bytes().splitlines(keepends=True)
+    assert again[:4] == lines[:4]
+    assert [json.loads(line)["goal"] for line in again[1:]] == [json.loads(line)["goal"] for line in lines[1:]]
+
+
+def test_a_file_of_another_study_is_refused_in_words(plan, tmp_path):
+    output, words = tmp_path / "out.jsonl", ("--apart", "--output", str(tmp_path / "out.jsonl"))
+    plan("--effort", "20", *words)
+    before = output.read_bytes()
+
+    def refusal(*more: str) -> str:
+        code, _, err = plan(*more, *words)
+        assert code == 2
+        return err
+
+    assert "its results belong to other options" in refusal("--effort", "21")
+    arm, goals = tmp_path / "short.yaml", tmp_path / "goals.csv"
+    arm.write_text(ARM + "# a remark changes nothing\n")
+    assert plan("--effort", "20", *words)[0] == 0
+    arm.write_text(ARM.replace("0.25", "0.26"))
+    goals.write_text(goals.read_text() + "0.1,0.9,\n")
+    assert "its results belong to another arm file and another file of goals" in refusal("--effort", "20")
+    assert output.read_bytes() == before
+    for text in ("x,y\n1,2\n", '{"study": 1}\n', "no newline"):
+        output.write_text(text)
+        assert "it holds no results of a study" in refusal("--effort", "20")
+        assert output.read_text() == text
+
+
+def test_a_damaged_line_is_named(plan, tmp_path):
+    output, words = tmp_path / "out.jsonl", ("--apart", "--effort", "20", "--output", str(tmp_path / "out.jsonl"))
+    plan(*words)
+    lines = output.read_bytes().splitlines(keepends=True)
+    output.write_bytes(b"".join([*lines[:3], b'{"goal"\n', *lines[4:]]))
+    assert "line 4 is damaged" in plan(*words)[2]
+    output.write_bytes(b"".join([*lines, lines[-1]]))
+    assert "line 14: there are more results than goals" in plan(*words)[2]
+    assert "cannot be written" in plan(*words[:-1], str(tmp_path / "no" / "out.jsonl"))[2]
+
+
+def test_many_results_are_lines_as_they_come_and_few_are_a_table(plan, monkeypatch):
+    few = plan("--apart", "--effort", "20")[1]
+    monkeypatch.setattr(plan_study, "MOST_ROWS", 11)
+    many = plan("--apart", "--effort", "20")[1]
+    assert many.splitlines()[0].split() == few.splitlines()[0].split()
+    assert len(many.splitlines()) == len(few.splitlines()) == 13
+    ends = [k for k, line in enumerate(plan()[1].splitlines()) if "switches in all" in line]
+    assert ends == [4, 8, 12, 16], "the sentence on a trajectory follows its three goals"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--effort", "20"), "--effort: a trajectory is planned by time; add --apart"),
+        (("--apart", "--effort", "20", "--deadline", "1"), "--effort: a search ends by work or by time"),
+        (("--apart", "--effort", "0"), "--effort: 0 is no work from 1e-9 to 1e6"),
+        (("--apart", "--path-tolerance", "0.1"), "--apart: it is for --goals FILE.csv, without --path-tolerance"),
+        (("--dask", "tcp://a:1", "--workers", "2"), "--dask: the cluster has its own workers: leave out --workers"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(plan, words, sentence):
+    code, _, err = plan(*words)
+    assert code == 2
+    assert sentence in err
+
+
+@pytest.mark.parametrize("words", [("--workers", "2"), ("--dask", "tcp://a:1"), ("--output", "out.jsonl")])
+def test_options_of_many_goals_need_a_file_of_goals(hyperbit, tmp_path, arm, words):
+    code, _, err = hyperbit("plan", str(tmp_path / "short.yaml"), "--goal", "0.1,0.8", *words)
+    assert code == 2
+    assert f"{words[0]}: it is for many goals: give --goals FILE.csv" in err
+    assert not Path("out.jsonl").exists()
+
+
+def test_a_table_has_all_columns_in_its_header(plan):
+    assert plan_results.MOST_ROWS > 12
+    assert plan()[1].splitlines()[0].split() == [
+        *("goal", "configuration", "position", "θ", "[rad]", "error", "switches", "ms")
+    ]
