@@ -21,6 +21,7 @@ OLD = 1.5  # [s] without a state, after which the state counts as old
 MOST_ARMS = 1000  # further arms are ignored
 GONE_KEPT = 600.0  # [s] for which an arm that is gone is kept
 TOKEN_TIMEOUT = 1.0  # [s] for an answer on which tokens there are
+LIST_TIMEOUT = 10.0  # [s] for the same answer, if nothing can be done without it
 DESCRIPTION_TIMEOUT = 2.0  # [s] for an arm's answer on `arm`; it is asked again afterwards
 POLL = 0.01  # [s]
 
@@ -140,7 +141,7 @@ class Fleet:
             timeout: longest wait for states [s].
             described: also wait for host and version of each arm.
         """
-        for address in alive(self._session):
+        for address in alive(self._session, timeout=LIST_TIMEOUT):
             self._set_alive(address)
         until = time.monotonic() + timeout
         while True:
@@ -229,10 +230,16 @@ class Fleet:
                 self._arms[address] = Presence(changed_at=time.monotonic())
 
 
-def alive(session: zenoh.Session, places: Iterable[str] = PLACES) -> list[ArmAddress]:
-    """Returns the arms whose liveliness tokens exist, sorted; none if this client may not ask."""
-    replies = (reply for place in places for reply in session.liveliness().get(f"{place}/alive", timeout=TOKEN_TIMEOUT))
-    tokens = (reply.ok for reply in replies if reply.ok is not None)
+def alive(session: zenoh.Session, places: Iterable[str] = PLACES, timeout: float = TOKEN_TIMEOUT) -> list[ArmAddress]:
+    """Returns the arms whose liveliness tokens exist, sorted; none if this client may not ask.
+
+    Args:
+        session: open session.
+        places: key expressions of arms, such as "hyperbit/*".
+        timeout: longest wait for the answer [s].
+    """
+    asked = [session.liveliness().get(f"{place}/alive", timeout=timeout) for place in places]
+    tokens = (reply.ok for replies in asked for reply in replies if reply.ok is not None)
     return sorted({it for token in tokens if (it := address_of(str(token.key_expr))) is not None})
 
 

@@ -1,16 +1,31 @@
 """All arms of a network over routers and below namespaces, and a stop for all of them."""
 
+import os
+import signal
+import subprocess
+import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 
 import pytest
 import zenoh
 
+from controller.network import session
 from controller.network.fleet import ArmAddress, ArmStatus, Fleet, address_of, alive
 from controller.network.stop_all import stop_all
-from tests.network.played import PlayedArm, Router
+from tests.network.played import PlayedArm, Router, free_endpoint
 from tests.waiting import PATIENCE, eventually
 
+# An arm in a process of its own, until its standard input ends.
+ARM = """
+import sys, zenoh
+from controller.network import session
+with zenoh.open(session.configuration("peer", listen=sys.argv[1])) as opened:
+    token = opened.liveliness().declare_token("hyperbit/a/alive")
+    print(flush=True)
+    sys.stdin.read()
+"""
 HERE, THERE, DEEP = ArmAddress("", "a"), ArmAddress("cell1", "a"), ArmAddress("plant/cell2", "a")
 
 
@@ -171,3 +186,17 @@ def test_without_an_arm_nothing_has_stopped(viewer: zenoh.Session) -> None:
     report = stop_all(viewer)
     assert report == ({}, [])
     assert not report.complete
+
+
+def test_an_arm_whose_computer_answers_late_is_listed():
+    endpoint = free_endpoint()
+    arm = subprocess.Popen([sys.executable, "-c", ARM, endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert arm.stdin is not None
+    assert arm.stdout is not None
+    resumed = threading.Timer(3.0, os.kill, (arm.pid, signal.SIGCONT))
+    with arm, arm.stdin:
+        arm.stdout.readline()
+        with zenoh.open(session.configuration("client", connect=endpoint)) as viewer, closing(Fleet(viewer)) as fleet:
+            os.kill(arm.pid, signal.SIGSTOP)
+            resumed.start()
+            assert living({it.address: it for it in fleet.wait_for_states(0.0)}) == {HERE}
