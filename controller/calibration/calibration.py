@@ -6,15 +6,16 @@ compared with a fit of the base alone. A tracker in another frame changes only t
 better only if they predict the folds better than that fit.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from controller.arm.arm import Arm
-from controller.calibration.fit import CannotFit, angles, distances, fit, plausible
+from controller.calibration.fit import CannotFit, Fit, angles, distances, fit, plausible
 from controller.calibration.model import Array, Model
 from controller.calibration.parameters import (
     Description,
@@ -27,6 +28,7 @@ from controller.calibration.parameters import (
 )
 from controller.calibration.samples import Samples
 from controller.manipulator.frames import Frame
+from controller.studies.shares import Run, Spread, alone
 
 FOLDS = 5
 FEWEST = 10  # fewest samples
@@ -103,13 +105,45 @@ class Calibration:
     description: Description
 
 
-def calibrated(arm: Arm, samples: Samples, *, each: bool) -> Calibration:
+class FitPair(NamedTuple):
+    """The fit of all parameters, and that of the base only."""
+
+    every: Fit
+    base: Fit
+
+
+class FitJob(NamedTuple):
+    """The fits of a calibration: to all samples, and without each fold. A share is the mask (n,) of the samples to fit.
+
+    BLAS runs in one thread: with more, its sums are in another order, and a fit takes longer.
+    """
+
+    arm: Arm
+    samples: Samples
+    in_file: Description
+    chosen: Sequence[Parameter]
+
+    def prepare(self) -> Run:
+        """Returns what fits the arm to the samples of a mask."""
+        return self._run
+
+    def _run(self, mask: NDArray[np.bool_]) -> Iterator[FitPair]:
+        import scipy.linalg  # noqa: F401 - loads scipy's own BLAS before it is limited
+
+        seen, length = self.samples.only(mask), self.arm.manipulator.length
+        model, base_model = models(self.arm, seen, self.in_file, self.chosen)
+        with threadpool_limits(1, "blas"):
+            yield FitPair(fit(model, seen, length), fit(base_model, seen, length))
+
+
+def calibrated(arm: Arm, samples: Samples, *, each: bool, spread: Spread = alone) -> Calibration:
     """Returns the calibration of an arm.
 
     Args:
         arm: the arm of the file.
         samples: the measurements.
         each: fit each module, and each leg of a truss, by itself.
+        spread: computes the fits.
 
     Raises:
         CannotFit: there are too few samples or too many parameters, or most samples are far from the arm.
@@ -123,11 +157,12 @@ def calibrated(arm: Arm, samples: Samples, *, each: bool) -> Calibration:
         raise CannotFit(f"{len(chosen)} numbers would be fitted, at most {MOST_PARAMETERS} can be")
     fold = folds(samples.configurations)
     model, base_model = models(arm, samples, in_file, chosen)
-    found, base_found = fit(model, samples, length), fit(base_model, samples, length)
+    masks = [np.ones(len(fold), dtype=bool), *(fold != k for k in range(FOLDS))]
+    (found, base_found), *by_fold = spread(FitJob(arm, samples, in_file, chosen), masks)
     new = rounded(model.changed(found.steps))
     original = Model(in_file, chosen)
     kept, still = samples.only(found.kept), np.zeros(len(chosen))
-    unseen, unseen_base = held_out(arm, samples, in_file, chosen, fold)
+    unseen, unseen_base = held_out(arm, samples, in_file, chosen, fold, by_fold)
     return Calibration(
         samples=len(samples.tips),
         outliers=tuple(samples.lines[~found.kept].tolist()),
@@ -206,17 +241,23 @@ Compared = list[tuple[Model, Samples, Array]]
 
 
 def held_out(
-    arm: Arm, samples: Samples, in_file: Description, chosen: Sequence[Parameter], fold: NDArray[np.int64]
+    arm: Arm,
+    samples: Samples,
+    in_file: Description,
+    chosen: Sequence[Parameter],
+    fold: NDArray[np.int64],
+    fits: Sequence[FitPair],
 ) -> tuple[Compared, Compared]:
     """Returns the models fitted without each fold, with fold and changes; for all parameters and for the base only.
+
+    `fits` has the fits without each fold.
 
     A sample of the fold is an outlier, and dropped for both, only if both fits consider it one.
     """
     length, every, base_only = arm.manipulator.length, Compared(), Compared()
-    for k in range(FOLDS):
+    for k, (found, base_found) in enumerate(fits):
         seen, unseen = samples.only(fold != k), samples.only(fold == k)
         model, base_model = models(arm, seen, in_file, chosen)
-        found, base_found = fit(model, seen, length), fit(base_model, seen, length)
         near = plausible(model, unseen, length, found) | plausible(base_model, unseen, length, base_found)
         if near.any():
             every.append((model, unseen.only(near), found.steps))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import pickle
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from importlib import metadata
 from threading import Lock
 from typing import Any, NamedTuple, Protocol
@@ -30,6 +30,16 @@ class Job(Protocol):
 
     def prepare(self) -> Run:
         """Builds the tables; returns the function that yields the results of a share, one call at a time."""
+
+
+Spread = Callable[[Job, Iterable[Any]], Iterator[Any]]  # yields the results of all shares, in order
+
+
+def alone(job: Job, shares: Iterable[Any]) -> Iterator[Any]:
+    """Yields each result of the shares as soon as this process has computed it."""
+    run = job.prepare()
+    for share in shares:
+        yield from run(share)
 
 
 class PackedJob(NamedTuple):
@@ -55,7 +65,7 @@ class PreparedJobs:
 
     def compute(self, job: PackedJob, share: Any) -> list[Any]:
         """Returns the results of a share."""
-        run = self._take(job.digest) or pickle.loads(job.content).prepare()
+        run = self._take(job.digest) or unpacked(job).prepare()
         try:
             return list(run(share))
         finally:
@@ -84,6 +94,18 @@ def pack(job: Job) -> PackedJob:
     """Returns a job as workers receive it."""
     content = pickle.dumps(job)
     return PackedJob(content, hashlib.sha256(content).hexdigest(), metadata.version("hyperbit"))
+
+
+def unpacked(job: PackedJob) -> Job:
+    """Returns a job that has arrived.
+
+    Raises:
+        StudyFailed: the content is not what was packed.
+    """
+    if (found := hashlib.sha256(job.content).hexdigest()) != job.digest:
+        raise StudyFailed(f"the job has arrived with the digest {found[:12]}, and was sent with {job.digest[:12]}")
+    own: Job = pickle.loads(job.content)
+    return own
 
 
 def compute(job: PackedJob, share: Any) -> list[Any]:

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from concurrent.futures import CancelledError
 from typing import TYPE_CHECKING, Any
 
-from controller.studies.shares import Job, StudyFailed, compute, pack
+from controller.studies.shares import Job, StudyFailed, alone, compute, pack
 from controller.studies.workers import check_workers
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
 AHEAD = 4  # shares in flight for each thread of a worker
-PATIENCE = 10.0  # [s] between two looks at the cluster while no result comes
+LOOK = 10.0  # [s] between two looks at the cluster while no result comes
+SCHEDULER_TIMEOUT = 60.0  # [s] for the scheduler to answer
 
 
-def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> Iterator[list[Any]]:
+def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> Generator[list[Any], None, None]:
     """Yields the results of each share, in order. Shares are read as they are needed.
 
     A share of a lost worker is computed again by another one.
@@ -31,10 +34,7 @@ def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> It
         StudyFailed: the cluster does not fit, or is lost.
     """
     if client is None:
-        run = job.prepare()
-        for share in shares:
-            for result in run(share):
-                yield [result]
+        yield from ([result] for result in alone(job, shares))
         return
     check_workers(client)
     packed, waiting = pack(job), deque["Future"]()
@@ -52,17 +52,24 @@ def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> It
             client.cancel(list(waiting), force=True)
 
 
-def result_of(future: Future, client: Client) -> list[Any]:
+def result_of(future: Future, client: Client, seconds: float = math.inf, look: float = LOOK) -> list[Any]:
     """Waits for the result of a share.
 
+    Args:
+        future: of the share.
+        client: of the cluster.
+        seconds: longest time to wait [s].
+        look: time between two looks at the cluster [s].
+
     Raises:
-        StudyFailed: the share ends its workers, or no worker or no scheduler is left.
+        StudyFailed: the share ends its workers, no worker or no scheduler is left, or the time is over.
     """
     from distributed import KilledWorker
 
+    until = time.monotonic() + seconds
     while True:
         try:
-            found: list[Any] = future.result(timeout=PATIENCE)
+            found: list[Any] = future.result(timeout=min(look, max(until - time.monotonic(), 0.001)))
             return found
         except KilledWorker as error:
             lost, last = error.allowed_failures + 1, error.last_worker.address
@@ -74,5 +81,20 @@ def result_of(future: Future, client: Client) -> list[Any]:
         except TimeoutError:
             if client.status != "running":
                 raise StudyFailed("the connection to the Dask scheduler is lost") from None
-            if not client.nthreads():
+            if time.monotonic() >= until:
+                raise StudyFailed(f"the Dask cluster has not answered within {seconds:.3g} s") from None
+            if not threads_of(client, min(SCHEDULER_TIMEOUT, max(until - time.monotonic(), look))):
                 raise StudyFailed("the Dask cluster has no workers any more") from None
+
+
+def threads_of(client: Client, seconds: float) -> dict[str, int]:
+    """Returns the number of threads of each worker.
+
+    Raises:
+        StudyFailed: the scheduler does not answer in time [s].
+    """
+    try:
+        found: dict[str, int] = client.sync(client.scheduler.ncores, callback_timeout=seconds)
+    except (TimeoutError, OSError):
+        raise StudyFailed(f"the Dask scheduler has not answered within {seconds:.3g} s") from None
+    return found

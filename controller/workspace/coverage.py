@@ -8,6 +8,7 @@ the true one for any pixels; pixels only decide how many positions are needed.
 """
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 
 from controller.manipulator.frames import inverse
 from controller.manipulator.manipulator import Manipulator
+from controller.studies.shares import Run, Spread, alone
+from controller.workspace.cache import default_directory, load_or_map
 from controller.workspace.densities import Densities
 from controller.workspace.nearby_counts import CountMethod, NearbyCounts
 
@@ -23,6 +26,7 @@ Array = NDArray[np.float64]
 LEAST, MOST = 512, 1 << 15  # positions
 WORK = {"listing": 1 << 15, "halves": 1 << 26, "draws": 1 << 19}  # about: positions times compared configurations
 TESTS = 2e9  # about: most distances to compute
+PART = {"listing": 4096, "halves": 1024, "draws": 16}  # positions that are counted together, from a seed of their own
 PILOT = 64  # positions that estimate the distances to compute
 
 
@@ -88,8 +92,54 @@ class WorkspaceCells(NamedTuple):
         return inside & self.near[index], np.where(inside, self.logs[index], -math.inf)
 
 
+class PositionPart(NamedTuple):
+    """Positions (n, 3) in frame F_0 that are counted together, and the seed of their random numbers."""
+
+    points: Array
+    seed: tuple[int, int]
+
+
+class CountJob(NamedTuple):
+    """Counts configurations near positions; what all parts have in common.
+
+    Attributes:
+        manipulator, pixel, level_pixels: of the densities, which are in the cache or are mapped.
+        radius: see `coverage_of`.
+    """
+
+    manipulator: Manipulator
+    pixel: float
+    level_pixels: int
+    radius: float
+
+    def prepare(self) -> Run:
+        """Lists tips; returns what counts the configurations near a part's positions."""
+        densities = load_or_map(self.manipulator, self.pixel, self.level_pixels, default_directory())
+        return CountHere(NearbyCounts(self.manipulator, densities, self.radius)).prepare()
+
+
+class CountHere(NamedTuple):
+    """Counts in this process."""
+
+    counts: NearbyCounts
+
+    def prepare(self) -> Run:
+        """Returns what counts the configurations near a part's positions."""
+        return self._run
+
+    def _run(self, part: PositionPart) -> Iterator[Array]:
+        yield self.counts.logs(part.points, np.random.default_rng(part.seed))
+
+
 def coverage_of(
-    manipulator: Manipulator, densities: Densities, radius: float, *, positions: int | None = None, seed: int = 0
+    manipulator: Manipulator,
+    densities: Densities,
+    radius: float,
+    *,
+    positions: int | None = None,
+    seed: int = 0,
+    spread: Spread = alone,
+    job: CountJob | None = None,
 ) -> Coverage:
     """Returns where the tip can be within a radius, and by how many configurations.
 
@@ -101,13 +151,17 @@ def coverage_of(
         radius: greatest distance of the tip from a covered position.
         positions: number of positions to draw; None: by the cost of a position.
         seed: seed of the random numbers.
+        spread: counts the parts of the positions.
+        job: for other processes, as densities are too large to be sent; None: this process counts.
     """
     random, size = np.random.default_rng(seed), manipulator.dimension
-    counts = NearbyCounts(manipulator, densities, radius, random)
+    counts = NearbyCounts(manipulator, densities, radius)
     around = workspace_cells(densities, radius, size)
     half = (positions or affordable(manipulator, counts, radius, random) + 1) // 2
     points = np.concatenate((around.draw(half, random), near_tips(manipulator, radius, half, random)))
-    logs = counts.logs(points)
+    step = PART[counts.method]
+    parts = [PositionPart(points[k : k + step], (seed, k)) for k in range(0, len(points), step)]
+    logs = np.concatenate(list(spread(job or CountHere(counts), parts)))
     logs_of_all = float(np.log(manipulator.states).sum())
     log_ball = math.log(math.pi if size == 2 else 4 / 3 * math.pi) + size * math.log(radius)
     near, cell_logs = around.at(points)
@@ -167,7 +221,7 @@ def workspace_cells(densities: Densities, radius: float, dimension: int) -> Work
 
 def affordable(manipulator: Manipulator, counts: NearbyCounts, radius: float, random: np.random.Generator) -> int:
     """Returns the number of positions to draw, by the cost of a few."""
-    counts.logs(near_tips(manipulator, radius, PILOT, random))
+    counts.logs(near_tips(manipulator, radius, PILOT, random), random)
     most = min(WORK[counts.method] // counts.compared, int(TESTS * PILOT / (counts.tests + 1)))
     return min(max(most, LEAST), MOST)
 

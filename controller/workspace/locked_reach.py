@@ -5,7 +5,8 @@ actuator changes only the intermediate workspaces below its module. The others a
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import suppress
 from itertools import combinations, product
 from typing import NamedTuple
 
@@ -14,12 +15,14 @@ from numpy.typing import NDArray
 
 from controller.manipulator.locked import LockedStates, lock_actuators, none_locked
 from controller.manipulator.manipulator import Manipulator
+from controller.studies.shares import Run, Spread, alone
 from controller.workspace.coverage import quantile
 from controller.workspace.densities import Densities
 from controller.workspace.mapping import Level, below, coarsened, tip_level
 
 Array = NDArray[np.float64]
 
+SHARE = 8  # choices of a share
 PIXELS = {2: 1 << 16, 3: 1 << 17}  # most pixels of the box of W_0, by dimension
 
 
@@ -128,11 +131,56 @@ def covered_share(counts: Array) -> Array:
     return np.asarray(-np.expm1(-np.exp(np.minimum(counts, 9.0))))
 
 
-def free_arm(manipulator: Manipulator, densities: Densities, tolerance: float) -> FreeArm:
-    """Maps the free arm; for the arguments see `reach_when_locked`."""
-    low, high = densities.box(0)
+class ChoiceReach(NamedTuple):
+    """The result of one choice.
+
+    Attributes:
+        reach: None if the choice leaves a module without a state.
+        least: with the last choice of a share: the least counts over the share, see `LockedReach`.
+    """
+
+    reach: Reach | None
+    least: Array | None
+
+
+class LocksJob(NamedTuple):
+    """Maps an arm with locked actuators; what all choices have in common.
+
+    Attributes:
+        manipulator: the free arm.
+        low, high, pixel: box of its workspace in the densities, and its pixel.
+        tolerance: see `reach_when_locked`.
+    """
+
+    manipulator: Manipulator
+    low: Array
+    high: Array
+    pixel: float
+    tolerance: float
+
+    def prepare(self) -> Run:
+        """Maps the free arm; returns what maps the choices (A,) of a share."""
+        free = free_arm(self)
+
+        def run(share: list[LockedStates]) -> Iterator[ChoiceReach]:
+            least = free.counts.copy()
+            for number, locked in enumerate(share, 1):
+                reach = None
+                with suppress(ValueError):  # the choice leaves a module without a state
+                    reduced = lock_actuators(self.manipulator, locked)
+                    counts = free.counts_of(reduced, last_locked(self.manipulator, locked))
+                    reach = free.reach(locked, counts)
+                    np.minimum(least, counts, out=least)
+                yield ChoiceReach(reach, least if number == len(share) else None)
+
+        return run
+
+
+def free_arm(job: LocksJob) -> FreeArm:
+    """Maps the free arm."""
+    manipulator, low, high, finest, tolerance = job
     most, dimension = PIXELS[manipulator.dimension], manipulator.dimension
-    pixel = coarsened(float(densities.pixels[0]), low, high, most, dimension)
+    pixel = coarsened(finest, low, high, most, dimension)
     levels = [tip_level(pixel)]
     for i in reversed(range(len(manipulator.modules))):
         levels.append(below(levels[-1], manipulator, i, 2 * most))
@@ -148,7 +196,7 @@ def reach_when_locked(
     densities: Densities,
     tolerance: float,
     locks: LockChoices,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    spread: Spread = alone,
 ) -> LockedReach:
     """Returns reach and redundancy over choices of locked actuators.
 
@@ -157,24 +205,21 @@ def reach_when_locked(
         densities: densities of the arm, for the box of its workspace.
         tolerance: greatest distance of the tip from a goal.
         locks: the choices.
-        progress: called with the number of choices done and the number of all.
+        spread: maps the choices.
 
     Raises:
         ValueError: the arm has fewer actuators with two states.
     """
-    free = free_arm(manipulator, densities, tolerance)
     chosen, every = choices(manipulator, *locks)
-    found, least, impossible = list[Reach](), free.counts.copy(), 0
-    for number, locked in enumerate(chosen):
-        try:
-            reduced = lock_actuators(manipulator, locked)
-        except ValueError:
-            impossible += 1
-            continue
-        counts = free.counts_of(reduced, last_locked(manipulator, locked))
-        found.append(free.reach(locked, counts))
-        np.minimum(least, counts, out=least)
-        progress(number + 1, len(chosen))
+    job = LocksJob(manipulator, *densities.box(0), float(densities.pixels[0]), tolerance)
+    free, shares = free_arm(job), [chosen[k : k + SHARE] for k in range(0, len(chosen), SHARE)]
+    found, least = list[Reach](), free.counts.copy()
+    for one in spread(job, shares):
+        if one.reach is not None:
+            found.append(one.reach)
+        if one.least is not None:
+            np.minimum(least, one.least, out=least)
+    impossible = len(chosen) - len(found)
     if not found:
         raise ValueError(f"no choice of {locks.actuators} locked actuators leaves each module a state")
     nothing_locked, whole = free.reach(none_locked(manipulator), free.counts), free.levels[0]

@@ -63,13 +63,10 @@ class NearbyCounts:
         manipulator: the arm.
         densities: of its intermediate workspaces, for draws.
         radius: greatest distance of a tip.
-        random: draws states of modules.
     """
 
-    def __init__(
-        self, manipulator: Manipulator, densities: Densities, radius: float, random: np.random.Generator
-    ) -> None:
-        self._radius, self._random, self.tests = radius, random, 0
+    def __init__(self, manipulator: Manipulator, densities: Densities, radius: float) -> None:
+        self._radius, self.tests = radius, 0
         depth = listed_from(manipulator, LISTED)
         before = math.prod(manipulator.states[:depth].tolist())
         self.method: CountMethod = "listing" if before == 1 else "halves" if before <= COMPARED else "draws"
@@ -81,11 +78,14 @@ class NearbyCounts:
         else:
             self._frames = frames_of(manipulator, self._depth)
 
-    def logs(self, points: Array) -> Array:
-        """Returns ln of the number of configurations near points (n, 3) of frame F_0; minus infinity: none found."""
+    def logs(self, points: Array, random: np.random.Generator) -> Array:
+        """Returns ln of the number of configurations near points (n, 3) of frame F_0; minus infinity: none found.
+
+        `random` draws states of modules.
+        """
         with np.errstate(divide="ignore"):
             if self.method == "draws":
-                return np.array([self._drawn(point) for point in np.ascontiguousarray(points)])
+                return np.array([self._drawn(point, random) for point in np.ascontiguousarray(points)])
             size = max(AT_ONCE // self.compared, 1)
             return np.concatenate([np.log(self._exact(points[k : k + size])) for k in range(0, len(points), size)])
 
@@ -97,10 +97,10 @@ class NearbyCounts:
         self.tests += count_near(self._cells, np.ascontiguousarray(seen.reshape(-1, 3)), self._radius, counts)
         return np.asarray(counts.reshape(len(points), -1).sum(axis=1))
 
-    def _drawn(self, point: Array) -> float:
+    def _drawn(self, point: Array, random: np.random.Generator) -> float:
         """Returns ln of the estimated number of configurations near a point (3,)."""
         samples = OrientationSamples(np.empty((DRAWS, 3, 3)), np.empty((DRAWS, 3)), np.empty(DRAWS))
-        draw(point, self._arm, self._levels, self._random.random((DRAWS, self._depth)), samples)
+        draw(point, self._arm, self._levels, random.random((DRAWS, self._depth)), samples)
         counts = np.empty(DRAWS)
         self.tests += count_near(self._cells, samples.points, self._radius, counts)
         return float(np.logaddexp.reduce(samples.logs + np.log(counts))) - math.log(DRAWS)

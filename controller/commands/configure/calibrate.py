@@ -18,10 +18,18 @@ from controller.commands.common import (
     AsJson,
     CommandFailed,
     console,
-    errors,
     print_json,
     print_table,
     results_table,
+)
+from controller.commands.sharing import (
+    Dask,
+    Sharing,
+    Workers,
+    check_sharing,
+    open_workers,
+    progress_bar,
+    spread_over,
 )
 
 if TYPE_CHECKING:
@@ -41,20 +49,27 @@ def calibrate(
     out: Annotated[Path | None, typer.Option(metavar="NEW.yaml", help="File for the fitted arm.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     each: Annotated[bool, typer.Option("--each", help="Fit each module, and each leg of a truss, separately.")] = False,
+    workers: Workers = 1,
+    dask: Dask = None,
     as_json: AsJson = False,
 ) -> None:
-    """Fit the modules and the base of an arm's file to measured tips; print the residuals before and after."""
+    """Fit the modules and the base of an arm's file to measured tips; print the residuals before and after.
+
+    `--workers` and `--dask` share the fits: one to all samples, and one without each fold. The numbers stay the same.
+    """
     from controller.calibration.calibration import calibrated
     from controller.calibration.fit import CannotFit
     from controller.calibration.samples import read_samples
 
+    check_sharing(sharing := Sharing(workers, dask))
     arm = load(file)
     measured = read_samples(samples, arm.manipulator)
     if out is not None and out.exists() and not force:
         raise InputFaults(out, ["the file exists; name another file, or add --force"])
     try:
-        with errors.status("fitting"):
-            found = calibrated(arm, measured, each=each)
+        with open_workers(sharing) as client, progress_bar("fits") as progress:
+            spread = spread_over(client, progress, "fits", lambda mask: 1)
+            found = calibrated(arm, measured, each=each, spread=spread)
     except CannotFit as error:
         raise InputFaults(samples, [str(error)]) from None
     if out is not None and found.better:

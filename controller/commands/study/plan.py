@@ -9,6 +9,7 @@ import typer
 
 from controller.arm.arm import load
 from controller.commands.common import ArmFile, AsJson, CommandFailed, shown
+from controller.commands.sharing import Dask, Sharing, Workers
 from controller.commands.study.plan_goals import PlanOptions, PlanTask, read_task
 from controller.commands.study.plan_results import print_results, shown_result
 from controller.commands.study.plan_search import GoalSearch, PointSolution, described, prepared_search, search_one
@@ -22,8 +23,6 @@ ANGLE_TOLERANCE = "Orientation tolerance [rad]. Default: the arm's."
 DEADLINE = "Longest time of planning [s], also for a goal that is not found. Default: see `planning` of the arm's file."
 EFFORT = "Work of each search instead of a deadline, about one unit a millisecond: the same answers on every run."
 APART = "Search each goal of --goals by itself, from --previous or from its own `previous`."
-WORKERS = "Processes on this computer that share the goals."
-DASK = "Scheduler of a Dask cluster that shares the goals, such as tcp://host:8786."
 OUTPUT = "Write the results of --goals to a file as JSON lines; started again, the command goes on where it ended."
 START = "Configuration to start from. Default: all contracted."
 
@@ -41,15 +40,15 @@ def plan(
     deadline: Annotated[float | None, typer.Option(help=DEADLINE)] = None,
     effort: Annotated[float | None, typer.Option(help=EFFORT)] = None,
     apart: Annotated[bool, typer.Option("--apart", help=APART)] = False,
-    workers: Annotated[int, typer.Option(min=1, max=1024, help=WORKERS)] = 1,
-    dask: Annotated[str | None, typer.Option(metavar="ADDRESS", help=DASK)] = None,
+    workers: Workers = 1,
+    dask: Dask = None,
     output: Annotated[Path | None, typer.Option(metavar="FILE.jsonl", help=OUTPUT)] = None,
     as_json: AsJson = False,
 ) -> None:
     """Search configurations for goals, without hardware."""
     tolerances = tolerance, angle_tolerance, path_tolerance
     options = PlanOptions(goal, goals, configuration, previous, *tolerances, method, deadline, effort, apart)
-    where = StudyOptions(workers, dask, output)
+    where = StudyOptions(Sharing(workers, dask), output)
     check_study(options, where)
     arm = load(file)
     task = read_task(arm, options)

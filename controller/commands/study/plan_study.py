@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator
-from contextlib import ExitStack, closing, contextmanager, nullcontext
+from contextlib import ExitStack, closing
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import typer
+from typing import TYPE_CHECKING, NamedTuple
 
 from controller.arm.arm import Arm
 from controller.armfile.strict import InputFaults
-from controller.commands.common import CommandFailed, errors
+from controller.commands.common import errors
+from controller.commands.sharing import Sharing, check_sharing, open_workers, progress_bar
 from controller.commands.study.plan_goals import PlanOptions, PlanTask, WantedGoal, read_goals
 from controller.commands.study.plan_results import MOST_ROWS, ShownResult, print_results, shown_result
 from controller.commands.study.plan_search import follow, prepared_search, search_one, trajectories
 from controller.commands.study.results_file import ResultsFile, open_results
 from controller.manipulator.manipulator import Configuration
-from controller.studies.shares import Run, StudyFailed, goals_a_share
+from controller.studies.shares import Run, goals_a_share
 from controller.studies.stream import results
-from controller.studies.workers import cluster_workers, local_workers
 
 if TYPE_CHECKING:
+    from distributed import Client
     from rich.progress import Progress
 
 
 class StudyOptions(NamedTuple):
-    """The options of a study: number of local processes, address of a Dask scheduler, and file of the results."""
+    """The options of a study: who computes, and the file of the results."""
 
-    workers: int
-    dask: str | None
+    sharing: Sharing
     output: Path | None
 
 
@@ -67,11 +65,10 @@ def check_study(options: PlanOptions, where: StudyOptions) -> None:
     Raises:
         InputFaults: an option is for --goals only, or two options contradict each other.
     """
-    for name, given in (("--workers", where.workers > 1), ("--dask", where.dask), ("--output", where.output)):
-        if given and options.goals is None:
-            raise InputFaults(Path(name), ["it is for many goals: give --goals FILE.csv"])
-    if where.dask is not None and where.workers > 1:
-        raise InputFaults(Path("--dask"), ["the cluster has its own workers: leave out --workers"])
+    given = where.sharing.given or (where.output and "--output")
+    if given and options.goals is None:
+        raise InputFaults(Path(given), ["it is for many goals: give --goals FILE.csv"])
+    check_sharing(where.sharing)
 
 
 def study_goals(job: PlanJob, task: PlanTask, where: StudyOptions, *, as_json: bool) -> None:
@@ -86,35 +83,22 @@ def study_goals(job: PlanJob, task: PlanTask, where: StudyOptions, *, as_json: b
         if done:
             errors.print(f"{where.output} has {done} of {task.total} goals; the search goes on after them")
         counter = [done]
-        try:
-            found = stack.enter_context(closing(stream(job, where, done)))
-            progress = stack.enter_context(progress_bar(shown=file is not None or not as_json))
-            counted = count(found, counter, progress, task.total)
-            if file is not None:
-                for result in counted:
-                    file.write(result.line)
-                errors.print(f"{where.output} has the results of {task.total} goals")
-            else:
-                print_results(counted, job.options, as_json=as_json, many=task.total > MOST_ROWS)
-        except StudyFailed as error:
-            raise CommandFailed(str(error), remedy(counter[0], task.total, where)) from None
-        except KeyboardInterrupt:
-            errors.print(f"interrupted: {remedy(counter[0], task.total, where) or 'no goal is done'}")
-            raise typer.Exit(130) from None
+        client = stack.enter_context(open_workers(where.sharing, lambda: remedy(counter[0], task.total, where)))
+        found = stack.enter_context(closing(stream(job, client, done)))
+        progress = stack.enter_context(progress_bar("goals", shown=file is not None or not as_json))
+        counted = count(found, counter, progress, task.total)
+        if file is not None:
+            for result in counted:
+                file.write(result.line)
+            errors.print(f"{where.output} has the results of {task.total} goals")
+        else:
+            print_results(counted, job.options, as_json=as_json, many=task.total > MOST_ROWS)
 
 
-def stream(job: PlanJob, where: StudyOptions, done: int) -> Generator[ShownResult, None, None]:
+def stream(job: PlanJob, client: Client | None, done: int) -> Generator[ShownResult, None, None]:
     """Yields the results of all goals but the first `done`, in order."""
-    with workers_of(where) as client:
-        for found in results(job, shares(job, done), client):
-            yield from found
-
-
-def workers_of(where: StudyOptions) -> Any:
-    """Returns the context of the workers: a client of Dask, or None for this process."""
-    if where.dask is not None:
-        return cluster_workers(where.dask)
-    return nullcontext() if where.workers == 1 else local_workers(where.workers)
+    for found in results(job, shares(job, done), client):
+        yield from found
 
 
 def shares(job: PlanJob, done: int) -> Iterator[list[WantedGoal]]:
@@ -149,23 +133,6 @@ def count(found: Iterable[ShownResult], counter: list[int], progress: Progress, 
         yield result
         counter[0] += not result.line.get("between", False)
         progress.update(task, completed=counter[0])
-
-
-@contextmanager
-def progress_bar(*, shown: bool) -> Iterator[Progress]:
-    """Shows goals, rate and time left on stderr, if that is a terminal to which nothing else is printed."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TimeRemainingColumn
-    from rich.text import Text
-
-    class Rate(ProgressColumn):
-        """Goals in a second."""
-
-        def render(self, task: Task) -> Text:
-            return Text(f"{task.speed or 0:.1f} goals/s")
-
-    columns = BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn()
-    with Progress(*columns, console=errors, transient=True, disable=not (shown and errors.is_terminal)) as progress:
-        yield progress
 
 
 def remedy(done: int, total: int, where: StudyOptions) -> str:

@@ -14,16 +14,28 @@ from controller.commands.common import (
     AsJson,
     console,
     densities_of,
-    errors,
     parse_goal,
     print_json,
     print_table,
     results_table,
     shown,
 )
+from controller.commands.sharing import (
+    Dask,
+    Sharing,
+    Workers,
+    check_sharing,
+    open_workers,
+    progress_bar,
+    spread_over,
+)
 from controller.commands.study.workspace_report import FIGURES, WorkspaceStudy, describe_study
 
 if TYPE_CHECKING:
+    from distributed import Client
+    from rich.progress import Progress
+
+    from controller.workspace.coverage import Coverage
     from controller.workspace.densities import Densities
     from controller.workspace.locked_reach import LockChoices, LockedReach
 
@@ -39,24 +51,30 @@ def workspace(
     samples: Annotated[int, typer.Option(help="Most random choices of locked actuators, if K is above 1.")] = 100,
     tolerance: Annotated[float | None, typer.Option(help="Position tolerance. Default: the arm's.")] = None,
     picture: Annotated[Path, typer.Option(help="File for the picture.")] = Path("workspace.png"),
-    seed: Annotated[int, typer.Option(help="Seed of random draws and choices.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of random draws and choices.")] = 0,
+    workers: Workers = 1,
+    dask: Dask = None,
     as_json: AsJson = False,
 ) -> None:
-    """Draw and report where an arm can reach: positions, orientations at a point, reach with locked actuators."""
-    from controller.workspace.coverage import coverage_of
+    """Draw and report where an arm can reach: positions, orientations at a point, reach with locked actuators.
+
+    `--workers` and `--dask` share the positions, and the choices of locked actuators. The figures stay the same.
+    """
     from controller.workspace.locked_reach import LockChoices
     from controller.workspace.orientations import orientations_at
 
     arm = load(file)
     own = arm.tolerance if tolerance is None else tolerance
     check_options(own, samples)
+    check_sharing(sharing := Sharing(workers, dask))
     point = None if at is None else position(at, arm.manipulator.dimension)
     densities = densities_of(arm, silent=as_json)
-    coverage = coverage_of(arm.reduced, densities, own, seed=seed)
     found = None if point is None else orientations_at(arm.reduced, densities, point, own, seed=seed)
     locks = None if locked is None else LockChoices(locked, samples, seed)
-    reach = None if locks is None else locked_reach(arm, densities, own, locks, silent=as_json)
-    study = WorkspaceStudy(arm, densities, coverage, own, point, found, locked or 0, reach)
+    with open_workers(sharing) as client, progress_bar("parts", shown=not as_json) as progress:
+        covered = coverage(arm, densities, own, seed, client, progress)
+        reach = None if locks is None else locked_reach(arm, densities, own, locks, client, progress)
+    study = WorkspaceStudy(arm, densities, covered, own, point, found, locked or 0, reach)
     save_picture(picture, study)
     report = {**describe_study(study), "picture": str(picture)}
     if as_json:
@@ -107,28 +125,32 @@ def save_picture(file: Path, study: WorkspaceStudy) -> None:
         raise InputFaults(file, [f"cannot be written: {error}"]) from None
 
 
-def locked_reach(arm: Arm, densities: Densities, tolerance: float, locks: LockChoices, *, silent: bool) -> LockedReach:
-    """Returns the reach with locked actuators; shows a progress bar on stderr.
+def coverage(
+    arm: Arm, densities: Densities, tolerance: float, seed: int, client: Client | None, progress: Progress
+) -> Coverage:
+    """Returns the coverage of the reduced arm, counted by the workers."""
+    from controller.workspace.coverage import CountJob, coverage_of
+
+    spread = spread_over(client, progress, "positions", lambda part: 1)
+    job = None if client is None else CountJob(arm.reduced, arm.pixel, arm.level_pixels, tolerance)
+    return coverage_of(arm.reduced, densities, tolerance, seed=seed, spread=spread, job=job)
+
+
+def locked_reach(
+    arm: Arm, densities: Densities, tolerance: float, locks: LockChoices, client: Client | None, progress: Progress
+) -> LockedReach:
+    """Returns the reach with locked actuators, mapped by the workers.
 
     Raises:
         InputFaults: the arm has too few actuators to lock.
     """
-    from rich.progress import Progress
-
     from controller.workspace.locked_reach import reach_when_locked
 
-    with Progress(console=errors, transient=True, disable=silent or not errors.is_terminal) as progress:
-        task = progress.add_task("mapping arms with locked actuators", total=None)
-        try:
-            return reach_when_locked(
-                arm.reduced,
-                densities,
-                tolerance,
-                locks,
-                lambda done, total: progress.update(task, completed=done, total=total),
-            )
-        except ValueError as error:
-            raise InputFaults(Path("--locked"), [str(error)]) from None
+    spread = spread_over(client, progress, "choices of locked actuators")
+    try:
+        return reach_when_locked(arm.reduced, densities, tolerance, locks, spread)
+    except ValueError as error:
+        raise InputFaults(Path("--locked"), [str(error)]) from None
 
 
 def span(figure: dict[str, float], form: str) -> str:

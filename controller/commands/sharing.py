@@ -1,0 +1,130 @@
+"""The options --workers and --dask of commands that share work: their check, the workers, progress, and the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+from controller.armfile.strict import InputFaults
+from controller.commands.common import CommandFailed, errors
+from controller.studies.shares import Job, Spread, StudyFailed
+from controller.studies.stream import results
+from controller.studies.workers import cluster_workers, local_workers
+
+if TYPE_CHECKING:
+    from distributed import Client
+    from rich.progress import Progress
+
+MOST_WORKERS = 1024
+
+Workers = Annotated[
+    int, typer.Option(min=1, max=MOST_WORKERS, help="Number of processes on this computer that share the work.")
+]
+Dask = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that shares the work, such as tcp://host:8786."),
+]
+
+
+class Sharing(NamedTuple):
+    """Who computes: `workers` processes on this computer, 1: this process; or the cluster of the scheduler `dask`."""
+
+    workers: int = 1
+    dask: str | None = None
+
+    @property
+    def given(self) -> str | None:
+        """The option that asks for other processes; None: this process computes."""
+        return "--dask" if self.dask is not None else "--workers" if self.workers > 1 else None
+
+
+def check_sharing(sharing: Sharing) -> None:
+    """Checks that the options do not contradict each other.
+
+    Raises:
+        InputFaults: both are given.
+    """
+    if sharing.dask is not None and sharing.workers > 1:
+        raise InputFaults(Path("--dask"), ["the cluster has its own workers: leave out --workers"])
+
+
+@contextmanager
+def open_workers(sharing: Sharing, remedy: Callable[[], str] = lambda: "") -> Iterator[Client | None]:
+    """Opens the workers of a command: a client of Dask, or None for this process.
+
+    Args:
+        sharing: the options.
+        remedy: returns what is done so far, and how to get the rest.
+
+    Raises:
+        CommandFailed: the workers are missing, do not fit, or are lost.
+        Exit: with code 130, after Ctrl-C.
+    """
+    try:
+        if sharing.dask is not None:
+            opened: Any = cluster_workers(sharing.dask)
+        else:
+            opened = nullcontext() if sharing.workers == 1 else local_workers(sharing.workers)
+        with opened as client:
+            yield client
+    except StudyFailed as error:
+        raise CommandFailed(str(error), remedy()) from None
+    except KeyboardInterrupt:
+        errors.print(f"interrupted: {remedy() or 'no result is kept'}")
+        raise typer.Exit(130) from None
+
+
+@contextmanager
+def progress_bar(unit: str, *, shown: bool = True) -> Iterator[Progress]:
+    """Shows counts, rate and time left on stderr, if that is a terminal.
+
+    Args:
+        unit: what is counted, such as "goals".
+        shown: False: show nothing, because results are printed there as well.
+    """
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        Task,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        """Units in a second."""
+
+        def render(self, task: Task) -> Text:
+            return Text(f"{task.speed or 0:.1f} {unit}/s")
+
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn()
+    with Progress(*columns, console=errors, transient=True, disable=not (shown and errors.is_terminal)) as progress:
+        yield progress
+
+
+def spread_over(client: Client | None, progress: Progress, name: str, each: Callable[[Any], int] = len) -> Spread:
+    """Returns what computes the shares of a job on the workers, and shows how far it is.
+
+    Args:
+        client: of `open_workers`.
+        progress: shows the results that have come.
+        name: of the work.
+        each: returns the number of results of a share.
+    """
+
+    def spread(job: Job, shares: Iterable[Any]) -> Iterator[Any]:
+        every = list(shares)
+        task = progress.add_task(name, total=sum(map(each, every)))
+        with closing(results(job, every, client)) as stream:
+            for found in stream:
+                yield from found
+                progress.advance(task, len(found))
+        progress.remove_task(task)
+
+    return spread
