@@ -1,4 +1,8 @@
-"""Plans that may take seconds, each in a process of its own: they hold neither the planner's threads nor their lock."""
+"""Plans that may take seconds, each in a process of its own: they hold neither the planner's threads nor their lock.
+
+With `planning.dask` such a process sends its plans to a cluster, and computes those itself that get no answer there.
+The daemon itself never imports Dask, and never waits for it.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +28,7 @@ from controller.obstacles.obstacles import Obstacles
 from controller.planning.core import tasks
 from controller.planning.core.tasks import Answer, DescribePlan
 from controller.planning.workers import computations
-from controller.planning.workers.arm_model import ArmModel, build_scene, build_tables
+from controller.planning.workers.arm_model import Abandoned, ArmModel, Proceed, build_scene, build_tables
 from controller.refusals.refusal import Refusal
 from controller.workspace.cache import default_directory, load_or_map
 from controller.workspace.densities import Densities
@@ -33,7 +37,7 @@ log = logging.getLogger(__name__)
 
 LONG = 1.0  # [s]: a plan with a later deadline is long
 POLL = 0.05  # [s] between two looks whether a plan is still wanted
-START = 60.0  # [s] for a process to start, on a busy machine
+START = 60.0  # [s] for a process to start and to send its answer, on a busy machine
 NICE = 10  # goals and set-points go first, where the service lets a process lower its priority
 SPAWN = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
 
@@ -47,6 +51,7 @@ class LongPlan(NamedTuple):
         locked: locked states of `Tables`.
         scene, obstacles: generation of `VersionedScene`, and the obstacles that were sent.
         seconds: longest time [s].
+        arm: digest of the arm that the daemon has.
     """
 
     message: GoalMessage
@@ -57,6 +62,14 @@ class LongPlan(NamedTuple):
     scene: int
     obstacles: Obstacles
     seconds: float
+    arm: str
+
+
+class LongAnswer(NamedTuple):
+    """The answer to a long plan, and a warning for the daemon's log; "": none."""
+
+    answer: Answer
+    warning: str = ""
 
 
 def is_long(task: tasks.Task) -> bool:
@@ -72,19 +85,19 @@ class LongPlanner:
     """
 
     def __init__(self, arm: Arm, weights: NDArray[np.float64]) -> None:
-        self._arguments = arm, weights, version("hyperbit")
+        self._arguments, self._digest = (arm, weights, version("hyperbit")), arm.digest
         self._start()
 
     def plan(self, task: DescribePlan, proceed: Callable[[], object]) -> Answer:
         """Returns the answer to a task; calls `proceed` again and again, which may raise."""
         until = time.monotonic() + START + task.seconds
         try:
-            self._connection.send(packed(task))
+            self._connection.send(packed(task, self._digest))
             while not self._connection.poll(POLL):
                 proceed()
                 if time.monotonic() > until:
                     raise TimeoutError(f"no answer after {START + task.seconds:g} s")
-            answer: Answer = self._connection.recv()
+            answered: LongAnswer = self._connection.recv()
         except (EOFError, OSError) as error:
             self._restart()
             log.error("the process for long plans has failed, another one starts: %r", error)
@@ -92,9 +105,11 @@ class LongPlanner:
         except BaseException:
             self._restart()
             raise
-        if isinstance(answer, tasks.Failed):
-            log.error("a long plan has failed: %s", answer.reason)
-        return answer
+        if answered.warning:
+            log.warning("%s", answered.warning)
+        if isinstance(answered.answer, tasks.Failed):
+            log.error("a long plan has failed: %s", answered.answer.reason)
+        return answered.answer
 
     def close(self) -> None:
         """Kills the process."""
@@ -114,12 +129,12 @@ class LongPlanner:
         theirs.close()
 
 
-def packed(task: DescribePlan) -> LongPlan:
-    """Returns what another process needs of a task."""
+def packed(task: DescribePlan, arm: str) -> LongPlan:
+    """Returns what another process needs of a task; `arm` is the digest of the arm."""
     goal = task.goal
     start, tables, scene = goal.basis
     own = start, tables.locked, scene.generation, scene.keep_out.sent
-    return LongPlan(goal.message, goal.received, goal.bias, *own, task.seconds)
+    return LongPlan(goal.message, goal.received, goal.bias, *own, task.seconds, arm)
 
 
 # --- the other process
@@ -132,18 +147,23 @@ def serve(connection: Connection, arm: Arm, weights: NDArray[np.float64], expect
     with contextlib.suppress(OSError):
         os.nice(NICE)
     planner = Planner(arm, weights)
+    answered = planner.answer_long
+    if (address := arm.settings.planning.dask) is not None:
+        from controller.planning.workers.cluster_plans import ClusterPlanner
+
+        answered = ClusterPlanner(address, arm, weights, planner).answer_long
     planner.prepare(arm.locked.astype(np.uint8).tobytes())
-    answer_plans(connection, planner, expected)
+    answer_plans(connection, answered, expected)
 
 
-def answer_plans(connection: Connection, planner: Planner, expected: str) -> None:
+def answer_plans(connection: Connection, answered: Callable[[LongPlan], LongAnswer], expected: str) -> None:
     """Answers each plan that arrives, until the connection ends; refuses all if this is not the expected version."""
     found = version("hyperbit")
     other = tasks.Failed(f"the daemon is hyperbit {expected}, installed is {found}: restart the daemon")
     with contextlib.suppress(EOFError, OSError):
         while True:
             plan = connection.recv()
-            connection.send(planner.answer(plan) if found == expected else other)
+            connection.send(answered(plan) if found == expected else LongAnswer(other))
 
 
 def end_with_parent() -> None:
@@ -162,19 +182,34 @@ class Planner:
 
     def __init__(self, arm: Arm, weights: NDArray[np.float64]) -> None:
         self._arm, self._weights, self._model = arm, weights, ArmModel(arm, "queries")
+        self._digest = arm.digest
         self._densities: Densities | None = None
         self._tables: tasks.Tables | None = None
         self._scene: tasks.VersionedScene | None = None
 
-    def answer(self, plan: LongPlan) -> Answer:
-        """Returns the answer to a plan; nothing leaves it."""
+    def answer_long(self, plan: LongPlan) -> LongAnswer:
+        """Returns the answer to a plan, without a warning."""
+        return LongAnswer(self.answer(plan))
+
+    def answer(self, plan: LongPlan, proceed: Proceed = lambda: False) -> Answer:
+        """Returns the answer to a plan; nothing leaves it.
+
+        Args:
+            plan: the plan.
+            proceed: raises Abandoned if nobody waits for the answer any more.
+        """
+        if plan.arm != self._digest:
+            return tasks.Failed(
+                f"the plan is for the arm with digest {plan.arm[:12]}, this process has {self._digest[:12]}: restart it"
+            )
         try:
             basis = tasks.Basis(plan.start, self.prepare(plan.locked), self._scene_of(plan))
             goal = tasks.PlanGoal(plan.message, plan.received, plan.bias, basis)
-            task = DescribePlan(goal, plan.seconds)
-            return computations.describe(self._model, task, lambda: False, lambda: False)
+            return computations.describe(self._model, DescribePlan(goal, plan.seconds), proceed, proceed)
         except Refusal as refusal:
             return refusal.data
+        except Abandoned:
+            return tasks.Done()
         except Exception:
             return tasks.Failed(traceback.format_exc())
 

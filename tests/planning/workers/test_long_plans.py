@@ -4,11 +4,13 @@ import queue
 import threading
 from dataclasses import replace
 from multiprocessing import Pipe
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
+from controller.arm.arm import load
 from controller.planning.core import tasks
 from controller.planning.core.events import Answered, Event
 from controller.planning.core.tasks import Described, DescribePlan, Done, Failed, Refused
@@ -86,11 +88,11 @@ def test_refusals_and_errors_are_answers(bench: Bench, monkeypatch: pytest.Monke
     planner, far = Planner(bench.arm, bench.weights), task(bench)
     waypoint = msgspec.structs.replace(far.goal.message.waypoints[0], configuration=None, position=list(FAR))
     message = msgspec.structs.replace(far.goal.message, waypoints=[waypoint])
-    answer = planner.answer(packed(far._replace(goal=far.goal._replace(message=message))))
+    answer = planner.answer(packed(far._replace(goal=far.goal._replace(message=message)), bench.arm.digest))
     assert isinstance(answer, Refused)
     assert "farther" in str(answer.refusal)
     monkeypatch.setattr(long_plans, "build_scene", lambda *_: 1 / 0)
-    failed = Planner(bench.arm, bench.weights).answer(packed(task(bench)))
+    failed = Planner(bench.arm, bench.weights).answer(packed(task(bench), bench.arm.digest))
     assert isinstance(failed, Failed)
     assert "ZeroDivisionError" in failed.reason
 
@@ -98,15 +100,33 @@ def test_refusals_and_errors_are_answers(bench: Bench, monkeypatch: pytest.Monke
 def test_a_process_of_another_version_refuses(bench: Bench) -> None:
     ours, theirs = Pipe()
     planner = Planner(bench.arm, bench.weights)
-    serving = threading.Thread(target=answer_plans, args=(theirs, planner, "0.0.1"))
+    serving = threading.Thread(target=answer_plans, args=(theirs, planner.answer_long, "0.0.1"))
     serving.start()
-    ours.send(packed(task(bench)))
+    ours.send(packed(task(bench), bench.arm.digest))
     assert ours.poll(PATIENCE)
-    answer = ours.recv()
+    answer = ours.recv().answer
     ours.close()
     serving.join()
     assert isinstance(answer, Failed)
     assert answer.reason.startswith("the daemon is hyperbit 0.0.1, installed is ")
+
+
+def test_a_process_with_another_arm_refuses(bench: Bench) -> None:
+    answer = Planner(bench.arm, bench.weights).answer(packed(task(bench), "0" * 64))
+    assert isinstance(answer, Failed)
+    assert answer.reason.startswith("the plan is for the arm with digest 000000000000, this process has ")
+
+
+def test_a_new_process_has_the_arm_of_the_daemon_though_the_file_has_changed(bench: Bench, tmp_path: Path) -> None:
+    file = tmp_path / "arm.yaml"
+    file.write_text(msgspec.yaml.encode(bench.arm.settings).decode())
+    arm = load(file)
+    planner = LongPlanner(arm, bench.weights)
+    expected = proven(planner.plan(task(bench), nothing))
+    file.write_text("name: other\n")
+    planner._restart()
+    assert proven(planner.plan(task(bench), nothing)) == expected
+    planner.close()
 
 
 def test_only_long_plans_go_to_processes(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
