@@ -24,7 +24,7 @@ from tests.ros2.client import ABORTED, CANCELED, SUCCEEDED, Client, Result, traj
 from tests.ros2.rig import PATIENCE, TIP, Rig, begin, result_of
 from tests.waiting import eventually
 
-pytestmark = pytest.mark.timeout(600)
+pytestmark = pytest.mark.timeout(900)
 AGAIN = 2.0  # [s]; a message may come before the subscriber is known
 STAMPED, TRIGGER = "geometry_msgs/msg/PoseStamped", "std_srvs/srv/Trigger"
 

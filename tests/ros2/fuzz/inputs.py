@@ -216,7 +216,15 @@ class Inputs:
             values = lambda: float(int(chance.random() * 2))  # noqa: E731
         if chance.random() < 0.1:
             joints = chance.choice(
-                ([], ["tip_x"], ["tip_x", "tip_x"], ["elbow"], list(TEXTS), ["w" * 100_000, *joints])
+                (
+                    [],
+                    ["tip_x"],
+                    ["tip_x", "tip_x"],
+                    ["elbow"],
+                    list(TEXTS),
+                    [*joints, "elbow"],
+                    ["w" * 100_000, *joints],
+                )
             )
         rows = [[values() for _ in joints] for _ in range(chance.choice((0, 1, 1, 2, 20)))]
         if rows and chance.random() < 0.1:
