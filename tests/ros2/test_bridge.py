@@ -152,7 +152,7 @@ def test_messages_of_a_wrong_hash_are_told_and_move_nothing(rig: Rig) -> None:
         node.types.hashes = {**node.types.hashes, STAMPED: wrong, TRIGGER: wrong}
         publisher, stop = node.publisher("/flat/goal_pose", STAMPED), node.client("/flat/stop", TRIGGER)
         for topic in ("/flat/goal_pose", "/flat/stop"):
-            rig.await_words(f"{topic}: no messages are exchanged with /foreign", wrong, since=since)
+            rig.await_words(f"{topic}: no messages are exchanged with '/foreign'", wrong, since=since)
         publisher.publish(stamped(1.4, 2.3))
         with pytest.raises(NoReply):
             stop.call({}, 1.0)

@@ -191,7 +191,7 @@ class Node:
         if own is None or own.endpoint is None or (end.type, end.hash) == (own.endpoint.type, own.endpoint.hash):
             return None
         given, expected = f"{end.type}/{end.hash}"[:MOST_QUOTED], f"{own.endpoint.type}/{own.endpoint.hash}"
-        return f"{end.name}: no messages are exchanged with {name}: its type is {given}, expected {expected}"
+        return f"{end.name}: no messages are exchanged with {name!r}: its type is {given!r}, expected {expected!r}"
 
     def _keep(self, made: T) -> T:
         self._made.append(made)

@@ -32,9 +32,9 @@ def test_endpoints_of_another_type_or_hash_are_told(connect: Connect) -> None:
     eventually(lambda: len(told) == 4)
     assert {it.split(":")[0] for it in told} == {"/arm/goal", "/arm/chatter", "/arm/trigger", "/arm/other"}
     (goal,) = (it for it in told if it.startswith("/arm/goal"))
-    assert "no messages are exchanged with /there/rviz" in goal
+    assert "no messages are exchanged with '/there/rviz'" in goal
     assert f"std_msgs::msg::dds_::String_/{node.types.hash(STRING)}" in goal
-    assert f"expected geometry_msgs::msg::dds_::PoseStamped_/{node.types.hash(POSE)}" in goal
+    assert f"expected 'geometry_msgs::msg::dds_::PoseStamped_/{node.types.hash(POSE)}" in goal
 
 
 def test_a_hash_of_another_distribution_is_told(connect: Connect) -> None:
