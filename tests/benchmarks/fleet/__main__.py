@@ -73,7 +73,7 @@ def main() -> None:
         rows = [measured(plant, traffic, count, options.seconds) for count in counts]
         show(rows)
         faults = play(plant, traffic)
-        books = plant.ledgers()
+        books = written(plant)
     print(*faults, sep="\n")
     if options.picture:
         draw(rows, options.picture)
@@ -89,6 +89,15 @@ def main() -> None:
     }
     figures = {"rows": [row._asdict() for row in rows], "faults": faults, "all": ends(traffic.sent)}
     report({**figures, "doubled": doubled, "without result": open_ends, "late": late}, bars, options.json)
+
+
+def written(plant: Plant) -> dict[str, list[str | None]]:
+    """Returns the ends of each goal in the ledgers, once each has its end; open ones after PATIENCE."""
+    until, books = time.monotonic() + PATIENCE, plant.ledgers()
+    while any(None in ended for ended in books.values()) and time.monotonic() < until:
+        time.sleep(1.0)
+        books = plant.ledgers()
+    return books
 
 
 def repeated(results: Counter[str]) -> list[str]:
