@@ -96,7 +96,7 @@ class Graph:
                 yield None if number < 0 else Meeting(first, number, second, met)
 
     def flooded(self) -> Iterator[Meeting | NoWay | None]:
-        """Yields None until flooding has found a way or a proof, and for ever if there is no more room."""
+        """Yields None until flooding has found a way or a proof; it never ends."""
         start, ends = self.start, self._ends
         both = ((start, ends), (ends, start)) if self._both else ((start, ends),)
         while all(tree.counts[1] < tree.counts[0] for tree, _ in both):
@@ -105,10 +105,12 @@ class Graph:
                 if number >= 0:
                     yield Meeting(start, number, ends, met) if tree is start else Meeting(start, met, ends, number)
             yield None
-        if start.counts[1] < start.counts[0]:
-            yield NoWay("no other place can be reached from there")
-        count = int(start.counts[0])
-        yield NoWay(f"{count} configurations can be reached", start.configurations[:count].astype(np.int64))
+        proof = NoWay("no other place can be reached from there")
+        if start.counts[1] == start.counts[0]:
+            count = int(start.counts[0])
+            proof = NoWay(f"{count} configurations can be reached", start.configurations[:count].astype(np.int64))
+        while True:  # a search with another result may go on
+            yield proof
 
     def _tree(self, roots: Index, capacity: int) -> StateTree:
         tree = state_tree(self._clearance.manipulator, self._modules, capacity + len(roots))
