@@ -25,7 +25,7 @@ from controller.obstacles.distance import Index
 Late = Callable[[], bool]  # returns whether the time of a search is over; what it raises ends the planning
 
 CHECKS = 400  # switches to check between two looks at the time: about 10 ms
-GROWN, FLOODED = 1 << 17, 1 << 20  # most configurations of a tree
+GROWN, FLOODED = 1 << 17, 1 << 19  # most configurations of a tree
 LOWEST, HIGHER = 8, 2  # least actuators of the lowest modules in a proof, and of the modules from one proof to the next
 DIRECT, TRIES = 32, 3  # ends to which walks are tried first, and their number
 SHORTCUTS = 60  # tries to shorten a way

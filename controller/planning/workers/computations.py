@@ -32,9 +32,9 @@ from controller.search.method import MINIMUM_SWITCH
 from controller.search.solution import SearchTime
 from controller.search.solver import search_time
 
-# --- goals
+MOST_THREADS = 2  # of one plan: to search a way around obstacles, and to prove that there is none
 
-MOST_THREADS = 2  # of one plan; a search for a way around obstacles and the proof that there is none
+# --- goals
 
 
 class PlannedGoal(NamedTuple):

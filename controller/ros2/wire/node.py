@@ -1,7 +1,7 @@
 """A node: where publishers, subscribers, services, clients and action servers are made."""
 
 import contextlib
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Protocol, Self, TypeVar
 
@@ -27,6 +27,7 @@ class Closable(Protocol):
 
 T = TypeVar("T", bound=Closable)
 MOST_QUOTED = 200  # letters of a type and its hash
+MOST_TOLD = 100  # tokens that are remembered because they were told
 # Which kind of endpoint exchanges messages with which.
 OPPOSITE = {
     Kind.PUBLISHER: Kind.SUBSCRIBER,
@@ -147,15 +148,21 @@ class Node:
         Args:
             tell: called with each sentence, in a thread of Zenoh's.
         """
+        told = deque[str](maxlen=MOST_TOLD)
 
         def on_token(sample: zenoh.Sample) -> None:
+            token = str(sample.key_expr)
             if sample.kind != zenoh.SampleKind.PUT:
+                with contextlib.suppress(ValueError):
+                    told.remove(token)
                 return
             try:
-                other = parse(str(sample.key_expr))
+                other = parse(token)
             except BadToken:
                 return
-            if (sentence := self._misfit(other)) is not None:
+            # A token that appears just after the subscription comes by itself and with the history.
+            if token not in told and (sentence := self._misfit(other)) is not None:
+                told.append(token)
                 tell(sentence)
 
         key = f"{ADMIN_SPACE}/{self.token.domain}/**"
