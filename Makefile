@@ -86,7 +86,8 @@ bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.daemon.bridge
 	$(BIN)/python -m tests.benchmarks.motion.steps
 
-# Twenty arms, five clients, two pages and a recorder on this computer, with faults: ten minutes.
+# Twenty arms, five clients, two pages and a recorder on this computer, with faults. Two processors bear ten arms at most:
+# make fleet ARGS="--arms 1,2,5,10"
 fleet: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.fleet $(ARGS)
 

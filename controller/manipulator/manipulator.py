@@ -89,8 +89,8 @@ class Manipulator:
         )
 
     def actuator_states(self, configuration: ArrayLike) -> NDArray[np.uint8]:
-        """Returns the actuator states (A,) of a configuration (B,)."""
-        return np.asarray(self.bits[self._rows, np.asarray(configuration)][self._filled])
+        """Returns the actuator states (..., A) of configurations (..., B)."""
+        return np.asarray(self.bits[self._rows, np.asarray(configuration)][..., self._filled])
 
     def configuration(self, actuator_states: ArrayLike) -> Configuration:
         """Returns the configuration (B,) of actuator states (A,).

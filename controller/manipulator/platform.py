@@ -48,10 +48,12 @@ class Legs:
         """Returns the upper joints t_i (..., L, 3) in the frame below, for poses (..., 4, 4)."""
         return np.asarray(self.top @ np.swapaxes(frames[..., :3, :3], -1, -2) + frames[..., None, :3, 3])
 
-    def body(self, frame: Frame) -> Array:
-        """Returns legs, base and plate of a pose (4, 4) as line segments (3 L, 2, 3)."""
-        ends = self.joints(frame)
-        return np.array([*zip(self.base, ends, strict=True), *around(self.base), *around(ends)])
+    def bodies(self, frames: Frame) -> Array:
+        """Returns legs, base and plate of poses (n, 4, 4) as line segments (n, 3 L, 2, 3)."""
+        ends = self.joints(frames)
+        base = np.broadcast_to(self.base, ends.shape)
+        lines = (base, ends), (base, np.roll(base, -1, axis=-2)), (ends, np.roll(ends, -1, axis=-2))
+        return np.concatenate([np.stack(pair, axis=-2) for pair in lines], axis=-3)
 
     def misfit(self, frames: Frame, lengths: Array) -> tuple[Array, Array]:
         """Returns the residuals (..., n) of the constraints at poses (..., 4, 4), and their Jacobian (..., n, n)."""
@@ -180,8 +182,8 @@ def platform(base: ArrayLike, top: ArrayLike, lengths: tuple[float, float]) -> M
             extended = ", ".join(str(k + 1) for k in np.flatnonzero(own)) or "none"
             raise ValueError(f"extended legs {extended}: {error}") from None
     names = tuple(str(k + 1) for k in range(len(legs.base)))
-    drawn = np.array([legs.body(frame) for frame in frames]) * size
     stack = np.array(frames)
+    drawn = legs.bodies(stack) * size
     stack[:, :3, 3] *= size
 
     motion = partial(platform_motion, legs, middle, lengths)
@@ -194,7 +196,7 @@ def platform_motion(
     """Returns frames and bodies of a platform in mid-travel, see Module.motion; `middle` is its middle pose (4, 4)."""
     size = (lengths[0] + lengths[1]) / 2
     there = legs.track(middle, (lengths[0] + displacements * (lengths[1] - lengths[0])) / size)
-    bodies = np.array([legs.body(frame) for frame in there]) * size
+    bodies = legs.bodies(there) * size
     there[:, :3, 3] *= size
     return there, bodies
 
@@ -218,11 +220,6 @@ def legs_of(base: ArrayLike, top: ArrayLike, size: float) -> Legs:
             raise ValueError("a lower joint of three legs lies on the z axis: its leg has no plane to turn in")
         normals = np.column_stack([-below[:, 1], below[:, 0], np.zeros(3)]) / radii[:, None]
     return Legs(below / size, above / size, normals, (0, 1, 5) if shape == (3, 2) else (0, 1, 2, 3, 4, 5))
-
-
-def around(joints: Array) -> list[tuple[Array, Array]]:
-    """Returns the sides of a plate with joints (L, 3)."""
-    return list(zip(joints, np.roll(joints, -1, axis=0), strict=True))
 
 
 def rotations(turns: Array) -> Array:

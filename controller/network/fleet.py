@@ -117,9 +117,11 @@ class Fleet:
 
     Args:
         session: open session; without a namespace it finds the arms of all namespaces.
+        listed: arms that `alive` found. Call `alive` before this: until a new subscription to tokens has its history,
+            Zenoh answers a query for tokens with the part of the history that has come.
     """
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, listed: Iterable[ArmAddress] = ()) -> None:
         self._session, self._lock = session, threading.Lock()
         self._arms: dict[ArmAddress, Presence] = {}
         self._states: dict[ArmAddress, tuple[bytes, float]] = {}  # with times of arrival [s]
@@ -128,6 +130,8 @@ class Fleet:
             *(session.declare_subscriber(f"{place}/state", self._on_state) for place in PLACES),
             *(liveliness.declare_subscriber(f"{place}/alive", self._on_token, history=True) for place in PLACES),
         ]
+        for address in listed:
+            self._set_alive(address)
 
     def close(self) -> None:
         """Ends the subscriptions."""
@@ -135,14 +139,12 @@ class Fleet:
             self._declared.pop().undeclare()  # type: ignore[no-untyped-call]
 
     def wait_for_states(self, timeout: float, *, described: bool = False) -> list[ArmStatus]:
-        """Returns all arms as soon as each that is alive has sent its state, or after `timeout` [s].
+        """Returns all arms as soon as each that is known and alive has sent its state, or after `timeout` [s].
 
         Args:
             timeout: longest wait for states [s].
             described: also wait for host and version of each arm.
         """
-        for address in alive(self._session, timeout=LIST_TIMEOUT):
-            self._set_alive(address)
         until = time.monotonic() + timeout
         while True:
             if described:

@@ -57,7 +57,7 @@ class Sweep:
         """Whether "clear" is a proof: all modules have proven bounds, see Module.proven."""
         return all(module.proven for module in self._arm.modules)
 
-    def first_collision(self, states: States, actuators: Index, *, clear_ends: bool = False) -> Collision | None:
+    def first_collision(self, states: States, actuators: Index) -> Collision | None:
         """Returns a possible collision while actuators (k,) switch from states (A,); None if the transition is clear.
 
         Each actuator may be at any displacement, independently of the others. "Clear" is proven if `proven`, for
@@ -66,20 +66,10 @@ class Sweep:
         Args:
             states: before, shape (A,).
             actuators: that switch, shape (k,).
-            clear_ends: whether the configurations before and after are known to be clear.
         """
         if self._clearance.free:
             return None
-        sampled = None if clear_ends and len(actuators) == 1 else self._sampled(states, actuators)
-        return sampled or self._swept(states, actuators)
-
-    def blocked(self, states: States) -> NDArray[np.bool_]:
-        """Returns which actuator states (n, A) collide or belong to no configuration, shape (n,)."""
-        configurations = self._spelled(states)
-        result = np.ones(len(states), dtype=bool)
-        known = np.flatnonzero((configurations >= 0).all(axis=1))
-        result[known] = self._clearance.blocked(configurations[known])
-        return result
+        return self._sampled(states, actuators) or self._swept(states, actuators)
 
     def _spelled(self, states: States) -> Index:
         """Returns the configurations (n, B) of actuator states (n, A); -1 for a module without such a state."""

@@ -157,7 +157,7 @@ class Reason(enum.Enum):
     )
     NO_WAY = (
         "no-way",
-        "{where}: there is no collision-free transition to it; {count} configurations can be reached: {blocked}",
+        "{where}: there is no collision-free transition to it, {proof}: {blocked}",
         OBSTACLES,
         GOAL_TOLERANCE_VIOLATED,
     )

@@ -103,6 +103,17 @@ class State(msgspec.Struct, frozen=True):
     goal: str | None = None
 
 
+class SetpointCounts(msgspec.Struct, frozen=True):
+    """What of the counts of set-points in `diagnostics` is told."""
+
+    refused: Annotated[int, Meta(ge=0)] = 0
+    last_refusal: str | None = None
+
+    def __post_init__(self) -> None:
+        """Checks the text as those of an answer."""
+        (self.last_refusal or "").encode()
+
+
 class LedgerAnswer(msgspec.Struct, frozen=True):
     """An answer to `result`: the result is None while the goal runs, and if it is unknown, as `reason` tells."""
 

@@ -8,11 +8,13 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import msgspec
+
 from controller.manipulator.described import described
 from controller.network.client import Client
 from controller.pictures.scene import FoxgloveScene
 from controller.ros2 import messages
-from controller.ros2.answers import GoalResult
+from controller.ros2.answers import GoalResult, SetpointCounts
 from controller.ros2.goal_book import GoalBook
 from controller.ros2.goals import ActionGoals, Kind
 from controller.ros2.messages import ERROR, INFO, WARN
@@ -80,6 +82,8 @@ class ArmNode:
         names.check_node(self._node_name, self._namespace)
         self.name = f"{self._namespace.rstrip('/')}/{self._node_name}"
         self._state: Mapping[str, Any] = {}
+        self._alive = True
+        self._refused: int | None = None  # set-points that the daemon had refused when it was asked last
         self._faults: dict[tuple[str, str], str] = {}
         self._dropped: dict[str, Counter[str]] = {}
         self._said, self._unsaid = deque[float](maxlen=MOST_SAID), 0
@@ -93,8 +97,8 @@ class ArmNode:
         Raises:
             zenoh.ZError: the session is closed. Nothing of the node is left.
         """
+        settings = self._settings
         with contextlib.ExitStack() as undoing:
-            settings = self._settings
             self._node = Node(self._session, self._node_name, self._namespace, settings.domain, settings.distro)
             undoing.callback(self._node.close)
             self._declare_publishers()
@@ -112,15 +116,17 @@ class ArmNode:
             }
             submit = self._requests.submit
             self._goals = ActionGoals(self._node, kinds, self._book, self._client, submit, self.say)
-            self._undo = undoing.pop_all()
+            self._node.watch(lambda text: self.say(WARN, text))
+            undoing.pop_all()
         self._robot.publish({"data": self._urdf})
         axes = ("tip_x", "tip_y", "tip_z")[: self._place.dimension]
         self.say(INFO, f"the arm {self._arm['name']}: joints of the tip {', '.join(axes)}, tip_yaw")
 
     def close(self) -> None:
-        """Ends the node; its goals are aborted."""
+        """Ends the node; its goals are aborted, those that are accepted in this moment as well."""
+        self._requests.close()
         self._goals.close()
-        self._undo.close()
+        self._node.close()
 
     def describes(self, arm: Mapping[str, Any]) -> bool:
         """Returns whether a description is of the arm of this node."""
@@ -133,6 +139,7 @@ class ArmNode:
 
     def receive_alive(self, *, alive: bool) -> None:
         """Accepts whether the daemon is there."""
+        self._alive = alive
         self._goals.receive_alive(alive=alive)
         self.say(INFO if alive else ERROR, f"the daemon is {'there' if alive else 'gone'}")
 
@@ -181,12 +188,24 @@ class ArmNode:
             "transform": {"translation": {}, "rotation": {"w": 1.0}},
         }
         self._fixed.publish({"transforms": [base, tip]})
-        self._health.publish(messages.diagnostics(str(self._arm["name"]), state, told))
+        self._health.publish(messages.diagnostics(str(self._arm["name"]), state, told, alive=self._alive))
+        self._tell_dropped()
+        if told is not None:
+            self._tell_refused(msgspec.convert(told.get("setpoint", {}), SetpointCounts))
+
+    def _tell_dropped(self) -> None:
         dropped = self._node.dropped()
         for name, counts in dropped.items():
             for reason, count in (counts - self._dropped.get(name, Counter())).items():
                 self.say(WARN, f"{count} messages on {name} were dropped: {reason}")
         self._dropped = dropped
+
+    def _tell_refused(self, counts: SetpointCounts) -> None:
+        """Tells how many set-points the daemon has refused; nobody answers a set-point."""
+        before, self._refused = self._refused, counts.refused
+        if before is not None and counts.refused > before:
+            last = f", the last because {counts.last_refusal}" if counts.last_refusal else ""
+            self.say(WARN, f"{counts.refused - before} set-points are refused{last}")
 
     def poll(self, now: float) -> None:
         """Asks for results that are due; `now` [s]."""

@@ -95,8 +95,10 @@ class Bridge:
         if not self._description and now >= self._asked + ASK_EVERY:
             self._asked = now
             self._listener.ask()
-        state = self._latest.get("state")
-        if self._node is None or state is None:
+        if self._node is None:
+            return
+        self._node.poll(now)
+        if (state := self._latest.get("state")) is None:
             return
         if self._new_state:
             self._new_state = False
@@ -104,7 +106,6 @@ class Bridge:
         if now >= self._slow + SLOW:
             self._slow = now
             self._attempt(self._node.publish_slowly, state, self._latest.get("diagnostics"))
-        self._node.poll(now)
 
     def _attempt(self, function: Callable[..., None], *arguments: Any) -> None:
         """Calls a function; a message of another form than the daemon's is told once, and harms nothing else."""

@@ -194,8 +194,12 @@ class ActionGoals:
         if server is None:
             self._book.remove(booked)
             return
-        handle = server.restore(bytes.fromhex(booked.uuid), booked.stamp, canceling=booked.canceling)
-        self._running[booked.id] = RunningGoal(booked, handle, time.monotonic(), 0.0)
+        try:
+            handle = server.restore(bytes.fromhex(booked.uuid), booked.stamp, canceling=booked.canceling)
+        except IllegalTransition:  # its client has just sent it again, and the daemon knows it
+            return
+        with self._lock:
+            self._running[booked.id] = RunningGoal(booked, handle, time.monotonic(), 0.0)
         if booked.result is not None:
             self._end(booked.id, booked.result)
 

@@ -91,19 +91,21 @@ class Markers:
         return {"markers": [*gone, *markers]}
 
 
-def diagnostics(arm: str, state: Message, told: Message | None) -> Fields:
+def diagnostics(arm: str, state: Message, told: Message | None, *, alive: bool = True) -> Fields:
     """Returns the diagnostic_msgs/msg/DiagnosticArray of an arm.
 
     Args:
         arm: name of the arm.
         state: payload of `state`.
         told: payload of `diagnostics`; None if none came.
+        alive: whether the daemon is there; else its last messages are stale.
     """
+    words, level = f"{state['mode']}: {state['reason']}", LEVELS.get(state["mode"], STALE)
     entries = [
         status(
             f"{arm}: arm",
-            LEVELS.get(state["mode"], STALE),
-            f"{state['mode']}: {state['reason']}",
+            level if alive else STALE,
+            words if alive else f"the daemon is gone; its last words were {words}",
             {"goal": state.get("goal") or "", "simulated": state.get("simulated", False)},
         )
     ]

@@ -176,6 +176,7 @@ class Requests:
         self._place.frame(message.header.frame_id, "goal_path")
         check_stamp(seconds(message.header.stamp), "goal_path")
         stamps = [seconds(it.header.stamp) for it in message.poses]
+        check_stamp(stamps[0], "goal_path.poses[0]")
         timed = len(stamps) > 1 and all(a < b for a, b in itertools.pairwise(stamps))
         step = max(LEAST_STEP, 2 * request(self._client, ArmAnswer, "arm").travel_time)
         times = [it - stamps[0] for it in stamps] if timed else [k * step for k in range(len(stamps))]

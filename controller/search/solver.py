@@ -39,7 +39,7 @@ class Solver:
         manipulator: the arm.
         densities: densities of its intermediate workspaces.
         weights: cost of a switch of each actuator, by module, shape (B, Amax).
-        least_weight: the least of them.
+        least_weight, mean_weight: the least of them, and their mean.
         whole_weights: whether all weights are multiples of the least.
         clearance: obstacles of this arm; None if it has nothing to avoid.
     """
@@ -64,7 +64,7 @@ class Solver:
         self.densities = densities
         own = np.ones(len(manipulator.actuators)) if weights is None else np.asarray(weights, dtype=float)
         self.weights, self.least_weight = manipulator.per_module(own), float(own.min())
-        self._mean_weight = float(own.mean())
+        self.mean_weight = float(own.mean())
         multiples = own / own.min()
         self.whole_weights = bool(np.all(np.abs(multiples - np.round(multiples)) < EPSILON / 10))
         self._paths = Paths(manipulator, densities)
@@ -148,7 +148,7 @@ class Solver:
             timeout: time or work of a minimum-switch search. A number is its first time [s], see `search_time`.
             hurried: see Incumbent.
         """
-        started, weight = WALL.now(), self._mean_weight
+        started, weight = WALL.now(), self.mean_weight
         seed = np.asarray(previous, dtype=np.int64)
         allowed = timeout if isinstance(timeout, SearchTime) else search_time(timeout)
         clock = allowed.clock()
@@ -177,10 +177,13 @@ class Solver:
         bound = min(incumbent.bound, found.cost) if found.within_tolerance else incumbent.bound
         return replace(found, seconds=seconds, bound=bound, effort=effort)
 
-    def candidates(self, target: SearchTarget, previous: Configuration, most: int) -> tuple[NDArray[np.int64], Vector]:
+    def candidates(
+        self, target: SearchTarget, previous: Configuration, most: int
+    ) -> tuple[NDArray[np.int64], Vector, bool]:
         """Returns at most `most` of the cheapest configurations (n, B) within the tolerances, and their costs (n,).
 
-        The search is limited to configurations near `previous`; it may find none.
+        The search is limited to configurations near `previous`; it may find none. The last value is whether there are
+        no others.
         """
         if self._candidates is None or self._candidates[0] != most:
             self._candidates = (most, Candidates(self.manipulator, most))

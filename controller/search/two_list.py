@@ -154,8 +154,8 @@ class Candidates:
     def __init__(self, manipulator: Manipulator, most: int) -> None:
         self._two, self._most = TwoList(manipulator, CANDIDATE_ROWS), most
 
-    def find(self, target: SearchTarget, seed: Configuration, costs: Array) -> tuple[NDArray[np.int64], Array]:
-        """Returns clear configurations (n, B) within the tolerances, and their costs (n,).
+    def find(self, target: SearchTarget, seed: Configuration, costs: Array) -> tuple[NDArray[np.int64], Array, bool]:
+        """Returns clear configurations (n, B) within the tolerances, their costs (n,), and whether these are all.
 
         Args:
             target: the goal.
@@ -172,7 +172,8 @@ class Candidates:
         configurations = np.tile(seed, (len(chosen), 1))
         for configuration, rows in zip(configurations, matches.rows[chosen].tolist(), strict=True):
             put_match(configuration, seed, sides, rows)
-        return configurations, matches.costs[chosen]
+        listed = two.lower.unexplored == two.upper.unexplored == np.inf
+        return configurations, matches.costs[chosen], listed and len(chosen) < self._most
 
 
 def middle(manipulator: Manipulator, first: int, last: int) -> int:

@@ -12,7 +12,7 @@ import pytest
 import zenoh
 
 from controller.network import session
-from controller.network.fleet import ArmAddress, ArmStatus, Fleet, address_of, alive
+from controller.network.fleet import LIST_TIMEOUT, ArmAddress, ArmStatus, Fleet, address_of, alive
 from controller.network.stop_all import stop_all
 from tests.network.played import PlayedArm, Router, free_endpoint
 from tests.waiting import PATIENCE, eventually
@@ -188,6 +188,15 @@ def test_without_an_arm_nothing_has_stopped(viewer: zenoh.Session) -> None:
     assert not report.complete
 
 
+@pytest.mark.parametrize("attempt", range(5))
+def test_the_list_is_complete_at_once(stack: ExitStack, router: Router, attempt: int) -> None:
+    arms = {address: PlayedArm(stack, router.client(address.namespace)) for address in (HERE, THERE, DEEP)}
+    with zenoh.open(router.client()) as first:
+        eventually(lambda: alive(first) == sorted(arms))
+    with zenoh.open(router.client()) as viewer, closing(Fleet(viewer, alive(viewer, timeout=PATIENCE))) as fleet:
+        assert living({it.address: it for it in fleet.wait_for_states(0.0)}) == arms.keys()
+
+
 def test_an_arm_whose_computer_answers_late_is_listed():
     endpoint = free_endpoint()
     arm = subprocess.Popen([sys.executable, "-c", ARM, endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -196,7 +205,8 @@ def test_an_arm_whose_computer_answers_late_is_listed():
     resumed = threading.Timer(3.0, os.kill, (arm.pid, signal.SIGCONT))
     with arm, arm.stdin:
         arm.stdout.readline()
-        with zenoh.open(session.configuration("client", connect=endpoint)) as viewer, closing(Fleet(viewer)) as fleet:
+        with zenoh.open(session.configuration("client", connect=endpoint)) as viewer:
             os.kill(arm.pid, signal.SIGSTOP)
             resumed.start()
-            assert living({it.address: it for it in fleet.wait_for_states(0.0)}) == {HERE}
+            with closing(Fleet(viewer, alive(viewer, timeout=LIST_TIMEOUT))) as fleet:
+                assert living({it.address: it for it in fleet.wait_for_states(0.0)}) == {HERE}

@@ -2,7 +2,7 @@
 
 Each accepted goal has exactly one result.
 
-python -m tests.ros2.kills [--each 20]
+python -m tests.ros2.kills [--each 20] [router bridge ...]
 """
 
 import argparse
@@ -44,6 +44,7 @@ def goal_with_kill(rig: Rig, client: Client, victim: str, number: int) -> Result
     waiting.start()
     kill(rig, victim)
     waiting.join()
+    assert found, f"goal {goal.hex()} has no result: {rig.said[-5:]}, {rig.log('bridge')}, {rig.log('planner')[-2000:]}"
     again = result_of(client, goal)
     assert again == found[0], f"two results of one goal: {found[0]} and {again}"
     return again
@@ -66,11 +67,12 @@ def main() -> None:
     """Prints how the goals ended, by what was killed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--each", type=int, default=20, help="kills of each")
-    each = parser.parse_args().each
+    parser.add_argument("victims", nargs="*", help="what is killed; by default each in turn")
+    options = parser.parse_args()
     with ExitStack() as closing:
         rig = Rig(Path(closing.enter_context(tempfile.TemporaryDirectory())), closing, travel_time=1.0)
-        for victim in ("router", *VICTIMS):
-            print(f"{victim}: {each} kills, {dict(run(rig, victim, each))}", flush=True)
+        for victim in options.victims or ("router", *VICTIMS):
+            print(f"{victim}: {options.each} kills, {dict(run(rig, victim, options.each))}", flush=True)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ ACTION = "control_msgs/action/FollowJointTrajectory"
 ROSOUT = qos.Qos(durability=qos.Durability.TRANSIENT_LOCAL, depth=1000)
 TIP = "flat/tip_controller/follow_joint_trajectory"
 OF_TOPIC = re.compile(r"goal (ros2-goal_p\S+) (is accepted|is refused|\w+)")
-PATIENCE = 120.0  # [s]; a busy machine starts a daemon slowly
+PATIENCE = 300.0  # [s]; a busy machine starts a daemon slowly
 
 
 class Rig:
@@ -95,12 +95,15 @@ class Rig:
 
     def await_ready(self) -> None:
         """Waits until the arm is ready."""
-        states = self.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+        states: list[Any] = []
+        name = "diagnostic_msgs/msg/DiagnosticArray"
+        subscriber = self.node.subscriber("/diagnostics", name, lambda it: states.append(it.message))
         eventually(
             lambda: states and states[-1].status[0].message.startswith("ready"),
             PATIENCE,
             lambda: f"{self.said}, {self.log('bridge')}, {self.log('planner')}",
         )
+        subscriber.close()
 
     def await_end(self) -> None:
         """Waits until no goal of a topic runs; only the bridge's sentences tell these goals' ids."""

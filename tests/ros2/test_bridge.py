@@ -1,22 +1,30 @@
 """The bridge as ROS 2 sees it, with a real daemon and simulated boards: topics, services, actions, refusals."""
 
+import json
 import math
+import struct
+import threading
 import time
 import uuid
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
+import zenoh.ext
 
 from controller.ros2.wire import qos
+from controller.ros2.wire.node import Node
+from controller.ros2.wire.services import NoReply
+from controller.ros2.wire.session import Session
 from controller.ros2.wire.tokens import Kind
-from tests.ros2.client import ABORTED, CANCELED, SUCCEEDED, trajectory
+from tests.ros2.client import ABORTED, CANCELED, SUCCEEDED, Client, Result, trajectory
 from tests.ros2.rig import PATIENCE, TIP, Rig, begin, result_of
 from tests.waiting import eventually
 
-pytestmark = pytest.mark.timeout(600)
+pytestmark = pytest.mark.timeout(900)
 AGAIN = 2.0  # [s]; a message may come before the subscriber is known
 STAMPED, TRIGGER = "geometry_msgs/msg/PoseStamped", "std_srvs/srv/Trigger"
 
@@ -133,6 +141,26 @@ def test_messages_that_are_none_are_counted_in_words(rig: Rig) -> None:
     rig.await_words("messages on /flat/goal_pose were dropped", "attachment", since=since)
 
 
+def test_messages_of_a_wrong_hash_are_told_and_move_nothing(rig: Rig) -> None:
+    rig.await_end()
+    joints = rig.hear("/flat/joint_states", "sensor_msgs/msg/JointState")
+    before = eventually(lambda: joints, PATIENCE)[-1].position.tolist()
+    since = len(rig.said)
+    with Session(rig.router.endpoint, PATIENCE) as session:
+        node = Node(session, "foreign")
+        wrong = "RIHS01_" + "0" * 64
+        node.types.hashes = {**node.types.hashes, STAMPED: wrong, TRIGGER: wrong}
+        publisher, stop = node.publisher("/flat/goal_pose", STAMPED), node.client("/flat/stop", TRIGGER)
+        for topic in ("/flat/goal_pose", "/flat/stop"):
+            rig.await_words(f"{topic}: no messages are exchanged with '/foreign'", wrong, since=since)
+        publisher.publish(stamped(1.4, 2.3))
+        with pytest.raises(NoReply):
+            stop.call({}, 1.0)
+    publish(rig, "/flat/goal_pose", STAMPED, stamped(math.nan, 2.9), "position.x: nan")  # it came later
+    joints.clear()
+    assert eventually(lambda: joints, PATIENCE)[-1].position.tolist() == before
+
+
 def test_a_goal_of_the_tip_succeeds(rig: Rig) -> None:
     client, goal = rig.client(), uuid.uuid4().bytes
     assert begin(client, goal, 0.5, 2.8)
@@ -163,18 +191,77 @@ def test_goals_out_of_reach_or_of_other_joints_are_rejected_in_words(rig: Rig) -
     assert answer is not None
     assert not answer[0]
     rig.await_words("code -2", "elbow, expected tip_x, tip_y", since=since)
+    old = struct.pack("<i", 1_000_000_000) + trajectory(["tip_x", "tip_y"], [[0.5, 2.8]], 0.0)[4:]
+    answer = client.send(uuid.uuid4().bytes, old)
+    assert answer is not None
+    assert not answer[0]
+    rig.await_words("code -3", since=since)
 
 
-def test_a_running_goal_is_canceled_or_replaced(rig: Rig, tmp_path: Path) -> None:
-    with ExitStack() as closing:
-        slow = Rig(tmp_path, closing, travel_time=1.0)
-        slow.await_ready()
-        client, goals = slow.client(), [uuid.uuid4().bytes for _ in range(3)]
-        assert begin(client, goals[0], 1.4, 2.3)
-        eventually(lambda: [it for it, _ in client.feedback if it == goals[0]], PATIENCE)
-        assert begin(client, goals[1], -1.4, 2.3)
-        replaced = result_of(client, goals[0])
-        assert (replaced.status, replaced.error_string.partition(":")[0]) == (ABORTED, "replaced")
-        assert client.cancel(goals[1]).goals == [goals[1]]
-        canceled = result_of(client, goals[1])
-        assert (canceled.status, canceled.error_string.partition(":")[0]) == (CANCELED, "canceled")
+def test_a_hundred_goals_have_a_hundred_results(rig: Rig) -> None:
+    """Most are replaced by the next, some are canceled, and of each tenth the client waits for the end."""
+    client, ends, waiting = rig.client(), list[tuple[bytes, Result]](), list[threading.Thread]()
+    rejected = 0
+    for number in range(100):
+        goal, place = uuid.uuid4().bytes, ((0.5, 2.8), (0.3, 2.85), (0.4, 2.9))[number % 3]
+        if not begin(client, goal, *place):
+            rejected += 1
+            continue
+        thread = threading.Thread(target=lambda goal=goal: ends.append((goal, result_of(client, goal))))  # type: ignore[misc]
+        thread.start()
+        waiting.append(thread)
+        if number % 10 == 4:
+            client.cancel(goal)
+        if number % 10 == 9:
+            thread.join(PATIENCE)
+    for thread in waiting:
+        thread.join(PATIENCE)
+    assert rejected == 0, rig.said[-20:]
+    assert len({goal for goal, _ in ends}) == len(ends) == 100
+    found = Counter(it.error_string.partition(":")[0] for _, it in ends)
+    assert set(found) <= {"succeeded", "replaced", "canceled"}, found
+    assert found["succeeded"] >= 10, found
+    assert all((it.status == SUCCEEDED) == it.error_string.startswith("succeeded") for _, it in ends)
+
+
+def test_everything_reappears_after_the_routers_loss(rig: Rig) -> None:
+    """Seen by a session of Zenoh that has nothing of the bridge's code."""
+    settings = {"mode": "client", "connect": {"endpoints": [rig.router.endpoint]}, "timestamping": {"enabled": True}}
+
+    def tokens(session: zenoh.Session) -> set[str]:
+        found = {str(it.ok.key_expr) for it in session.liveliness().get("@ros2_lv/0/**") if it.ok}
+        return {it for it in found if "/%flat/hyperbit" in it}
+
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(settings))) as before:
+        expected = eventually(lambda: tokens(before), PATIENCE)
+    rig.router.stop()
+    rig.router.start()
+    got: dict[str, list[bytes]] = {}
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(settings))) as after:
+        eventually(lambda: tokens(after) == expected, PATIENCE)
+        assert len(expected) > 20
+        latched = ("flat/robot_description", "tf_static", "flat/tip_controller/follow_joint_trajectory/_action/status")
+        history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+        for name in (*latched, "flat/joint_states"):
+            heard = got[name] = []
+            options = {"history": history} if name in latched else {}
+            take = lambda it, heard=heard: heard.append(it.payload.to_bytes())  # noqa: E731
+            zenoh.ext.declare_advanced_subscriber(after, f"0/{name}/*/*", take, **options)
+        eventually(lambda: all(got.values()), PATIENCE, lambda: str({name: len(it) for name, it in got.items()}))
+        assert b"<robot name" in got["flat/robot_description"][0]
+        client, goal = Client(after, TIP), uuid.uuid4().bytes
+        assert begin(client, goal, 0.5, 2.8)
+        assert result_of(client, goal).status == SUCCEEDED
+
+
+def test_a_running_goal_is_canceled_or_replaced(rig: Rig) -> None:
+    client, goals = rig.client(), [uuid.uuid4().bytes for _ in range(2)]
+    hour = trajectory(["tip_x", "tip_y"], [[0.5, 2.8], [0.3, 2.85]], 1800.0)
+    assert (client.send(goals[0], hour) or (False,))[0]
+    eventually(lambda: [it for it, _ in client.feedback if it == goals[0]], PATIENCE)
+    assert (client.send(goals[1], hour) or (False,))[0]
+    replaced = result_of(client, goals[0])
+    assert (replaced.status, replaced.error_string.partition(":")[0]) == (ABORTED, "replaced")
+    assert client.cancel(goals[1]).goals == [goals[1]]
+    canceled = result_of(client, goals[1])
+    assert (canceled.status, canceled.error_string.partition(":")[0]) == (CANCELED, "canceled")

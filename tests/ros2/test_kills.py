@@ -13,7 +13,7 @@ pytestmark = pytest.mark.timeout(900)
 
 def test_each_accepted_goal_has_one_result(tmp_path: Path) -> None:
     with ExitStack() as closing:
-        rig = Rig(tmp_path, closing, travel_time=1.0)
+        rig = Rig(tmp_path, closing, travel_time=0.5)
         for victim in ("router", *VICTIMS):
             ends = run(rig, victim, 1)
             kept = victim in ("router", "bridge")  # the motion goes on; others end it, unless it has just ended

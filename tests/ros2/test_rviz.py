@@ -10,7 +10,7 @@ from controller.ros2.arm_node import ArmNode, Settings
 from controller.ros2.goal_book import GoalBook
 from controller.ros2.wire.qos import Durability, Reliability
 from controller.ros2.wire.session import Session
-from controller.ros2.wire.tokens import Kind
+from controller.ros2.wire.tokens import Kind, Token
 from tests.keys import DEPLOY
 from tests.ros2.samples import told
 from tests.ros2.wire.conftest import Router
@@ -33,7 +33,13 @@ def test_rviz_is_configured_for_topics_of_the_bridge(tmp_path: Path) -> None:
     with Session(router.endpoint, PATIENCE) as session:
         node = ArmNode(session, cast("Client", None), told(), GoalBook(tmp_path / "goals"), settings)
         node.open()
-        tokens = eventually(lambda: [it for it in session.tokens() if it.endpoint], PATIENCE)
+
+        def shown() -> list[Token]:
+            found = [it for it in session.tokens() if it.endpoint]
+            names = {it.endpoint.name for it in found if it.endpoint}
+            return found if {it["Topic"]["Value"] for it in wanted} <= names else []
+
+        tokens = eventually(shown, PATIENCE)
         node.close()
     router.stop()
     offered = {(it.kind, it.endpoint.name): it.endpoint for it in tokens if it.endpoint}

@@ -183,7 +183,7 @@ def test_candidates_are_the_cheapest_that_are_clear(arm):
         exact, _, strict = clearances(arm, parts := scene(arm, rng), 0.01, touch=True)
         previous, goal = rng.integers(0, arm.states), arm.tip(rng.integers(0, arm.states))
         avoiding = plain.avoiding(exact)
-        configurations, costs = avoiding.candidates(avoiding.target(goal, tolerance, 0.5), previous, 8)
+        configurations, costs, _ = avoiding.candidates(avoiding.target(goal, tolerance, 0.5), previous, 8)
         for configuration, cost in zip(configurations, costs, strict=True):
             check_clear(arm, configuration, parts, 0.01)
             assert cost == arm.switches(configuration, previous)

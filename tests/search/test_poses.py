@@ -97,7 +97,7 @@ def test_candidates_are_the_cheapest_within_both_tolerances(seed, turn):
     arm = (paper_arm(4), spatial_arm(4))[seed % 2]
     previous, goal = rng.integers(0, arm.states), near(arm, rng, 0.05, turn)
     solver = solver_of(arm)
-    configurations, costs = solver.candidates(solver.target(goal, 0.05, turn), previous, 8)
+    configurations, costs, _ = solver.candidates(solver.target(goal, 0.05, turn), previous, 8)
     every = every_configuration(arm)
     away, angles = missed(arm, every, goal)
     switches = np.array([arm.switches(c, previous) for c in every])

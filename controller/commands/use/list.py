@@ -32,9 +32,12 @@ def arms_now(connect: str, zenoh_file: Path | None, *, described: bool = False) 
     Raises:
         CommandFailed: no arm is alive.
     """
-    from controller.network.fleet import Fleet
+    from controller.network.fleet import LIST_TIMEOUT, Fleet, alive
 
-    with open_session(connect, zenoh_file) as session, contextlib.closing(Fleet(session)) as fleet:
+    with (
+        open_session(connect, zenoh_file) as session,
+        contextlib.closing(Fleet(session, alive(session, timeout=LIST_TIMEOUT))) as fleet,
+    ):
         arms = [arm for arm in fleet.wait_for_states(STATE_TIMEOUT, described=described) if arm.gone_at is None]
     if not arms:
         raise CommandFailed(f"no arm at {zenoh_file or connect}", START)

@@ -79,7 +79,7 @@ class LookAhead:
         if (given := point.configuration) is not None:
             cost = float(self._solver.cost(given, label.configuration))
             return [PathLabel(label.cost + cost, given, self._until(given[None])[0], label)]
-        configurations, costs = self._solver.candidates(point.target, label.configuration, MOST)
+        configurations, costs, _ = self._solver.candidates(point.target, label.configuration, MOST)
         if len(costs) == 0:
             return []
         near = costs <= costs.min() + SPREAD * self._solver.least_weight

@@ -1,9 +1,8 @@
 """Plans of trajectories, point by point: each configuration is searched from the one before."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from itertools import count
 
 import numpy as np
 
@@ -11,8 +10,8 @@ from controller.manipulator.manipulator import Configuration
 from controller.motion.plans.plan import TrajectoryPlan
 from controller.motion.plans.points import States, TrajectoryPoint
 from controller.motion.plans.transitions import PlannedTransition, TransitionPlanner
-from controller.motion.stages.pacing import Blocked, Enclosed
-from controller.motion.stages.stage_sequencer import Late
+from controller.motion.plans.ways_around import WaysAround, WayTime
+from controller.motion.stages.pacing import Blocked
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 from controller.search.method import MINIMUM_SWITCH, Method
@@ -25,9 +24,7 @@ from controller.search.target import distance
 PLANNING_TIME, FIRST_ANSWER = 0.03, 0.0002
 DEFAULT_TIME = search_time(PLANNING_TIME)
 
-# If the cheapest configuration is blocked: least time [s], number of other configurations, time of a first detour [s].
-ALTERNATIVE_TIME, ALTERNATIVES, DETOUR_TIME = 0.25, 32, 0.1
-LONGER, FEWER = 4, 2  # detours of the next round: so many times the time, to one in so many times fewer configurations
+WAY_TIME = 0.25  # [s] at least, if the cheapest configuration is blocked
 
 
 class PointByPoint:
@@ -38,12 +35,15 @@ class PointByPoint:
         method: the search algorithm.
         allowed: time of all searches together, except that `unfound` is that of each point. Only the first point's
             search is extended by its gap, because the others are improved later.
+        threads: that search ways around obstacles at the same time.
     """
 
-    def __init__(self, planner: TransitionPlanner, method: Method, allowed: SearchTime = DEFAULT_TIME) -> None:
+    def __init__(
+        self, planner: TransitionPlanner, method: Method, allowed: SearchTime = DEFAULT_TIME, threads: int = 1
+    ) -> None:
         count, seconds = len(planner.points), allowed.first
         self._planner, self._solver, self._method = planner, planner.solver, method
-        self._allowed = allowed
+        self._allowed, self._threads = allowed, threads
         self._seconds = seconds - min(FIRST_ANSWER * count, 0.8 * seconds)
         self._longest = max(TIMEOUT, seconds / count)  # for one search
         self._began = 0.0
@@ -92,11 +92,9 @@ class PointByPoint:
             raise Refusal(Reason.GOAL_IN_OBSTACLE, where=point.place, collision=where)
         solution = self._planner.solution_of(point, previous, configuration)
         try:
-            return self._planner.transition(point, previous, solution, self._with_deviation(), self._late(DETOUR_TIME))
-        except Enclosed as enclosed:
-            raise self._no_way(point, enclosed) from None
+            return self._planner.transition(point, previous, solution, self._with_deviation())
         except Blocked as blocked:
-            raise Refusal(Reason.NO_CLEAR_PATH, where=point.place, blocked=str(blocked)) from None
+            return self._around(point, previous, solution, blocked)
 
     def _to_found(self, point: TrajectoryPoint, previous: Configuration) -> PlannedTransition:
         """Returns the transition to a configuration that is searched for a point.
@@ -112,88 +110,25 @@ class PointByPoint:
         try:
             return self._planner.transition(point, previous, solution, with_deviation)
         except Blocked as blocked:
-            return self._alternative(point, previous, solution, blocked)
+            return self._around(point, previous, solution, blocked)
         except Refusal:  # a search with more time may find fewer switches, which need less time
             allowed = self._time(point, TIMEOUT)
             solution = self._solver.solve(point.target, previous, self._method, allowed, self._proceed)
         try:
             return self._planner.transition(point, previous, solution)
         except Blocked as blocked:
-            return self._alternative(point, previous, solution, blocked)
+            return self._around(point, previous, solution, blocked)
 
-    def _alternative(
+    def _around(
         self, point: TrajectoryPoint, previous: Configuration, cheapest: Solution, blocked: Blocked
     ) -> PlannedTransition:
-        """Returns the transition to another configuration, or a detour to the cheapest, because that is blocked.
+        """Returns the transition to another configuration, or a detour, because that to the cheapest is blocked.
 
         Raises:
-            Refusal: none was found in time; the message names what blocks the cheapest.
+            Refusal: there is none, or none was found in time.
         """
-        least = time.perf_counter() + ALTERNATIVE_TIME
-        until = max(least, self._began + self._allowed.allowed(np.inf))
-        refusal = Refusal(Reason.NO_CLEAR_PATH, where=point.place, blocked=str(blocked))
-        for detour_time, solutions in rounds(self._ranked(point, previous, cheapest)):
-            began = time.perf_counter()
-            for solution in solutions:
-                now = time.perf_counter()
-                if now > least and detour_time <= DETOUR_TIME:
-                    break  # the longer detours of the later rounds find more
-                if now > until or (now > least and self._proceed()):
-                    raise refusal from None
-                late = self._late(min(detour_time, until - now)) if detour_time else None
-                try:
-                    return self._planner.transition(point, previous, solution, late=late)
-                except Enclosed as enclosed:
-                    return self._to_enclosed(point, previous, cheapest.bound, enclosed)
-                except (Blocked, Refusal):
-                    continue
-            else:
-                if detour_time > time.perf_counter() - began:
-                    break  # no search needed all its time, so that more time changes nothing
-        raise refusal from None
-
-    def _to_enclosed(
-        self, point: TrajectoryPoint, previous: Configuration, bound: float, enclosed: Enclosed
-    ) -> PlannedTransition:
-        """Returns the transition to the cheapest solution of a point among all configurations that can be reached.
-
-        Raises:
-            Refusal: there is none, or the time between two points is too short for a transition to it.
-        """
-        reached = map(self._solver.manipulator.configuration, enclosed.states)
-        solutions = (self._planner.solution_of(point, previous, each, bound) for each in reached)
-        cheapest = min((s for s in solutions if s.within_tolerance), key=lambda s: s.cost, default=None)
-        if cheapest is None:
-            raise self._no_way(point, enclosed)
-        try:
-            return self._planner.transition(point, previous, cheapest, late=self._late(np.inf))
-        except Blocked as blocked:
-            raise Refusal(Reason.NO_CLEAR_PATH, where=point.place, blocked=str(blocked)) from None
-
-    def _no_way(self, point: TrajectoryPoint, enclosed: Enclosed) -> Refusal:
-        count = len(enclosed.states)
-        return Refusal(Reason.NO_WAY, where=point.place, count=count, blocked=str(enclosed))
-
-    def _ranked(self, point: TrajectoryPoint, previous: Configuration, cheapest: Solution) -> list[Solution]:
-        """Returns solutions of a point: the cheapest, then others by their cost, at last those of IPOP and POP."""
-        others, costs = self._solver.candidates(point.target, previous, ALTERNATIVES)
-        ranked = [cheapest.configuration, *(others[n] for n in np.argsort(costs, kind="stable"))]
-        methods: tuple[Method, ...] = ("ipop-fewest-switches", "pop")
-        allowed = SearchTime(TIMEOUT, unfound=ALTERNATIVE_TIME)
-        ranked += [self._solver.solve(point.target, previous, method, allowed).configuration for method in methods]
-        distinct = {c.tobytes(): c for c in ranked}.values()
-        found = [self._planner.solution_of(point, previous, c, cheapest.bound) for c in distinct]
-        return [solution for solution in found if solution.within_tolerance]
-
-    def _late(self, seconds: float) -> Late:
-        """Returns what ends the search for one detour after some seconds."""
-        until = time.perf_counter() + seconds
-
-        def late() -> bool:
-            self._proceed()
-            return time.perf_counter() > until
-
-        return late
+        until = WayTime(self._began, time.perf_counter() + WAY_TIME, self._allowed, self._proceed)
+        return WaysAround(self._planner, point, previous, cheapest, self._threads).find(blocked, until)
 
     def _time(self, point: TrajectoryPoint, first: float) -> SearchTime:
         """Returns the time of one search, whose first time is `first` [s]."""
@@ -208,14 +143,6 @@ class PointByPoint:
     def _with_deviation(self) -> bool:
         """Returns whether there is time to compute the deviation of a transition."""
         return self._method != MINIMUM_SWITCH or self._remaining() > 0
-
-
-def rounds(served: list[Solution]) -> Iterator[tuple[float, list[Solution]]]:
-    """Yields times of detours [s], 0 for none, and the solutions to try with each, without end if there are any."""
-    yield 0.0, served[1:]
-    yield DETOUR_TIME, served
-    for k in count(1) if served else ():
-        yield DETOUR_TIME * LONGER**k, served[:: 8 * FEWER**k]
 
 
 def staying(before: PlannedTransition, point: TrajectoryPoint) -> PlannedTransition | None:

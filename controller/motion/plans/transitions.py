@@ -12,8 +12,8 @@ from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.plans.points import TrajectoryPoint, TrajectoryPoints
 from controller.motion.stages.pacing import Blocked, Infeasible, Pace, Staged, Stager
 from controller.motion.stages.restaging import restage
-from controller.motion.stages.stage_sequencer import Late
 from controller.motion.trajectory import Trajectory, upwards
+from controller.obstacles.distance import Index
 from controller.obstacles.keep_out import KeepOutSet
 from controller.obstacles.sweep import Sweep, sweep_of
 from controller.refusals.reasons import Reason
@@ -72,7 +72,7 @@ class TransitionPlanner:
         previous: Configuration,
         solution: Solution,
         with_deviation: bool = True,
-        late: Late | None = None,
+        detour: Index | None = None,
     ) -> PlannedTransition:
         """Returns the transition to a point, with the switches and the cost of its stages.
 
@@ -84,7 +84,7 @@ class TransitionPlanner:
             previous: configuration before, shape (B,).
             solution: of the point, from `previous`.
             with_deviation: compute the deviation, also without an inrush bound.
-            late: ends the search for a detour; None: none is searched.
+            detour: actuators (n,) that may switch one after the other, if no other order is clear.
 
         Raises:
             Refusal: the time from the point before is too short.
@@ -92,7 +92,7 @@ class TransitionPlanner:
         """
         available = self._available(point, solution)
         try:
-            staged = self._stager.staged(previous, solution.configuration, available, with_deviation, late)
+            staged = self._stager.staged(previous, solution.configuration, available, with_deviation, detour)
         except Blocked:
             raise
         except Infeasible as error:

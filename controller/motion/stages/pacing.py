@@ -11,7 +11,7 @@ from controller.armfile.actuators import longest_travel
 from controller.armfile.settings import ArmSettings
 from controller.manipulator.manipulator import Configuration, Manipulator
 from controller.motion.stages.deviation import Index, Transition
-from controller.motion.stages.stage_sequencer import Late, StageSequencer
+from controller.motion.stages.stage_sequencer import StageSequencer
 from controller.motion.stages.stages import SKIPPED, order_stages, peaks
 from controller.motion.stages.transition import build_transition
 from controller.obstacles.sweep import Sweep
@@ -26,18 +26,6 @@ class Infeasible(ValueError):
 
 class Blocked(Infeasible):
     """No collision-free sequence of stages was found."""
-
-
-class Enclosed(Blocked):
-    """There are no such stages, as far as the collision checks prove stages clear.
-
-    Attributes:
-        states: all actuator states that can be reached instead, shape (n, A).
-    """
-
-    def __init__(self, obstruction: str, states: NDArray[np.uint8]) -> None:
-        super().__init__(obstruction)
-        self.states = states
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +112,7 @@ class Stager:
         after: Configuration,
         available: float | None = None,
         with_deviation: bool = True,
-        late: Late | None = None,
+        detour: Index | None = None,
     ) -> Staged:
         """Returns the stages of a transition; those without obstacles if they are clear.
 
@@ -133,7 +121,7 @@ class Stager:
             after: configuration, shape (B,).
             available: time from the waypoint before to the one after [s]; None: unlimited.
             with_deviation: compute the deviation, also without an inrush bound.
-            late: ends the search for a detour, on which actuators switch back and forth; None: none is searched.
+            detour: actuators (n,) that may switch one after the other, see Detours; used if no other order is clear.
 
         Raises:
             Infeasible: the time is too short; the message says what is needed.
@@ -142,7 +130,7 @@ class Stager:
         usual = self._without_obstacles(before, after, available, with_deviation)
         if self._sweep is None:
             return usual
-        start, end = self._m.actuator_states(before), self._m.actuator_states(after)
+        start = self._m.actuator_states(before)
         sequencer = StageSequencer(self._sweep, start, self._pace.inrush or len(start))
         stages = numbered(start, usual.stages)
         if sequencer.clear(stages):
@@ -153,11 +141,8 @@ class Stager:
         transition = build_transition(self._m, before, after)
         upwards, own = transition.actuators, np.concatenate(stages)
         cuts = [cut for order in (own, upwards, upwards[::-1]) if (cut := sequencer.cut(order))]
-        if not any(len(cut) <= room for cut in cuts) and late is not None:
-            detour = sequencer.order(end, self._pace.rest == 0, late)
-            cuts += [cut for cut in ([] if detour is None else [sequencer.cut(detour)]) if cut]
-        if not cuts and sequencer.enclosed is not None:
-            raise Enclosed(sequencer.obstruction, sequencer.enclosed)
+        if not any(len(cut) <= room for cut in cuts) and detour is not None:
+            cuts += [cut for cut in [sequencer.cut(detour)] if cut]
         if not cuts:
             raise Blocked(sequencer.obstruction)
         best = min(cuts, key=len)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from controller.planning.core.events import Abandon, Action, Fail, Hurry, Start
-from controller.planning.core.tasks import Answer, Basis, Task
+from controller.planning.core.tasks import Answer, Basis, PrepareSearch, Task
 
 if TYPE_CHECKING:
     from controller.motion.stages.pacing import Pace
@@ -158,6 +158,10 @@ class Jobs:
         job = self._jobs.pop(number, None) if last else self._jobs.get(number)
         if job is not None and job.on_answer is not None:
             job.on_answer(answer)
+
+    def prepares(self, number: int) -> bool:
+        """Returns whether a task only prepares the next search."""
+        return (job := self._jobs.get(number)) is not None and isinstance(job.task, PrepareSearch)
 
     def tick(self) -> None:
         """Ends the process if a worker does not end a task that it was told to abandon."""

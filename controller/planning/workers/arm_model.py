@@ -13,6 +13,7 @@ from controller.motion.decoding.goal import GoalRules
 from controller.motion.stages.pacing import pace_of
 from controller.motion.stages.program import pack_states, unpack_states
 from controller.obstacles.keep_out import KeepOutSet, States
+from controller.obstacles.single_switches import arm_switches
 from controller.planning.core.tasks import ArmStart, BuildScene, BuildTables, SceneBuilt, Tables, VersionedScene
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
@@ -117,6 +118,7 @@ def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], t
         densities = map_densities(reduced, arm.pixel, arm.level_pixels)
     goals = Solver(reduced, densities, weights)
     goals.prepare()
+    arm_switches(reduced)  # a goal among obstacles needs them at once
     return Tables(task.generation, task.locked, Solvers(goals, goals.another(), goals.another()))
 
 

@@ -32,6 +32,8 @@ from controller.search.method import MINIMUM_SWITCH
 from controller.search.solution import SearchTime
 from controller.search.solver import search_time
 
+MOST_THREADS = 2  # of one plan: to search a way around obstacles, and to prove that there is none
+
 # --- goals
 
 
@@ -105,7 +107,9 @@ def search_plan(
         Refusal: there is no plan.
     """
     previous = model.configuration(basis.start, planner.solver.manipulator)
-    found = PointByPoint(planner, model.arm.settings.method, allowed).plan(previous, proceed)
+    settings = model.arm.settings
+    threads = max(1, min(settings.planning.workers, MOST_THREADS))
+    found = PointByPoint(planner, settings.method, allowed, threads).plan(previous, proceed)
     check_size(model, found.transitions)
     # All stages are checked, so that the executor need not ask. Most results are known from the planning.
     before, stages = model.unpack(basis.start.states), stages_of(found.transitions)

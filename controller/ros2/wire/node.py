@@ -1,8 +1,11 @@
 """A node: where publishers, subscribers, services, clients and action servers are made."""
 
-from collections import Counter
+import contextlib
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Protocol, Self, TypeVar
+
+import zenoh
 
 from controller.ros2.wire import names
 from controller.ros2.wire import qos as presets
@@ -10,7 +13,7 @@ from controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
 from controller.ros2.wire.qos import Qos
 from controller.ros2.wire.services import Client, Request, Service
 from controller.ros2.wire.session import Session
-from controller.ros2.wire.tokens import Endpoint, Kind, Token
+from controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Endpoint, Kind, Token, parse
 from controller.ros2.wire.topics import Publisher, Received, Subscriber
 from controller.ros2.wire.types import Types
 
@@ -23,6 +26,15 @@ class Closable(Protocol):
 
 
 T = TypeVar("T", bound=Closable)
+MOST_QUOTED = 200  # letters of a type and its hash
+MOST_TOLD = 100  # tokens that are remembered because they were told
+# Which kind of endpoint exchanges messages with which.
+OPPOSITE = {
+    Kind.PUBLISHER: Kind.SUBSCRIBER,
+    Kind.SUBSCRIBER: Kind.PUBLISHER,
+    Kind.SERVICE: Kind.CLIENT,
+    Kind.CLIENT: Kind.SERVICE,
+}
 
 
 class Node:
@@ -61,6 +73,8 @@ class Node:
         self.token = Token(domain, session.zid, number, number, Kind.NODE, name, namespace, enclave or "/")
         self._token = session.zenoh.liveliness().declare_token(self.token.text)
         self._made: list[Closable] = []
+        self._tokens: dict[tuple[Kind, str], Token] = {}  # of the endpoints by kind and name
+        self._watching: zenoh.Subscriber[None] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -125,8 +139,40 @@ class Node:
                 found.setdefault(it.token.endpoint.name, Counter()).update(it.dropped)
         return found
 
+    def watch(self, tell: Callable[[str], None]) -> None:
+        """Tells in a sentence what of others does not fit this node, whenever it appears; once a node.
+
+        Told are a second node of this name, and endpoints whose type or hash differs from that of this node's endpoint
+        of the same name: their messages never arrive here.
+
+        Args:
+            tell: called with each sentence, in a thread of Zenoh's.
+        """
+        told = deque[str](maxlen=MOST_TOLD)
+
+        def on_token(sample: zenoh.Sample) -> None:
+            token = str(sample.key_expr)
+            if sample.kind != zenoh.SampleKind.PUT:
+                with contextlib.suppress(ValueError):
+                    told.remove(token)
+                return
+            try:
+                other = parse(token)
+            except BadToken:
+                return
+            # A token that appears just after the subscription comes by itself and with the history.
+            if token not in told and (sentence := self._misfit(other)) is not None:
+                told.append(token)
+                tell(sentence)
+
+        key = f"{ADMIN_SPACE}/{self.token.domain}/**"
+        self._watching = self._session.zenoh.liveliness().declare_subscriber(key, on_token, history=True)
+
     def close(self) -> None:
         """Ends the node and all that it has made; active goals are aborted."""
+        if self._watching is not None:
+            with contextlib.suppress(zenoh.ZError):  # the session is closed
+                self._watching.undeclare()  # type: ignore[no-untyped-call]
         for it in reversed(self._made):
             it.close()
         self._token.undeclare()  # type: ignore[no-untyped-call]
@@ -137,7 +183,22 @@ class Node:
         type_hash = self.types.hash(type_name)
         endpoint = Endpoint(absolute, names.dds_type(type_name), type_hash, qos)
         token = self.token._replace(id=self._session.next_number(), kind=kind, endpoint=endpoint)
+        self._tokens[kind, absolute] = token
         return token, names.data_key(self.token.domain, absolute, type_name, type_hash)
+
+    def _misfit(self, other: Token) -> str | None:
+        """Returns why another node or endpoint does not fit this node, or None."""
+        if (other.zid, other.nid) == (self.token.zid, self.token.nid):
+            return None
+        name = f"{other.namespace.rstrip('/')}/{other.node}"
+        if other.endpoint is None:
+            same = (other.node, other.namespace) == (self.token.node, self.token.namespace)
+            return f"another node {name} is there: end one of both, or rename it" if same else None
+        end, own = other.endpoint, self._tokens.get((OPPOSITE[other.kind], other.endpoint.name))
+        if own is None or own.endpoint is None or (end.type, end.hash) == (own.endpoint.type, own.endpoint.hash):
+            return None
+        given, expected = f"{end.type}/{end.hash}"[:MOST_QUOTED], f"{own.endpoint.type}/{own.endpoint.hash}"
+        return f"{end.name}: no messages are exchanged with {name!r}: its type is {given!r}, expected {expected!r}"
 
     def _keep(self, made: T) -> T:
         self._made.append(made)

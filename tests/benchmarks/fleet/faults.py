@@ -1,5 +1,6 @@
 """Faults of a plant while goals run: the router dies, arms die, a name is taken twice, the network stalls."""
 
+import sys
 import time
 from collections.abc import Callable
 
@@ -52,4 +53,5 @@ def play(plant: Plant, traffic: Traffic) -> list[str]:
         traffic.end()
         lost = f", {len(traffic.unknown) - unknown} without result" if len(traffic.unknown) > unknown else ""
         said.append(f"{name}: {ends(traffic.sent[since:])}{lost}")
+        print(said[-1], file=sys.stderr, flush=True)
     return said

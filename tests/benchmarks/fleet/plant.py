@@ -1,9 +1,11 @@
 """A plant on one computer: router, arms with simulated boards, two pages and a recorder, each a process of its own."""
 
+import contextlib
 import json
 import os
 import re
 import signal
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -25,7 +27,7 @@ from tests.waiting import eventually
 
 OUTPUTS = 24  # of a board; few boards for an arm are light to simulate
 PATIENT = {"heartbeat": 0.5, "heartbeat_timeout": 10.0, "boot_timeout": 6.0, "settle_margin": 5.0, "on_loss": "hold"}
-PATIENCE = 180.0  # [s] on a machine with more arms than it can bear
+PATIENCE = 900.0  # [s] on a machine with more arms than it can bear: there the start of an arm takes minutes
 
 
 class Cost(NamedTuple):
@@ -93,7 +95,12 @@ class Plant:
         other.mkdir(exist_ok=True)
         environment = {**os.environ, "STATE_DIRECTORY": str(other), "RUNTIME_DIRECTORY": str(other)}
         done = subprocess.run(
-            [*words, "--connect", self.endpoint], env=environment, capture_output=True, text=True, check=False
+            [*words, "--connect", self.endpoint],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PATIENCE,
         )
         assert done.returncode != 0, f"a second {name} runs: {done.stderr[-500:]}"
         return done.stderr.strip().splitlines()[-1]
@@ -118,7 +125,9 @@ class Plant:
     def kill(self, names: Sequence[str]) -> None:
         """Kills processes and those that they have started."""
         for name in names:
-            os.killpg(self._processes[name].pid, signal.SIGKILL)
+            for pid in session_of(self._processes[name].pid):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
             self._processes[name].wait()
 
     def stall(self, name: str) -> None:
@@ -131,7 +140,16 @@ class Plant:
 
     def costs(self, names: Sequence[str]) -> list[Cost]:
         """Returns the cost of processes, each with those that it has started."""
-        return [sum_of([cost(pid) for pid in group(self._processes[name].pid)]) for name in names]
+        return [sum_of([cost(pid) for pid in session_of(self._processes[name].pid)]) for name in names]
+
+    def ledgers(self) -> dict[str, list[str | None]]:
+        """Returns the ends of each goal in the ledgers of all arms: one for each time that the goal was accepted."""
+        found: dict[str, list[str | None]] = {}
+        for path in self._folder.glob("arm*/simulated/*.sqlite"):
+            with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as ledger:
+                for goal, status in ledger.execute("SELECT id, status FROM goals"):
+                    found.setdefault(goal, []).append(status)
+        return found
 
     def ready(self, name: str) -> bool:
         """Returns whether an arm has said that it serves."""
@@ -179,27 +197,30 @@ class Plant:
             try:
                 process.wait(60)
             except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)
+                process.kill()  # the kernel then ends its executor
                 process.wait()
 
 
-def group(leader: int) -> list[int]:
-    """Returns the processes of a process group."""
+def session_of(leader: int) -> list[int]:
+    """Returns the processes of a session; an executor has a process group of its own there."""
     found = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = path.read_text().rpartition(")")[2].split()
         except OSError:
             continue  # it has ended
-        if int(fields[2]) == leader:
+        if int(fields[3]) == leader:
             found.append(int(path.parent.name))
     return found
 
 
 def cost(pid: int) -> Cost:
-    """Returns what a process costs."""
-    kilobytes = re.search(r"^Pss: +(\d+)", Path(f"/proc/{pid}/smaps_rollup").read_text(), re.MULTILINE)
-    return Cost(processor_time(pid), int(kilobytes[1]) / 1e3 if kilobytes else 0.0)
+    """Returns what a process costs; nothing if it has ended."""
+    try:
+        kilobytes = re.search(r"^Pss: +(\d+)", Path(f"/proc/{pid}/smaps_rollup").read_text(), re.MULTILINE)
+        return Cost(processor_time(pid), int(kilobytes[1]) / 1e3 if kilobytes else 0.0)
+    except OSError:
+        return Cost(0.0, 0.0)
 
 
 def sum_of(costs: Sequence[Cost]) -> Cost:

@@ -3,7 +3,7 @@
 import threading
 import time
 import uuid
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -13,6 +13,7 @@ from controller.network.client import Client, Unanswered, decoded
 from tests.benchmarks.fleet.plant import PATIENCE, Plant
 
 EVERY = 1.0  # [s] between the goals of an arm
+NOT_RECEIVED = "not received"  # the daemon has not answered, and does not know the goal
 ASK = 5.0  # [s] without a result, after which a client asks for it
 Place = list[float]
 
@@ -33,6 +34,7 @@ class Traffic:
     Attributes:
         sent: goals whose end is known, or that were refused.
         unknown: goals whose end no client could learn.
+        results: how often a result of each goal was published, without repetitions after a kill.
 
     Args:
         plant: has the arms.
@@ -44,15 +46,10 @@ class Traffic:
         self._places, self.sent, self.unknown = places, list[Sent](), list[str]()
         self._sessions = [plant.session() for _ in range(clients)]
         self._results: dict[str, tuple[float, dict[str, Any]]] = {}
-        self._heard: dict[str, set[str]] = defaultdict(set)
+        self.results: Counter[str] = Counter()
         self._changed, self._ended = threading.Condition(), threading.Event()
         self._hearing = self._sessions[0].declare_subscriber("hyperbit/*/result", self._hear)
         self._threads: list[threading.Thread] = []
-
-    @property
-    def doubled(self) -> list[str]:
-        """Ids of goals that had different results."""
-        return [goal for goal, ends in self._heard.items() if len(ends) > 1]
 
     def run(self, arms: Sequence[str], seconds: float) -> list[Sent]:
         """Sends goals to arms for a time; returns those of this time, once all of them have ended."""
@@ -84,7 +81,8 @@ class Traffic:
     def _hear(self, sample: zenoh.Sample) -> None:
         message, now = decoded(sample), time.monotonic()
         with self._changed:
-            self._heard[message["id"]].add(message["status"])
+            if not message.get("repeated"):
+                self.results[message["id"]] += 1
             self._results.setdefault(message["id"], (now, message))
             self._changed.notify_all()
 
@@ -113,7 +111,7 @@ class Traffic:
             self.sent.append(Sent(arm, goal, answered, end[0] - began, end[1]))
 
     def _end_of(self, client: Client, goal: str, *, known: bool) -> tuple[float, str] | None:
-        """Returns when and how a goal ended; "not received" if the daemon had not answered and does not know it."""
+        """Returns when and how a goal ended, or NOT_RECEIVED; None if that cannot be learned."""
         until = time.monotonic() + PATIENCE
         while time.monotonic() < until:
             with self._changed:
@@ -127,7 +125,7 @@ class Traffic:
             if answer.get("result"):
                 return time.monotonic(), answer["result"]["status"]
             if not known and not answer["accepted"]:
-                return time.monotonic(), "not received"
+                return time.monotonic(), NOT_RECEIVED
         return None
 
 

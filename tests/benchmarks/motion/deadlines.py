@@ -30,6 +30,7 @@ from tests.benchmarks.solving import ready_solver
 from tests.obstacles.dense import obstacles_of
 
 DEADLINES = (0.05, 0.5, 5.0)  # [s]
+THREADS = 2
 EACH, RADIUS = 5, 0.02  # goals among the same obstacles; half the thickness of the bodies
 FEWEST = 0.02  # least share of clear configurations
 
@@ -47,7 +48,7 @@ def planned(arm: Arm, solver: Solver, goal: np.ndarray, start: np.ndarray, deadl
     planner = TransitionPlanner(solver, through(np.zeros(1), goal[None], arm.tolerance), pace_of(arm.settings))
     allowed = search_time(min(PLANNING_TIME, deadline), PlanningSettings().seconds_per_switch, deadline)
     try:
-        PointByPoint(planner, "minimum-switch", allowed).plan(start)
+        PointByPoint(planner, "minimum-switch", allowed, THREADS).plan(start)
     except Refusal as refusal:
         return str(refusal.reason.value)
     return "found"

@@ -41,8 +41,7 @@ PATIENT = 60.0  # [s], so that a busy machine finds as much as an idle one
 @pytest.fixture(autouse=True, scope="module")
 def patient() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(point_by_point, "DETOUR_TIME", PATIENT)
-        patch.setattr(point_by_point, "ALTERNATIVE_TIME", PATIENT)
+        patch.setattr(point_by_point, "WAY_TIME", PATIENT)
         yield
 
 

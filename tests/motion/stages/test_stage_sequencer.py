@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from itertools import islice, pairwise, permutations, product
+from itertools import pairwise, permutations, product, repeat
 
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ from controller.manipulator.manipulator import Manipulator
 from controller.motion.plans import point_by_point
 from controller.motion.plans.point_by_point import PointByPoint
 from controller.motion.plans.transitions import TransitionPlanner
+from controller.motion.stages.detours import Detour, Detours, Graph
 from controller.motion.stages.pacing import Blocked, Pace, Staged, Stager
-from controller.motion.stages.stage_sequencer import Late, StageSequencer
 from controller.motion.trajectory import through
 from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.obstacles import box, sphere, together
@@ -48,6 +48,27 @@ def never() -> bool:
     return False
 
 
+def staged_to(
+    manipulator: Manipulator,
+    pace: Pace,
+    clearance: BodyClearance,
+    before: np.ndarray,
+    after: np.ndarray,
+    available: float | None = None,
+) -> Staged:
+    """Stages of a transition; if no usual order is clear, those of a detour, which is searched to the end."""
+    stager = Stager(manipulator, pace, Sweep(clearance))
+    try:
+        return stager.staged(before, after, available)
+    except Blocked:
+        if clearance.where(before) is not None:
+            raise
+        found = Detours(clearance, before, after[None], once=pace.rest > 0).search(never)
+        if not isinstance(found, Detour):
+            raise
+        return stager.staged(before, after, available, detour=found.order)
+
+
 def displacements(rng: np.random.Generator, before: np.ndarray, staged: Staged) -> np.ndarray:
     rows = [before, *staged.stages]
     return np.concatenate([motion(rng, a, b, 8) for a, b in pairwise(rows) for _ in range(3)])
@@ -61,7 +82,7 @@ def test_stages_touch_nothing_and_keep_to_the_bound(chain, base, regions_around,
     before, after = (rng.integers(0, manipulator.states) for _ in range(2))
     pace, start = Pace(LEAD, inrush), manipulator.actuator_states(before)
     try:
-        staged = Stager(manipulator, pace, Sweep(clearance)).staged(before, after, late=never)
+        staged = staged_to(manipulator, pace, clearance, before, after)
     except Blocked:
         return
     assert staged.strict
@@ -76,7 +97,8 @@ def test_stages_touch_nothing_and_keep_to_the_bound(chain, base, regions_around,
 @given(parts, planar_frames, around, st.integers(0, 2**32))
 def test_an_order_is_found_where_trying_all_finds_one(chain, base, regions_around, seed):
     rng, manipulator = np.random.default_rng(seed), arm(chain, base)
-    sweep = Sweep(BodyClearance(manipulator, obstacles_of(regions_around)))
+    clearance = BodyClearance(manipulator, obstacles_of(regions_around))
+    sweep = Sweep(clearance)
     before = rng.integers(0, manipulator.states)
     start = manipulator.actuator_states(before)
     flip = rng.permutation(len(start))[: rng.integers(1, 5)]
@@ -93,9 +115,7 @@ def test_an_order_is_found_where_trying_all_finds_one(chain, base, regions_aroun
 
     possible = any(clear(order) for order in permutations(flip))
     try:
-        Stager(manipulator, Pace(LEAD), Sweep(sweep._clearance)).staged(
-            before, manipulator.configuration(end), late=never
-        )
+        staged_to(manipulator, Pace(LEAD, rest=LEAD), clearance, before, manipulator.configuration(end))
     except Blocked:
         assert not possible
     else:
@@ -105,14 +125,14 @@ def test_an_order_is_found_where_trying_all_finds_one(chain, base, regions_aroun
 def test_a_roundabout_way_is_taken_where_no_order_serves_and_actuators_need_no_rest():
     chain = [hinge(0.0, 2.4, 1.0), hinge(0.0, 2.4, 1.0)]  # the second folds back while the first passes the post
     manipulator = arm(chain)
-    post = Sweep(BodyClearance(manipulator, sphere("disc 'post'", (0.29, 1.675), 0.1)))
+    post = BodyClearance(manipulator, sphere("disc 'post'", (0.29, 1.675), 0.1))
     before, after = np.array([0, 0]), np.array([1, 0])
     with pytest.raises(Blocked):
-        Stager(manipulator, Pace(LEAD, rest=0.1), post).staged(before, after, late=never)
-    staged = Stager(manipulator, Pace(LEAD), post).staged(before, after, late=never)
+        staged_to(manipulator, Pace(LEAD, rest=0.1), post, before, after)
+    staged = staged_to(manipulator, Pace(LEAD), post, before, after)
     assert staged.stages.tolist() == [[0, 1], [1, 1], [1, 0]]
     with pytest.raises(Blocked, match="a collision-free transition takes 3 stages, there is time for 2"):
-        Stager(manipulator, Pace(LEAD), post).staged(before, after, 2 * LEAD, late=never)
+        staged_to(manipulator, Pace(LEAD), post, before, after, 2 * LEAD)
 
 
 def test_what_need_not_wait_does_not():
@@ -120,27 +140,23 @@ def test_what_need_not_wait_does_not():
     before, after = np.array([0, 0]), np.array([1, 1])
     far = Sweep(BodyClearance(manipulator, sphere("disc", (5.0, 5.0), 0.5)))
     near = Sweep(BodyClearance(manipulator, box("box", (0.0, 2.0), (0.4, 0.4))))
-    free = Stager(manipulator, Pace(LEAD)).staged(before, after, late=never)
-    assert (
-        Stager(manipulator, Pace(LEAD), far).staged(before, after, late=never).stages.tolist() == free.stages.tolist()
-    )
-    staged = Stager(manipulator, Pace(LEAD), near).staged(before, after, late=never)
+    free = Stager(manipulator, Pace(LEAD)).staged(before, after)
+    assert Stager(manipulator, Pace(LEAD), far).staged(before, after).stages.tolist() == free.stages.tolist()
+    staged = Stager(manipulator, Pace(LEAD), near).staged(before, after)
     assert staged.stages.tolist() == [[0, 1], [1, 1]]  # the elbow first
     with pytest.raises(Blocked, match=r"takes 2 stages, there is time for 1: module 2 is in box"):
-        Stager(manipulator, Pace(LEAD), near).staged(before, after, LEAD, late=never)
-    assert (
-        Stager(manipulator, Pace(LEAD), near).staged(before, after, 2 * LEAD, late=never).deviation == staged.deviation
-    )
+        Stager(manipulator, Pace(LEAD), near).staged(before, after, LEAD)
+    assert Stager(manipulator, Pace(LEAD), near).staged(before, after, 2 * LEAD).deviation == staged.deviation
 
 
 def test_no_way_and_a_start_that_touches_are_named():
     manipulator = arm(ELBOWS)
     walls = together([box("box 'shelf'", (0.0, 2.0), (0.4, 0.4)), box("box 'table'", (1.0, -0.9), (0.4, 0.4))])
     with pytest.raises(Blocked, match=r"module 2 is in box '(shelf|table)'"):
-        Stager(manipulator, Pace(LEAD), Sweep(BodyClearance(manipulator, walls))).staged([0, 0], [1, 1], late=never)
+        staged_to(manipulator, Pace(LEAD), BodyClearance(manipulator, walls), np.array([0, 0]), np.array([1, 1]))
     stands = Sweep(BodyClearance(manipulator, sphere("disc 'post'", (1.5, 0.0), 0.1)))
     with pytest.raises(Blocked, match="collides where it stands: module 2 is in disc 'post'"):
-        Stager(manipulator, Pace(LEAD), stands).staged(np.array([0, 0]), np.array([1, 1]), late=never)
+        Stager(manipulator, Pace(LEAD), stands).staged(np.array([0, 0]), np.array([1, 1]))
 
 
 CHAIN = [truss("BC" if k % 2 == 0 else "AD", 0.2, 0.2, 0.25) for k in range(4)]
@@ -199,7 +215,7 @@ def test_no_way_is_refused_naming_waypoint_module_and_region():
             np.array([0, 0])
         )
     assert caught.value.code == GOAL_TOLERANCE_VIOLATED
-    form = r"waypoints\[0\]\.position: there is no collision-free transition to it; 1 configurations can be reached: "
+    form = r"waypoints\[0\]\.position: there is no collision-free transition to it, [^:]*: "
     assert re.fullmatch(form + r"module 2 is in box '(shelf|table)'", str(caught.value))
     assert [list(c) for c in product(range(2), repeat=2) if not solver.clearance.blocked([c])[0]] == [[0, 0], [1, 1]]
 
@@ -224,13 +240,9 @@ def components(manipulator: Manipulator, sweep: Sweep) -> list[set[bytes]]:
 
 
 @pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("least", [point_by_point.ALTERNATIVE_TIME, 0.0])
-def test_no_way_is_said_only_where_trying_all_switches_finds_none(seed, least, monkeypatch):
-    """Goals of both kinds: within the start's component a transition is found, else the refusal is a proof.
-
-    Without a least time the first rounds try nothing, and the later ones must find the same.
-    """
-    monkeypatch.setattr(point_by_point, "ALTERNATIVE_TIME", least)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_no_way_is_said_only_where_trying_all_switches_finds_none(seed, threads):
+    """Goals of both kinds: within the start's component a transition is found, else the refusal is a proof."""
     rng = np.random.default_rng(seed)
     hinges = arm([hinge(-0.8, 0.8, 0.3)] * 6)
     tips = hinges.tips(every_configuration(hinges))[:, :2, 3]
@@ -245,7 +257,7 @@ def test_no_way_is_said_only_where_trying_all_switches_finds_none(seed, least, m
         goal = solver.target(hinges.tip(end)[:2, 3], 0.01)
         possible = any(goal.met(hinges.configuration(np.frombuffer(code, dtype=np.uint8))) for code in own)
         planner = TransitionPlanner(solver, through(np.zeros(1), goal.goal[None, :2, 3], 0.01))
-        planning = PointByPoint(planner, "minimum-switch", SearchTime(0.03, unfound=600.0))
+        planning = PointByPoint(planner, "minimum-switch", SearchTime(0.03, unfound=600.0), threads)
         if possible:
             planning.plan(start)
             continue
@@ -265,16 +277,10 @@ def test_a_search_for_a_detour_ends_when_its_caller_wants(solver):
     own = Solver(manipulator, map_densities(manipulator, 0.05, 10_000), clearance=BodyClearance(manipulator, walls))
     planner = TransitionPlanner(own, through(np.zeros(1), manipulator.tip([1, 1])[None, :2, 3], 0.01))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(point_by_point, "DETOUR_TIME", 3600.0)
-        patch.setattr(StageSequencer, "order", endless)
+        patch.setattr(point_by_point, "WAY_TIME", 3600.0)
+        patch.setattr(Graph, "flooded", lambda graph: repeat(None))
         with pytest.raises(Ended):
             PointByPoint(planner, "minimum-switch").plan(np.array([0, 0]), after(1000))
-
-
-def endless(self: StageSequencer, end: np.ndarray, repeats: bool, late: Late) -> None:
-    """A search that only its caller ends."""
-    while not late():
-        pass
 
 
 def after(calls: int) -> Callable[[], bool]:
@@ -287,15 +293,3 @@ def after(calls: int) -> Callable[[], bool]:
         return False
 
     return proceed
-
-
-def test_later_rounds_have_more_time_for_fewer_configurations():
-    served = list(range(34))
-    first, *later = islice(point_by_point.rounds(served), 6)
-    assert first == (0.0, served[1:])
-    times, chosen = zip(*later, strict=True)
-    assert chosen[0] == served
-    assert all(b > a for a, b in pairwise(times))
-    assert all(set(b) < set(a) for a, b in pairwise(chosen) if len(a) > 1)
-    assert all(each[0] == 0 for each in chosen)
-    assert list(point_by_point.rounds([])) == [(0.0, []), (point_by_point.DETOUR_TIME, [])]

@@ -20,7 +20,9 @@ from controller.planning.core.status import Status
 from controller.planning.core.stream import Stream, TipBiasEstimator
 from controller.planning.core.tasks import PrepareSearch
 from controller.program import Diagnostics, Fault
+from controller.workspace.densities import Densities
 from tests.planning.conftest import DOCUMENT
+from tests.planning.rig.desk import Desk
 from tests.planning.rig.played_core import PlayedCore, PlayedProgram, PlayedReport
 
 HOME = (0, 0, 0, 0)
@@ -173,6 +175,21 @@ def test_a_lost_executor_is_told(bench: StatusBench) -> None:
     assert state["faults"][0]["message"] == "the executor is gone: the arm holds or does what `on_loss` says"
     assert (state["configuration"], state["commanded"], state["measured"]) == (None, None, [None] * 12)
     assert bench.diagnostics()["executor"] == "the executor is gone"
+
+
+def test_the_end_of_a_prepared_search_publishes_no_state(small: Arm, small_densities: Densities) -> None:
+    desk = Desk(small, small_densities)
+    desk.held = {PrepareSearch}
+    desk.executor.greet()
+    desk.show()
+    assert desk.diagnostics()["queues"]["inbox"] == 1
+    desk.show()
+    desk.published.clear()
+    desk.release(PrepareSearch)
+    desk.settle()
+    assert "state" not in desk.published
+    desk.show()
+    assert "state" in desk.published
 
 
 def test_diagnostics_without_and_with_an_executor(bench: StatusBench) -> None:

@@ -5,6 +5,7 @@ import json
 import math
 import random
 import struct
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from controller.ros2.wire.cdr import HEADER, serialize
@@ -93,6 +94,20 @@ class Inputs:
         if kind > 0.5:
             payload = self._mutated(payload) if kind < 0.98 else bytearray(self._random())
         return Input(name, bytes(payload), self._attachment())
+
+    def token(self, tokens: Sequence[str]) -> str:
+        """Returns a token of a stranger: much like one of `tokens`, or random text."""
+        chance = self.chance
+        if chance.random() < 0.05:
+            return chance.choice(TEXTS)
+        parts = chance.choice(tokens).split("/")
+        parts[2] = chance.choice(("beef", "f00d", ""))
+        if len(parts) > 11 and chance.random() < 0.7:
+            parts[11] = chance.choice(("TypeHashNotSupported", "RIHS01_" + "0" * 64, *TEXTS))
+            parts[5] = {"MS": "MP", "MP": "MS", "SS": "SC"}[parts[5]]
+        if chance.random() < 0.3:
+            parts[int(chance.random() * len(parts))] = chance.choice((*TEXTS, "99999999999", "::,,:"))
+        return "/".join(parts)
 
     def daemon_message(self) -> tuple[str, bytes]:
         """Returns key and payload of a message of the daemon, or of whoever sends on its keys."""
@@ -201,7 +216,15 @@ class Inputs:
             values = lambda: float(int(chance.random() * 2))  # noqa: E731
         if chance.random() < 0.1:
             joints = chance.choice(
-                ([], ["tip_x"], ["tip_x", "tip_x"], ["elbow"], list(TEXTS), ["w" * 100_000, *joints])
+                (
+                    [],
+                    ["tip_x"],
+                    ["tip_x", "tip_x"],
+                    ["elbow"],
+                    list(TEXTS),
+                    [*joints, "elbow"],
+                    ["w" * 100_000, *joints],
+                )
             )
         rows = [[values() for _ in joints] for _ in range(chance.choice((0, 1, 1, 2, 20)))]
         if rows and chance.random() < 0.1:

@@ -135,10 +135,11 @@ def goal_of(kind: str, message: bytes, arm: Arm, now: float) -> Goal:
         stamp, frame = reader.header()
         check_frame(frame, arm)
         check_stamp(stamp, now)
-        poses = [read_pose(reader, arm, oriented=arm.oriented)[1] for _ in range(reader.count())]
+        poses = [read_pose(reader, arm, oriented=arm.oriented) for _ in range(reader.count())]
         if not 1 <= len(poses) <= MOST_POINTS:
             raise Invalid("poses")
-        return poses
+        check_stamp(poses[0][0], now)
+        return [position for _, position in poses]
     return trajectory(reader, arm, tip=kind == "tip")
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import zenoh
 
 LONGEST_WORDS = 10_000  # bytes of a sentence on /rosout
+TOKENS = "tokens"  # in place of a name: what hears of all nodes and endpoints
 TERMINAL = (4, 5, 6)  # succeeded, canceled, aborted
 FIRST, NEXT = struct.Struct("<16siIb"), struct.Struct("<16s3xiIb")  # goals of a GoalStatusArray, the first is aligned
 
@@ -23,6 +24,13 @@ class Sample(NamedTuple):
 
     payload: zenoh.ZBytes
     attachment: zenoh.ZBytes | None
+
+
+class TokenSample(NamedTuple):
+    """A token that has come or gone, as far as the bridge reads it."""
+
+    key_expr: str
+    kind: zenoh.SampleKind
 
 
 class Query:
@@ -127,8 +135,10 @@ class Network:
     def declare_queryable(self, key: str, handler: Callable[[Any], None], complete: bool) -> Declared:
         return self.declare_subscriber(key, handler)
 
-    def declare_subscriber(self, key: str, handler: Callable[[Any], None]) -> Declared:
-        name = below(key)
+    def declare_subscriber(self, key: str, handler: Callable[[Any], None], history: bool = False) -> Declared:
+        if "*" in key and not history:
+            raise Wrong(f"messages of a wrong type or hash would be accepted on {key}")
+        name = TOKENS if history else below(key)
         self.handlers[name] = handler
         return Declared(lambda: self.handlers.pop(name) if self.handlers.get(name) == handler else None)
 

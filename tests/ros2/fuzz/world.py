@@ -23,7 +23,7 @@ from controller.ros2.wire import action_server, services, topics
 from controller.ros2.wire.session import Session
 from tests.ros2.fuzz import judge
 from tests.ros2.fuzz.inputs import KINDS, Input, Inputs, payloads
-from tests.ros2.fuzz.network import Network, Query, Sample, Wrong, strict_json
+from tests.ros2.fuzz.network import TOKENS, Network, Query, Sample, TokenSample, Wrong, strict_json
 from tests.ros2.fuzz.stand_ins import Clock, Pool, Trial
 from tests.ros2.samples import chain
 
@@ -32,6 +32,7 @@ BATCH = 40  # messages of ROS 2 between two turns of the bridge's loop
 STEP = 0.01  # [s] between two messages, on average
 ZERO_ID = b"ros2-" + b"00" * 16
 KEPT_RESULTS = 100
+TOKENS_SEEN = 0.3  # share of the turns in which a stranger's token comes or goes
 LOOKS = 0.03  # share of the turns after which the bridge's tables are counted
 
 
@@ -106,6 +107,11 @@ class World:
             self.deliver(self.inputs.message(self.clock.time()))
             while any(pool.jobs for pool in self.pools) and self.chance.random() < 0.7:
                 self._run_job()
+        if self.network.handlers and self.chance.random() < TOKENS_SEEN:
+            token = self.inputs.token(sorted(self.network.tokens))
+            kind = self.chance.choice((zenoh.SampleKind.PUT, zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE))
+            self.network.handlers[TOKENS](cast("Any", TokenSample(token, kind)))
+            self.counts["tokens"] += 1
         for _ in range(int(self.chance.random() * 4)):
             key, data = self.inputs.daemon_message()
             if key == "arm" and self.chance.random() < 0.9:

@@ -1,0 +1,172 @@
+"""Ways around obstacles: transitions to a point whose cheapest configuration cannot be reached by clear stages."""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.manipulator.manipulator import Configuration
+from controller.motion.plans.points import TrajectoryPoint
+from controller.motion.plans.transitions import PlannedTransition, TransitionPlanner
+from controller.motion.stages.detours import Detour, Detours, Late, NoWay
+from controller.motion.stages.pacing import Blocked
+from controller.obstacles.distance import Index
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
+from controller.search.solution import EPSILON, SearchTime, Solution
+
+ENDS = 4096  # most configurations of a point
+TRY = 0.1  # [s] for one configuration, if no actuator may switch twice
+
+
+class WayTime(NamedTuple):
+    """When the search for a way ends.
+
+    Attributes:
+        began: when the planning has begun, by time.perf_counter [s].
+        least: until then at least.
+        allowed: time from `began`.
+        proceed: called between parts of the search; returns whether it must end soon.
+    """
+
+    began: float
+    least: float
+    allowed: SearchTime
+    proceed: Callable[[], bool]
+
+    def over(self, gap: float = np.inf) -> bool:
+        """Returns whether the time is over, from the number of switches that may still be saved."""
+        hurried, now = self.proceed(), time.perf_counter()
+        if gap < np.inf:
+            return hurried or now > self.began + self.allowed.allowed(gap)
+        return now > max(self.least, self.began + self.allowed.allowed(np.inf)) or (hurried and now > self.least)
+
+
+class WaysAround:
+    """Ways from one configuration to one point.
+
+    Args:
+        planner: of the trajectory's transitions.
+        point: of the trajectory.
+        previous: configuration before, shape (B,).
+        cheapest: solution of the point whose configuration is blocked.
+        threads: that search at the same time.
+    """
+
+    def __init__(
+        self,
+        planner: TransitionPlanner,
+        point: TrajectoryPoint,
+        previous: Configuration,
+        cheapest: Solution,
+        threads: int = 1,
+    ) -> None:
+        self._planner, self._solver, self._point, self._previous = planner, planner.solver, point, previous
+        self._cheapest, self._threads = cheapest, threads
+
+    def find(self, blocked: Blocked, until: WayTime) -> PlannedTransition:
+        """Returns the transition to another configuration, or a detour to one of all.
+
+        Raises:
+            Refusal: there is no way, or none was found in time; the message names what blocks the cheapest.
+        """
+        refusal = Refusal(Reason.NO_CLEAR_PATH, where=self._point.place, blocked=str(blocked))
+        ends, complete = self._ends()
+        if self._planner.pace.rest > 0:
+            return self._once(ends, until, refusal)
+        return self._detour(ends, complete, blocked, until, refusal)
+
+    def _ends(self) -> tuple[Index, bool]:
+        """Returns configurations (n, B) of the point by their cost, the cheapest first; whether these are all."""
+        cheapest, solver, target = self._cheapest.configuration, self._solver, self._point.target
+        if self._point.states is not None:
+            return cheapest[None], True
+        others, costs, complete = solver.candidates(target, self._previous, ENDS)
+        found = [cheapest, *others[np.argsort(costs, kind="stable")]]
+        return np.array(list({end.tobytes(): end for end in found}.values())), complete
+
+    def _once(self, ends: Index, until: WayTime, refusal: Refusal) -> PlannedTransition:
+        """Returns the first transition in which no actuator switches twice, because actuators must rest.
+
+        Raises:
+            Refusal: none was found.
+        """
+        for end in ends:
+            tried = time.perf_counter() + TRY
+
+            def late(tried: float = tried) -> bool:
+                return until.over() or time.perf_counter() > tried
+
+            found = self._detours(end[None], complete=False, once=True).search(late)
+            if isinstance(found, Detour) and (planned := self._by(found)) is not None:
+                return planned
+            if until.over():
+                break
+        raise refusal
+
+    def _detour(
+        self, ends: Index, complete: bool, blocked: Blocked, until: WayTime, refusal: Refusal
+    ) -> PlannedTransition:
+        """Returns the cheapest detour found; the gap decides how long it is searched after the first.
+
+        Raises:
+            Refusal: none was found, or there is none.
+        """
+        best, detours = None, self._detours(ends, complete=complete)
+        late: Late = until.over
+        while (found := detours.search(late)) is not None:
+            if isinstance(found, NoWay):
+                return best or self._reached(detours, found, blocked)
+            planned = self._by(found)
+            if planned is not None and (best is None or planned.solution.cost < best.solution.cost * (1 - EPSILON)):
+                best = planned
+                gap = (best.solution.cost - self._cheapest.bound) / self._solver.mean_weight
+
+                def late(gap: float = gap) -> bool:
+                    return until.over(gap)
+
+        if best is None:
+            raise refusal
+        return best
+
+    def _detours(self, ends: Index, *, complete: bool, once: bool = False) -> Detours:
+        assert self._solver.clearance is not None
+        parts = self._solver.clearance, self._previous, ends
+        return Detours(*parts, complete=complete, once=once, threads=self._threads)
+
+    def _reached(self, detours: Detours, found: NoWay, blocked: Blocked) -> PlannedTransition:
+        """Returns the transition to the cheapest configuration among all that can be reached.
+
+        Raises:
+            Refusal: there is none, or the time between two points is too short for it.
+        """
+        reached = () if found.reached is None else found.reached
+        solutions = [
+            self._planner.solution_of(self._point, self._previous, each, self._cheapest.bound) for each in reached
+        ]
+        served = sorted((s for s in solutions if self._serves(s)), key=lambda solution: solution.cost)
+        for solution in served:
+            if (
+                planned := self._by(Detour(detours.order_to(solution.configuration), solution.configuration))
+            ) is not None:
+                return planned
+        if served:
+            raise Refusal(Reason.NO_CLEAR_PATH, where=self._point.place, blocked=str(blocked))
+        raise Refusal(Reason.NO_WAY, where=self._point.place, proof=found.proof, blocked=str(blocked))
+
+    def _serves(self, solution: Solution) -> bool:
+        if self._point.states is None:
+            return solution.within_tolerance
+        return np.array_equal(solution.configuration, self._cheapest.configuration)
+
+    def _by(self, detour: Detour) -> PlannedTransition | None:
+        """Returns the transition by a detour; None if there is not enough time for its stages."""
+        try:
+            return self._transition(detour.end, detour.order)
+        except (Blocked, Refusal):
+            return None
+
+    def _transition(self, configuration: Configuration, detour: Index | None = None) -> PlannedTransition:
+        solution = self._planner.solution_of(self._point, self._previous, configuration, self._cheapest.bound)
+        return self._planner.transition(self._point, self._previous, solution, detour=detour)
