@@ -24,7 +24,7 @@ from controller.planning.workers.cluster_plans import ClusterPlanner, left_after
 from controller.planning.workers.computations import describe
 from controller.planning.workers.long_plans import LongPlanner, Planner, packed
 from tests.dask_cluster import DaskCluster, dask_cluster
-from tests.planning.workers.conftest import Bench, abandoned, nothing
+from tests.planning.workers.conftest import Bench, nothing
 from tests.planning.workers.test_long_plans import FAR, proven, task
 from tests.waiting import PATIENCE, eventually
 
@@ -104,8 +104,6 @@ def test_a_process_of_the_daemon_sends_its_plans_to_the_cluster(
 
     with caplog.at_level(logging.WARNING):
         eventually(on_the_cluster)  # at home until the workers have their tables
-    with pytest.raises(Abandoned):
-        planner.plan(task(bench), abandoned)
     planner.close()
 
 
