@@ -22,6 +22,12 @@ CONNECT = 10.0  # [s] for the connection to a scheduler
 NEEDED = ("hyperbit", "numba")  # packages of a worker
 # Ctrl-C reaches all processes of a terminal. This one ends the study, and its workers.
 UNINTERRUPTED = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+# What Dask measures of itself, for a dashboard that nobody opens, takes a tenth of a processor from the workers.
+UNWATCHED = {
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.worker.profile.enabled": False,
+}
 INSTALL = "Dask is not installed: pip install 'hyperbit[dask]'"
 
 
@@ -33,10 +39,11 @@ def local_workers(count: int) -> Iterator[Client]:
         StudyFailed: Dask is not installed, or the processes cannot be started.
     """
     try:
+        import dask
         from distributed import Client, LocalCluster
     except ImportError:
         raise StudyFailed(INSTALL) from None
-    with quiet():
+    with quiet(), dask.config.set(UNWATCHED):
         try:
             cluster = LocalCluster(
                 n_workers=count,

@@ -1,7 +1,8 @@
 """Time of `hyperbit plan --goals --apart` with one process, with local workers, and on a Dask cluster.
 
 Each row runs the command on the same goals and compares the results byte by byte. The rate leaves out the start of the
-command: imports, tables and worker processes.
+command: imports, tables and worker processes. One row runs a command for each worker at once, each with its part of the
+goals: the processors of this computer allow no more.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -62,8 +64,13 @@ def main() -> None:
         arm = hb.load(PAPER_ARM)
         tips = arm.frames(arm.sample(given.goals, seed=1))[:, :2, 3].tolist()
         goals.write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y in tips))
-        words = "--goals", str(goals), "--apart", "--effort", str(given.effort), "--json"
-        runs = {"this process": plan(words), f"{given.workers} local": plan((*words, "--workers", str(given.workers)))}
+        options = "--apart", "--effort", str(given.effort), "--json"
+        words = "--goals", str(goals), *options
+        with ThreadPoolExecutor(given.workers) as pool:
+            runs = {"this process": plan(words)}
+            parts = [["--goals", str(part), *options] for part in split(goals, given.workers)]
+            runs[f"{given.workers} commands, without workers"] = joined(list(pool.map(plan, parts)))
+        runs[f"{given.workers} local"] = plan((*words, "--workers", str(given.workers)))
         with cluster(given.workers, Path(folder)) as address:
             runs[f"{given.workers} of a cluster"] = plan((*words, "--dask", address))
     one, rows = runs["this process"], list[Row]()
@@ -93,6 +100,20 @@ def plan(words: Sequence[str]) -> Run:
     if process.returncode:
         sys.exit(process.returncode)
     return Run(b"".join(lines), time.perf_counter() - began, first)
+
+
+def split(goals: Path, count: int) -> list[Path]:
+    """Writes the goals into files of nearly equal length; returns these."""
+    head, *rows = goals.read_text().splitlines(keepends=True)
+    parts = [goals.with_name(f"part{k}.csv") for k in range(count)]
+    for k, part in enumerate(parts):
+        part.write_text(head + "".join(rows[k * len(rows) // count : (k + 1) * len(rows) // count]))
+    return parts
+
+
+def joined(runs: Sequence[Run]) -> Run:
+    """Returns commands that ran at once as one."""
+    return Run(b"".join(run.output for run in runs), max(r.seconds for r in runs), max(r.first for r in runs))
 
 
 @contextmanager
