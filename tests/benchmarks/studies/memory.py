@@ -1,0 +1,109 @@
+"""Peak memory of `hyperbit plan --goals --apart` over the number of goals, with one process and with local workers.
+
+The goals are cheap: the arm reaches each of them where it is. So the number of goals is what the memory could grow
+with.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import psutil
+
+import hyperbit as hb
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
+
+LOOK = 0.2  # [s] between two looks at the processes
+
+
+class Row(NamedTuple):
+    """The processes of one command.
+
+    Attributes:
+        goals: number of goals.
+        workers: number of worker processes; 1: the command itself searches.
+        command: most memory of the command [MB].
+        worker: most memory of a worker, 0 if there is none [MB].
+        lines: number of results.
+        seconds: time of the command [s].
+    """
+
+    goals: int
+    workers: int
+    command: float
+    worker: float
+    lines: int
+    seconds: float
+
+
+def main() -> None:
+    """Prints the table."""
+    line = CommandLine(__doc__)
+    line.add_argument("--counts", default="10000,100000,1000000", help="numbers of goals (default: %(default)s)")
+    line.add_argument("--workers", type=int, default=2, help="number of worker processes (default: 2)")
+    given = line.parse()
+    rows = list[Row]()
+    print("| goals | workers | command [MB] | a worker [MB] | results | time [s] |\n|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        for goals in map(int, given.counts.split(",")):
+            for workers in (1, given.workers):
+                row = measured(goals, workers, Path(folder))
+                worker = f"{row.worker:.0f}" if row.worker else ""
+                numbers = f"{row.goals:,} | {row.workers} | {row.command:.0f} | {worker} | {row.lines:,}"
+                print(f"| {numbers} | {row.seconds:.0f} |", flush=True)
+                rows.append(row)
+    write_figures(given.json, [row._asdict() for row in rows])
+
+
+def measured(goals: int, workers: int, folder: Path) -> Row:
+    """Runs the command, which writes its results to a file, and watches its processes."""
+    arm = hb.load(PAPER_ARM)
+    x, y = arm.position(arm.sample(1, seed=1)[0] * 0).tolist()
+    file, output = folder / "goals.csv", folder / "results.jsonl"
+    with file.open("w") as rows:
+        rows.write("x,y\n")
+        rows.writelines(f"{x + 1e-9 * (k % 1000):.9f},{y:.9f}\n" for k in range(goals))
+    output.unlink(missing_ok=True)
+    words = "--goals", str(file), "--apart", "--effort", "1", "--output", str(output), "--workers", str(workers)
+    began, command, worker = time.perf_counter(), 0.0, 0.0
+    with subprocess.Popen(
+        [sys.executable, "-m", "controller.cli", "plan", str(PAPER_ARM), *words], stderr=subprocess.DEVNULL
+    ) as process:
+        own = psutil.Process(process.pid)
+        while process.poll() is None:
+            command = max(command, peak(own))
+            worker = max([worker, *map(peak, children(own))])
+            time.sleep(LOOK)
+    if process.returncode:
+        sys.exit(process.returncode)
+    with output.open() as results:
+        lines = sum(1 for _ in results) - 1  # without the first line, which says what they belong to
+    return Row(goals, workers, command, worker, lines, time.perf_counter() - began)
+
+
+def children(process: psutil.Process) -> list[psutil.Process]:
+    """Returns the processes that a process has started."""
+    try:
+        found: list[psutil.Process] = process.children(recursive=True)
+        return found
+    except psutil.Error:
+        return []
+
+
+def peak(process: psutil.Process) -> float:
+    """Returns the most memory that a process has had [MB]; 0: it has ended."""
+    try:
+        status = Path(f"/proc/{process.pid}/status").read_text()
+    except OSError:
+        return 0.0
+    found = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")]
+    return int(found[0]) / 1000 if found else 0.0
+
+
+if __name__ == "__main__":
+    main()
