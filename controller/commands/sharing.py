@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager, nullcontext
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -86,24 +88,18 @@ def progress_bar(unit: str, *, shown: bool = True) -> Iterator[Progress]:
         unit: what is counted, such as "goals".
         shown: False: show nothing, because results are printed there as well.
     """
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        Task,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
     from rich.text import Text
 
     class Rate(ProgressColumn):
-        """Units in a second."""
+        """Units in a second, and the time left. Shares come many at once, so both are means since the begin."""
 
         def render(self, task: Task) -> Text:
-            return Text(f"{task.speed or 0:.1f} {unit}/s")
+            rate = (task.completed - task.fields.get("before", 0)) / (task.elapsed or math.inf)
+            left = f"{timedelta(seconds=round(task.remaining / rate))} left" if rate and task.remaining else ""
+            return Text(f"{rate:.3g} {unit}/s  {left}")
 
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn()
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate()
     with Progress(*columns, console=errors, transient=True, disable=not (shown and errors.is_terminal)) as progress:
         yield progress
 

@@ -15,8 +15,9 @@ from threading import Lock
 from typing import Any, NamedTuple, Protocol
 
 KEPT = 2  # prepared jobs of a process
-MOST = 64  # goals of a share
-SHARE_EFFORT = 2000.0  # most effort of a share: about two seconds
+MOST = 512  # goals of a share
+MOST_BY_TIME = 16  # goals of a share that are searched by time
+SHARE_EFFORT = 640.0  # of the searches of a share, unless they need more: about half a second
 
 Run = Callable[[Any], Iterable[Any]]
 
@@ -87,7 +88,7 @@ PREPARED = PreparedJobs()
 
 def goals_a_share(effort: float | None) -> int:
     """Returns the number of goals of a share, from the effort of each; None: they are searched by time."""
-    return MOST if effort is None else max(1, min(MOST, int(SHARE_EFFORT / effort)))
+    return MOST_BY_TIME if effort is None else max(1, min(MOST, int(SHARE_EFFORT / effort)))
 
 
 def pack(job: Job) -> PackedJob:

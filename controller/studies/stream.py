@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Generator, Iterable
 from concurrent.futures import CancelledError
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 from controller.studies.shares import Job, StudyFailed, alone, compute, pack
 from controller.studies.workers import check_workers
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 AHEAD = 4  # shares in flight for each thread of a worker
+COUNT_AGAIN = 1.0  # [s] until the threads of the workers are counted again
 LOOK = 10.0  # [s] between two looks at the cluster while no result comes
 SCHEDULER_TIMEOUT = 60.0  # [s] for the scheduler to answer
 
@@ -38,10 +40,14 @@ def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> Ge
         return
     check_workers(client)
     packed, waiting = pack(job), deque["Future"]()
+    most, counted = 0, -math.inf
+    study = f"study-{uuid4()}"  # one group of tasks: Dask keeps each group until the study ends
     try:
-        for share in shares:
-            waiting.append(client.submit(compute, packed, share, pure=False))
-            while len(waiting) >= AHEAD * max(1, sum(client.nthreads().values())):
+        for number, share in enumerate(shares):
+            waiting.append(client.submit(compute, packed, share, key=(study, number)))
+            if time.monotonic() > counted + COUNT_AGAIN:
+                most, counted = AHEAD * max(1, sum(client.nthreads().values())), time.monotonic()
+            while len(waiting) >= most:
                 yield result_of(waiting[0], client)
                 waiting.popleft()
         while waiting:

@@ -128,7 +128,7 @@ def ends(job: PlanJob) -> Iterator[int]:
 
 def count(found: Iterable[ShownResult], counter: list[int], progress: Progress, total: int) -> Iterator[ShownResult]:
     """Yields the results; counts the goals among them in `counter` and on the progress bar."""
-    task = progress.add_task("", total=total, completed=counter[0])
+    task = progress.add_task("", total=total, completed=counter[0], before=counter[0])
     for result in found:
         yield result
         counter[0] += not result.line.get("between", False)
