@@ -195,3 +195,13 @@ def test_each_method_of_the_benchmark_runs(name):
     row = run(name, find_method(METHODS[name].target), tasks, arms, 60.0)
     assert (row.goals + row.left_out, row.errors, row.impossible, row.wrong_certificates) == (5, {}, 0, 0)
     assert row.goals >= 1
+
+
+def test_an_answer_does_not_depend_on_other_goals():
+    task, *others = [task for task in read("lattice") if task.arm == TASKS[0].arm][:3]
+    goal, arm = hb.Goal(task.position, task.angle, task.tolerance), ARMS[task.arm]
+    prepare = find_method(METHODS["random-search"].target)
+    first, later = prepare(arm), prepare(arm)
+    for other in others:
+        later(hb.Goal(other.position, other.angle, other.tolerance), other.start)
+    assert np.array_equal(first(goal, task.start), later(goal, task.start))
