@@ -85,7 +85,7 @@ def test_names_are_listed(hyperbit):
         (("--methods", "magic"), "no method 'magic'"),
         (("--method", "prepare"), "module:function or file.py:function is needed"),
         (("--method", "missing_module:prepare"), "missing_module cannot be imported: ModuleNotFoundError"),
-        (("--method", "missing.py:prepare"), "missing.py cannot be imported: FileNotFoundError"),
+        (("--method", "missing.py:prepare"), "missing.py cannot be read: No such file"),
         (("--method", "json:missing"), "json has no function 'missing'"),
         (("--method", "math:pi"), "math has no function 'pi'"),
     ],
