@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.arm import arm as config
-from controller.bench.goal_sets import arm_path, load_arm
+from controller.bench.goal_sets import load_arm
 from controller.library import arm as library
 from controller.library.obstacles import KINDS, Obstacle
 from controller.obstacles.clearance import BodyClearance
@@ -26,16 +26,21 @@ class BenchArm:
 
     Attributes:
         name: name of the arm's file.
-        path: path of the arm's file.
+        model: the arm in the form of controller/arm.
     """
 
     name: str
-    path: Path
+    model: config.Arm
 
     @cached_property
     def arm(self) -> library.Arm:
         """The arm as an object of the library `hyperbit`, obstacles included."""
-        return library.load(self.path)
+        return library.Arm._of(self.model)
+
+    @property
+    def path(self) -> Path | None:
+        """Path of the arm's file; workers on other computers do not have it."""
+        return self.model.path
 
     @property
     def states(self) -> NDArray[np.int64]:
@@ -82,11 +87,6 @@ class BenchArm:
                     found.append(kind(**fields, name=region.name))
         return tuple(found)
 
-    @property
-    def model(self) -> config.Arm:
-        """The arm in the form of controller/config."""
-        return load_arm(self.name)
-
     @cached_property
     def clearance(self) -> BodyClearance:
         """Collision checks of the arm."""
@@ -101,4 +101,4 @@ class BenchArm:
 
 def bench_arm(name: str) -> BenchArm:
     """Returns an arm of the goal sets."""
-    return BenchArm(name, arm_path(name))
+    return BenchArm(name, load_arm(name))

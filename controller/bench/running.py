@@ -1,29 +1,19 @@
 """Runs methods on goal sets and summarizes the outcomes."""
 
-import contextlib
-import gc
-import signal
-import threading
-import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from types import FrameType
-from typing import cast
 
 import numpy as np
 
-from controller.bench.arm import BenchArm
-from controller.bench.checking import Outcome, check
-from controller.bench.goal_sets import Task, by_arm
-from controller.bench.methods import Prepare, Solve
-from controller.library.goals import Goal
+from controller.bench.checking import Outcome
+from controller.bench.goal_sets import Task, by_arm, load_arm
+from controller.bench.method_job import GoalResult, MethodJob
+from controller.bench.methods import Prepare
+from controller.studies.shares import Spread, alone
 
 MISSES = ("missed", "touches", "nothing found")
-
-
-class TooLongError(BaseException):
-    """A method took too long for a goal. It is no Exception, so that a method does not catch it by accident."""
+PART = 8  # goals of a share
 
 
 @dataclass(frozen=True)
@@ -44,7 +34,8 @@ class Row:
         above_most: greatest number of switches above the certified optimum.
         seconds_median: median time for a goal [s].
         seconds_99: 99 % quantile of the time for a goal [s].
-        tables_seconds: time of `prepare` and of the first goal of each arm, which is then solved again [s].
+        tables_seconds: time of `prepare` and of the first goal of each arm, which is then solved again [s]; of the
+            slowest worker.
         errors: number of goals by kind of error.
         examples: a sentence for each kind of error, and for the first wrong certificate.
         impossible: answers with fewer switches than the proven minimum, so that the set is wrong.
@@ -69,100 +60,23 @@ class Row:
     impossible: int
 
 
-def run(
-    name: str,
-    prepare: Prepare,
-    tasks: Sequence[Task],
-    arms: dict[str, BenchArm],
-    limit: float,
-    advance: Callable[[], None] = lambda: None,
-) -> Row:
+def run(name: str, prepare: Prepare, tasks: Sequence[Task], limit: float, spread: Spread = alone) -> Row:
     """Runs a method on goals; returns the summary.
 
     Args:
         name: name of the method.
         prepare: the method, see controller.bench.methods.
         tasks: the goals.
-        arms: arms by name.
         limit: longest time for a goal [s].
-        advance: called after each goal.
+        spread: solves the goals of each arm, PART goals a share.
     """
-    outcomes: dict[int, Outcome] = {}
-    numbers = {id(task): k for k, task in enumerate(tasks)}
-    tables = 0.0
-    for arm_name, own in by_arm(list(tasks)).items():
-        arm = arms[arm_name]
-        began = time.perf_counter()
-        solve, outcome = prepared(prepare, arm, own[0], limit)
-        tables += time.perf_counter() - began
-        for task in own:
-            outcomes[numbers[id(task)]] = outcome or solved(solve, arm, task, limit)
-            advance()
-    return summed(name, tasks, [outcomes[k] for k in range(len(tasks))], tables)
-
-
-def prepared(prepare: Prepare, arm: BenchArm, first: Task, limit: float) -> tuple[Solve, Outcome | None]:
-    """Prepares a method for an arm and solves one goal; returns `solve`, or the outcome of all goals if it failed."""
-
-    def nothing(goal: Goal, start: np.ndarray) -> None:
-        """Placeholder of a method that failed."""
-
-    try:
-        solve = prepare(arm)
-    except NotImplementedError:
-        return nothing, Outcome(False, 0, 0.0, left_out=True)
-    except (Exception, SystemExit) as error:
-        return nothing, raised(error, 0.0)
-    if not callable(cast(object, solve)):
-        return nothing, Outcome(False, 0, 0.0, kind="no function", detail=f"the method returned {solve!r:.60}")
-    solved(solve, arm, first, 10 * limit)
-    return solve, None
-
-
-def solved(solve: Solve, arm: BenchArm, task: Task, limit: float) -> Outcome:
-    """Solves a goal and checks the answer. The method receives copies; its exceptions become outcomes."""
-    goal = Goal(task.position, task.angle, task.tolerance, None if task.angle is None else task.angle_tolerance)
-    start = task.start.copy()
-    gc.disable()
-    began = time.perf_counter()
-    try:
-        with at_most(limit):
-            answer = solve(goal, start)
-        seconds = time.perf_counter() - began
-    except NotImplementedError:
-        return Outcome(False, 0, 0.0, left_out=True)
-    except TooLongError:
-        return Outcome(False, 0, limit, kind="took too long", detail=f"more than {limit:g} s")
-    except (Exception, SystemExit) as error:
-        return raised(error, time.perf_counter() - began)
-    finally:
-        gc.enable()
-    return check(arm, task, answer, seconds)
-
-
-def raised(error: BaseException, seconds: float) -> Outcome:
-    """Returns the outcome of an exception."""
-    text = " ".join(str(error).split())
-    return Outcome(False, 0, seconds, kind=f"raised {type(error).__name__}", detail=text[:200])
-
-
-@contextlib.contextmanager
-def at_most(seconds: float) -> Iterator[None]:
-    """Raises TooLongError in the block after a time [s], at the next Python code. Works in the main thread only."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def late(number: int, frame: FrameType | None) -> None:
-        raise TooLongError
-
-    before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+    outcomes, tables = dict[int, Outcome](), 0.0
+    for arm, own in by_arm(list(tasks)).items():
+        job = MethodJob(prepare, arm, load_arm(arm), own[0], limit)
+        found: list[GoalResult] = list(spread(job, [own[k : k + PART] for k in range(0, len(own), PART)]))
+        outcomes |= {id(task): result.outcome for task, result in zip(own, found, strict=True)}
+        tables += max(result.tables_seconds for result in found)
+    return summed(name, tasks, [outcomes[id(task)] for task in tasks], tables)
 
 
 def summed(name: str, tasks: Sequence[Task], outcomes: Sequence[Outcome], tables: float) -> Row:

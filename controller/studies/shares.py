@@ -101,11 +101,14 @@ def unpacked(job: PackedJob) -> Job:
     """Returns a job that has arrived.
 
     Raises:
-        StudyFailed: the content is not what was packed.
+        StudyFailed: the content is not what was packed, or needs what this worker does not have.
     """
     if (found := hashlib.sha256(job.content).hexdigest()) != job.digest:
         raise StudyFailed(f"the job has arrived with the digest {found[:12]}, and was sent with {job.digest[:12]}")
-    own: Job = pickle.loads(job.content)
+    try:
+        own: Job = pickle.loads(job.content)
+    except Exception as error:
+        raise StudyFailed(f"a worker needs the modules of this computer: {type(error).__name__}: {error}") from None
     return own
 
 

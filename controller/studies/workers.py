@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 CONNECT = 10.0  # [s] for the connection to a scheduler
 NEEDED = ("hyperbit", "numba")  # packages of a worker
-# Ctrl-C reaches all processes of a terminal. This one ends the study, and its workers.
-UNINTERRUPTED = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+# Ctrl-C reaches all processes of a terminal. This one ends the study, and its workers. Stdout is for the results.
+PRELOAD = "import signal, sys\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\nsys.stdout = sys.stderr\n"
 # What Dask measures of itself, for a dashboard that nobody opens, takes a tenth of a processor from the workers.
 UNWATCHED = {
     "distributed.admin.tick.interval": "1s",
@@ -52,7 +52,7 @@ def local_workers(count: int) -> Iterator[Client]:
                 dashboard_address="127.0.0.1:0",
                 memory_limit=0,
                 silence_logs=logging.CRITICAL,
-                preload=[UNINTERRUPTED],
+                preload=[PRELOAD],
             )
         except (OSError, RuntimeError) as error:
             raise StudyFailed(f"{count} worker processes cannot be started: {error}") from None

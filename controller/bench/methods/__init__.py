@@ -8,10 +8,11 @@ NotImplementedError for an arm or a goal that it does not support.
 """
 
 import importlib
-import importlib.util
 import sys
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from controller.search.method import MINIMUM_SWITCH
@@ -83,6 +84,31 @@ METHODS = {
 }
 
 
+class FileMethod:
+    """A method from a file. Pickled, it carries the source of the file, so workers do not need the file.
+
+    Args:
+        path: path of the file.
+        function: name of the function.
+        source: content of the file.
+
+    Raises:
+        ValueError: the source fails, or has no such function.
+    """
+
+    def __init__(self, path: str, function: str, source: bytes) -> None:
+        self._sent = path, function, source
+        self._prepare = function_of(lambda: executed(path, source), path, function)
+
+    def __call__(self, arm: "BenchArm") -> Solve:
+        """Prepares the method for an arm."""
+        return self._prepare(arm)
+
+    def __reduce__(self) -> tuple[type["FileMethod"], tuple[str, str, bytes]]:
+        """Returns what is pickled."""
+        return FileMethod, self._sent
+
+
 def find_method(target: str) -> Prepare:
     """Imports the function of "module:function" or "file.py:function"; modules of the working directory are found.
 
@@ -92,21 +118,39 @@ def find_method(target: str) -> Prepare:
     place, _, name = target.rpartition(":")
     if not place or not name.isidentifier():
         raise ValueError(f"{target!r}: module:function or file.py:function is needed")
+    if place.endswith(".py"):
+        file = Path(place).absolute()
+        try:
+            source = file.read_bytes()
+        except OSError as error:
+            raise ValueError(f"{target!r}: {place} cannot be read: {error.strerror}") from error
+        return FileMethod(str(file), name, source)
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.insert(0, here)
+    return function_of(lambda: importlib.import_module(place), place, name)
+
+
+def function_of(load: Callable[[], ModuleType], place: str, name: str) -> Prepare:
+    """Returns a function of a module that `load` returns.
+
+    Raises:
+        ValueError: the module cannot be loaded, or has no such function.
+    """
     try:
-        if place.endswith(".py"):
-            spec = importlib.util.spec_from_file_location(Path(place).stem, place)
-            assert spec is not None
-            assert spec.loader is not None
-            module = importlib.util.module_from_spec(spec)
-            sys.modules[spec.name] = module
-            spec.loader.exec_module(module)
-        else:
-            if (here := str(Path.cwd())) not in sys.path:
-                sys.path.insert(0, here)
-            module = importlib.import_module(place)
+        module = load()
     except (Exception, SystemExit) as error:
-        raise ValueError(f"{target!r}: {place} cannot be imported: {type(error).__name__}: {error}") from error
+        raise ValueError(f"{place} cannot be imported: {type(error).__name__}: {error}") from error
     found = getattr(module, name, None)
     if not callable(found):
-        raise ValueError(f"{target!r}: {place} has no function {name!r}")
+        raise ValueError(f"{place} has no function {name!r}")
     return found  # type: ignore[no-any-return]
+
+
+@lru_cache(maxsize=16)
+def executed(path: str, source: bytes) -> ModuleType:
+    """Returns the module of a file. Its name is made of the file's path, so that it hides no other module."""
+    module = ModuleType(path.replace(".", "_"))
+    module.__file__ = path
+    sys.modules[module.__name__] = module  # for dataclasses and pickle
+    exec(compile(source, path, "exec"), vars(module))
+    return module

@@ -63,12 +63,13 @@ def random_search(arm: BenchArm) -> Solve:
     """Prepares random search.
 
     Each sample is the start with a random number of modules in random states. The search returns a solution of fewest
-    switches, otherwise the nearest sample.
+    switches, otherwise the nearest sample. The position of the goal is the seed, so that the answer does not depend on
+    other goals.
     """
     m, clearance = arm.model.manipulator, arm.clearance
-    rng = np.random.default_rng(0)
 
     def solve(goal: Goal, start: Configuration) -> Configuration:
+        rng = np.random.default_rng(np.array(goal.position, dtype=float).view(np.uint64))
         drawn = rng.integers(0, m.states, (SAMPLES, len(start)))
         unchanged = rng.random((SAMPLES, len(start))) >= rng.random((SAMPLES, 1))
         every = np.where(unchanged, start, drawn)

@@ -9,7 +9,6 @@ import platform
 import sys
 from collections.abc import Iterable
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -19,9 +18,19 @@ from controller.armfile.strict import InputFaults
 from controller.bench.methods import METHODS, find_method
 from controller.commands import common
 from controller.commands.common import CommandFailed
+from controller.commands.sharing import (
+    Dask,
+    Sharing,
+    Workers,
+    check_sharing,
+    open_workers,
+    progress_bar,
+    spread_over,
+)
 from controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
+    from distributed import Client
     from rich.table import Table
 
     from controller.bench.goal_sets import Task
@@ -31,6 +40,7 @@ if TYPE_CHECKING:
 LEGEND = """solved: within the tolerances and clear of obstacles. fewest: with the certified minimum of switches.
 proven: claimed to be optimal, not contradicted. switches: mean over solved goals. above: switches above the certified
 optimum, mean/most. ms: median/99 %. tables: seconds to prepare. wrong: contradicted certificates."""
+BESIDE = "Times were measured while several workers shared the processors; tables: of the slowest worker."
 
 OWN = "Your own method, as module:function or file.py:function; repeatable."
 
@@ -48,6 +58,8 @@ def bench(
     limit: Annotated[float, typer.Option(min=0.001, help="Longest time for one goal [s].")] = 60.0,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to a file; - is stdout.")] = None,
     names: Annotated[bool, typer.Option("--list", help="Only print the names of sets and methods.")] = False,
+    workers: Workers = 1,
+    dask: Dask = None,
 ) -> None:
     """Compare methods of inverse kinematics on goals whose fewest switches are proven.
 
@@ -69,18 +81,21 @@ def bench(
     `solve` returns a configuration (B,), None if it finds none, or an object with the attribute `configuration`. If the
     object has a `certificate` ("optimal", "unreachable") or a `bound`, the benchmark checks these as well. A method
     skips an arm or a goal with NotImplementedError. Other exceptions and invalid answers are counted and named. The
-    column `tables` has the time of `prepare` and of the first goal of each arm. Methods run in this process: run only
-    programs that you trust.
+    column `tables` has the time of `prepare` and of the first goal of each arm.
+
+    `--workers` and `--dask` share the goals. All but the times stays the same, except for methods that search by time.
+    Methods run in this process, or in the workers: run only programs that you trust.
     """  # noqa: D301 - \b keeps click from filling the lines
     from controller.bench.goal_sets import SETS
 
     if names:
         print_names(SETS)
         return
+    check_sharing(sharing := Sharing(workers, dask))
     scale = Scale(chosen_methods(methods, method or []), limit, count)
-    results = run_sets(chosen_sets(sets, list(SETS)), scale, silent=str(json_file) == "-")
+    results = run_sets(chosen_sets(sets, list(SETS)), scale, sharing, silent=str(json_file) == "-")
     if json_file is not None:
-        write_figures(json_file, results)
+        write_figures(json_file, results, sharing)
     if impossible := sum(row.impossible for result in results for row in result.rows):
         raise CommandFailed(f"{impossible} answers have fewer switches than the proven minimum: a goal set is wrong")
 
@@ -117,25 +132,34 @@ class SetResult(NamedTuple):
     rows: list[Row]
 
 
-def run_sets(names: list[str], scale: Scale, *, silent: bool) -> list[SetResult]:
+def run_sets(names: list[str], scale: Scale, sharing: Sharing, *, silent: bool) -> list[SetResult]:
     """Runs all methods on goal sets; prints each set's table as soon as it is known, unless `silent`."""
-    results = []
-    for name in names:
-        results.append(run_set(name, scale))
-        if not silent:
-            print_result(results[-1])
+    results = list[SetResult]()
+    with open_workers(sharing, lambda: "" if silent else remedy(results)) as client:
+        for name in names:
+            results.append(run_set(name, scale, client))
+            if not silent:
+                print_result(results[-1])
     if not silent:
         common.console.print(LEGEND)
+        if sharing.given:
+            common.console.print(BESIDE)
     return results
 
 
-def run_set(name: str, scale: Scale) -> SetResult:
-    """Runs all methods on a goal set."""
+def remedy(results: Iterable[SetResult]) -> str:
+    """Returns which sets are done, and how to get the others; "" if none is."""
+    done = ", ".join(result.name for result in results)
+    return f"the tables of these sets are complete: {done}; choose the others with --set" if done else ""
+
+
+def run_set(name: str, scale: Scale, client: Client | None) -> SetResult:
+    """Runs all methods on a goal set, by the workers of a client, or by this process."""
     from controller.bench.goal_sets import SETS, read, sample_evenly
 
     tasks = read(name)
     tasks = sample_evenly(tasks, len(tasks) if scale.most is None else scale.most)
-    rows = measured(name, tasks, scale)
+    rows = measured(name, tasks, scale, client)
     return SetResult(name, SETS[name], len(tasks), sum(task.proven for task in tasks), rows)
 
 
@@ -147,10 +171,10 @@ def print_result(result: SetResult) -> None:
             common.console.print(f"  {row.method}: {example}", markup=False)
 
 
-def write_figures(file: Path, results: Iterable[SetResult]) -> None:
+def write_figures(file: Path, results: Iterable[SetResult], sharing: Sharing) -> None:
     """Writes the figures of all goal sets as JSON to a file, or to stdout if the file is "-"."""
     figures: dict[str, Any] = {"python": platform.python_version(), "machine": platform.machine()}
-    figures |= {"cores": os.cpu_count(), "sets": {}}
+    figures |= {"cores": os.cpu_count(), **sharing._asdict(), "sets": {}}
     for result in results:
         figures["sets"][result.name] = {"about": result.about, "goals": result.goals, "certified": result.proven}
         figures["sets"][result.name]["methods"] = [asdict(row) for row in result.rows]
@@ -190,23 +214,15 @@ def chosen_methods(wanted: str | None, own: list[str]) -> dict[str, Prepare]:
         raise InputFaults(Path("--method"), [str(error)]) from None
 
 
-def measured(name: str, tasks: list[Task], scale: Scale) -> list[Row]:
+def measured(name: str, tasks: list[Task], scale: Scale, client: Client | None) -> list[Row]:
     """Runs each method on a goal set, with a progress bar on stderr; returns a row for each method."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    from controller.bench.arm import bench_arm
     from controller.bench.running import run
 
-    arms = {arm: bench_arm(arm) for arm in {task.arm for task in tasks}}
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    silent = not common.errors.is_terminal
-    bars = Progress(*columns, console=common.errors, transient=True, disable=silent)
-    with bars as progress, contextlib.redirect_stdout(sys.stderr):  # stdout is for the figures
-        rows = []
+    rows = []
+    with progress_bar("goals") as progress, contextlib.redirect_stdout(sys.stderr):  # stdout is for the figures
         for method, prepare in scale.methods.items():
-            bar = progress.add_task(f"{name}: {method}", total=len(tasks))
-            rows.append(run(method, prepare, tasks, arms, scale.limit, partial(progress.advance, bar)))
-            progress.remove_task(bar)
+            spread = spread_over(client, progress, f"{name}: {method}")
+            rows.append(run(method, prepare, tasks, scale.limit, spread))
     return rows
 
 

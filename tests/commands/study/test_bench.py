@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import pytest
 
+from controller.bench import running
 from controller.bench.goal_sets import SETS
 from controller.bench.methods import METHODS
 from controller.commands import common
@@ -78,14 +81,60 @@ def test_names_are_listed(hyperbit):
     assert all(f"  {name} " in out for name in (*SETS, *METHODS))
 
 
+def test_workers_change_nothing_but_times(hyperbit, mine, tmp_path):
+    def figures(file):
+        found = json.loads(file.read_text())
+        rows = [row for of_set in found["sets"].values() for row in of_set["methods"]]
+        return [{name: value for name, value in row.items() if "seconds" not in name} for row in rows], found["workers"]
+
+    words = ("bench", "--set", "revolute24", "--count", "20", "--methods", "pop,random-search", "--method")
+    words += (f"{mine}:boast", "--json")
+    code, out, _ = hyperbit(*words, str(tmp_path / "1.json"))
+    assert code == 0
+    assert "several workers" not in out
+    code, out, _ = hyperbit(*words, str(tmp_path / "2.json"), "--workers", "2")
+    assert code == 0
+    assert "Times were measured while several workers shared the processors" in out
+    (alone, one), (shared, two) = figures(tmp_path / "1.json"), figures(tmp_path / "2.json")
+    assert (shared, one, two) == (alone, 1, 2)
+
+
+def test_what_a_method_prints_in_a_worker_is_not_among_the_figures(mine):
+    words = ("-m", "controller.cli", "bench", *FEW, "--method", f"{mine}:prepare", "--methods", "random-search")
+    run = [sys.executable, *words, "--json", "-", "--workers", "2"]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["sets"]["revolute24"]["methods"][1]["solved"] == 3
+    assert "noise" in done.stderr
+
+
+def test_ctrl_c_ends_with_what_is_complete(hyperbit, monkeypatch):
+    run = running.run
+
+    def interrupted(name, prepare, tasks, limit, spread):
+        if tasks[0].arm == "planar16":
+            raise KeyboardInterrupt
+        return run(name, prepare, tasks, limit, spread)
+
+    monkeypatch.setattr(running, "run", interrupted)
+    words = "bench", "--count", "2", "--methods", "random-search", "--set"
+    code, _, err = hyperbit(*words, "planar16")
+    assert (code, err) == (130, "interrupted: no result is kept\n")
+    code, out, err = hyperbit(*words, "revolute24", "--set", "planar16")
+    assert code == 130
+    assert "random-search" in out
+    assert "the tables of these sets are complete: revolute24; choose the others with --set" in " ".join(err.split())
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
+        (("--workers", "2", "--dask", "tcp://a:1"), "--dask: the cluster has its own workers: leave out --workers"),
         (("--set", "nowhere"), "no set 'nowhere'"),
         (("--methods", "magic"), "no method 'magic'"),
         (("--method", "prepare"), "module:function or file.py:function is needed"),
         (("--method", "missing_module:prepare"), "missing_module cannot be imported: ModuleNotFoundError"),
-        (("--method", "missing.py:prepare"), "missing.py cannot be imported: FileNotFoundError"),
+        (("--method", "missing.py:prepare"), "missing.py cannot be read: No such file"),
         (("--method", "json:missing"), "json has no function 'missing'"),
         (("--method", "math:pi"), "math has no function 'pi'"),
     ],

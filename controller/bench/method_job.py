@@ -1,0 +1,101 @@
+"""One method on one arm, as a job whose shares are goals: what a worker prepares, solves, measures and checks."""
+
+import gc
+import time
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from controller.arm.arm import Arm
+from controller.bench.arm import BenchArm
+from controller.bench.checking import Outcome, check
+from controller.bench.goal_sets import Task
+from controller.bench.methods import Prepare, Solve
+from controller.bench.time_limit import TooLongError, at_most
+from controller.library.goals import Goal
+from controller.studies.shares import Run
+
+
+class GoalResult(NamedTuple):
+    """The outcome of a goal, and the time in which its worker has prepared the method and solved the first goal [s]."""
+
+    outcome: Outcome
+    tables_seconds: float
+
+
+class MethodJob(NamedTuple):
+    """A method on an arm. A share is a sequence of goals.
+
+    Attributes:
+        method: the method, see controller.bench.methods.
+        arm: name of the arm.
+        model: the arm.
+        first: a goal that is solved once before all others, so that no goal waits for tables.
+        limit: longest time for a goal [s].
+    """
+
+    method: Prepare
+    arm: str
+    model: Arm
+    first: Task
+    limit: float
+
+    def prepare(self) -> Run:
+        """Prepares the method; returns what solves the goals of a share."""
+        arm = BenchArm(self.arm, self.model)
+        began = time.perf_counter()
+        solve, outcome = prepared(self.method, arm, self.first, self.limit)
+        tables = time.perf_counter() - began
+
+        def run(tasks: Sequence[Task]) -> Iterator[GoalResult]:
+            for task in tasks:
+                yield GoalResult(outcome or solved(solve, arm, task, self.limit), tables)
+
+        return run
+
+
+def prepared(prepare: Prepare, arm: BenchArm, first: Task, limit: float) -> tuple[Solve, Outcome | None]:
+    """Prepares a method for an arm and solves one goal; returns `solve`, or the outcome of all goals if it failed."""
+
+    def nothing(goal: Goal, start: np.ndarray) -> None:
+        """Placeholder of a method that failed."""
+
+    try:
+        solve = prepare(arm)
+    except NotImplementedError:
+        return nothing, Outcome(False, 0, 0.0, left_out=True)
+    except (Exception, SystemExit) as error:
+        return nothing, raised(error, 0.0)
+    if not callable(cast(object, solve)):
+        return nothing, Outcome(False, 0, 0.0, kind="no function", detail=f"the method returned {solve!r:.60}")
+    solved(solve, arm, first, 10 * limit)
+    return solve, None
+
+
+def solved(solve: Solve, arm: BenchArm, task: Task, limit: float) -> Outcome:
+    """Solves a goal and checks the answer. The method receives copies; its exceptions become outcomes."""
+    goal = Goal(task.position, task.angle, task.tolerance, None if task.angle is None else task.angle_tolerance)
+    start = task.start.copy()
+    gc.disable()
+    began = time.perf_counter()
+    try:
+        with at_most(limit):
+            began = time.perf_counter()  # again: the limit itself takes 0.1 ms
+            answer = solve(goal, start)
+            seconds = time.perf_counter() - began
+    except NotImplementedError:
+        return Outcome(False, 0, 0.0, left_out=True)
+    except TooLongError:
+        return Outcome(False, 0, limit, kind="took too long", detail=f"more than {limit:g} s")
+    except (Exception, SystemExit) as error:
+        return raised(error, time.perf_counter() - began)
+    finally:
+        gc.enable()
+    return check(arm, task, answer, seconds)
+
+
+def raised(error: BaseException, seconds: float) -> Outcome:
+    """Returns the outcome of an exception."""
+    text = " ".join(str(error).split())
+    return Outcome(False, 0, seconds, kind=f"raised {type(error).__name__}", detail=text[:200])

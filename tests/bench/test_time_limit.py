@@ -1,0 +1,81 @@
+"""The time limit of a block, in the main thread and in others, and that it ends with the block."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from controller.bench import time_limit
+from controller.bench.time_limit import TooLongError, at_most
+
+
+def endless() -> None:
+    while True:
+        pass
+
+
+def endless_numpy() -> None:
+    values = np.ones(1000)
+    while True:
+        values = np.sqrt(values)
+
+
+def caught(call: Callable[[], None]) -> bool:
+    """Returns whether the limit has ended the call."""
+    try:
+        with at_most(0.02):
+            call()
+    except TooLongError:
+        return True
+    return False
+
+
+@pytest.mark.parametrize("call", [endless, endless_numpy])
+def test_a_loop_is_ended_in_each_thread(call):
+    assert caught(call)
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(caught, [call, call, call])) == [True] * 3
+
+
+def test_a_block_in_time_and_its_own_exceptions_are_left_alone():
+    assert not caught(lambda: None)
+    with pytest.raises(ZeroDivisionError), at_most(60):
+        raise ZeroDivisionError
+    assert [t for t in threading.enumerate() if isinstance(t, threading.Timer)] == []
+
+
+def test_nothing_is_raised_after_the_block():
+    """The limits end about when the blocks do. What leaks ends this test."""
+    for k in range(2000):
+        try:
+            with at_most(2e-6 * (k % 100)):
+                sum(range(k % 50))
+        except TooLongError:
+            continue
+        sum(range(100))
+
+
+def test_an_exception_that_comes_too_late_is_taken_back(monkeypatch):
+    """The timer acts while the block ends."""
+    kinds = list[object]()
+
+    class Late(threading.Timer):
+        def cancel(self) -> None:
+            """Does not cancel: the timer was just about to act."""
+
+        def join(self, timeout: float | None = None) -> None:
+            """Acts at the end of the wait."""
+            self.function(*self.args)
+
+    def recorded(thread: int, kind: type[BaseException] | None) -> None:
+        kinds.append(kind)
+
+    monkeypatch.setattr(time_limit.threading, "Timer", Late)
+    monkeypatch.setattr(time_limit, "set_exception", recorded)
+    with at_most(60):
+        pass
+    assert kinds == [TooLongError, None]
