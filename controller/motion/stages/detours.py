@@ -4,9 +4,10 @@ The graph has a configuration for each vertex, and a clear switch of one actuato
 cut into clear switches, one after the other, so that this graph connects all that clear stages connect.
 
 RRT-Connect (Kuffner and LaValle 2000) grows a tree from the start and one from the ends, each towards random
-configurations and then towards the other. Most ways are found at once. Flooding visits all that can be reached from
-the start, and all from which an end can be reached, in turn. If one of both ends, it proves that there is no way. A
-shorter proof is a graph of the lowest modules alone: if they cannot pass, the whole arm cannot.
+configurations and then towards the other. Among these are bent ones, which lead around obstacles. Most ways are found
+at once. Flooding visits all that can be reached from the start, and all from which an end can be reached, in turn. If
+one of both ends, it proves that there is no way. A shorter proof is a graph of the lowest modules alone: if they cannot
+pass, the whole arm cannot.
 """
 
 from collections.abc import Callable, Iterator

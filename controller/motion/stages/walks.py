@@ -23,6 +23,7 @@ from controller.obstacles.single_switches import (
 )
 
 ROOM = 512  # of a tree for one walk
+RUNS = 5  # the mean length of a run of equal modules in a target is 1, 2, 4, .. up to 2^(RUNS - 1)
 TOWARDS = 0.3  # share of the targets that are configurations of the other tree
 
 
@@ -146,6 +147,25 @@ def extend(walk: Walk, tree: StateTree, number: int) -> tuple[int, int]:
     return number, checks
 
 
+@njit([types.void(WALK)], **UNCOUNTED)
+def aim(walk: Walk) -> None:
+    """Draws a target: runs of modules whose actuators are in the same states, of a random mean length.
+
+    If each actuator is drawn by itself, the bends of a long arm nearly cancel. But a way around an obstacle needs
+    configurations in which many modules in a row bend to the same side.
+    """
+    for word in range(len(walk.target)):
+        walk.target[word] = np.uint64(0)
+    length, module, states = 1 << draw(walk.random, RUNS), -1, 0
+    for actuator in range(len(walk.order)):
+        if walk.switches.owners[actuator] != module:
+            module = walk.switches.owners[actuator]
+            if module == 0 or draw(walk.random, length) == 0:
+                states = draw(walk.random, 1 << 31)
+        if (states >> (walk.switches.places[actuator] % 31)) & 1:
+            flip(walk.target, actuator)
+
+
 @njit([TRIPLE(WALK, STATE_TREE, STATE_TREE, int64, int64)], **UNCOUNTED)
 def grow(walk: Walk, first: StateTree, second: StateTree, rounds: int, checks: int) -> tuple[int, int, int]:
     """Grows two trees until they meet, or for about a number of checks.
@@ -168,10 +188,7 @@ def grow(walk: Walk, first: StateTree, second: StateTree, rounds: int, checks: i
             for word in range(len(walk.target)):
                 walk.target[word] = other.bits[number, word]
         else:
-            for word in range(len(walk.target)):
-                walk.target[word] = np.uint64(draw(walk.random, 1 << 31)) << np.uint64(33)
-                walk.target[word] ^= np.uint64(draw(walk.random, 1 << 31)) << np.uint64(11)
-                walk.target[word] ^= np.uint64(draw(walk.random, 1 << 31))
+            aim(walk)
         grown, spent = extend(walk, tree, nearest(tree, walk.target))
         checks -= spent + 1
         for word in range(len(walk.target)):

@@ -1,5 +1,7 @@
 """Detours: ways to any of several ends, and proofs that there is none."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,18 @@ def test_a_way_around_a_post_is_found_with_one_word_of_states_and_with_two(hinge
     assert isinstance(found, Detour)
     assert found.end.tolist() == up.tolist()
     assert followed(manipulator, clearance, down, found.order).tolist() == up.tolist()
+
+
+def test_a_way_is_found_that_needs_many_hinges_in_a_row_bent_to_the_same_side():
+    manipulator = arm([hinge(-0.2, 0.2, 0.1)] * 24)
+    clearance = BodyClearance(manipulator, sphere("post", (1.5, 0.0), 0.1))
+    above = np.arange(24) % 2
+    below = above.copy()
+    above[:6], below[:6] = 1, 0
+    looks = itertools.count()
+    found = Detours(clearance, above, below[None], complete=False).search(lambda: next(looks) > 200)
+    assert isinstance(found, Detour)
+    assert followed(manipulator, clearance, above, found.order).tolist() == below.tolist()
 
 
 def test_an_end_that_cannot_be_reached_is_proven_so_and_all_that_can_is_listed():
