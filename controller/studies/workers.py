@@ -22,8 +22,9 @@ CONNECT = 10.0  # [s] for the connection to a scheduler
 NEEDED = ("hyperbit", "numba")  # packages of a worker
 # Ctrl-C reaches all processes of a terminal. This one ends the study, and its workers. Stdout is for the results.
 PRELOAD = "import signal, sys\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\nsys.stdout = sys.stderr\n"
-# What Dask measures of itself, for a dashboard that nobody opens, takes a tenth of a processor from the workers.
+# What Dask records of itself takes a tenth of a processor from the workers, and keeps the last 1000 messages in memory.
 UNWATCHED = {
+    "distributed.admin.low-level-log-length": 10,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
     "distributed.worker.profile.enabled": False,
@@ -68,10 +69,11 @@ def cluster_workers(address: str) -> Iterator[Client]:
         StudyFailed: Dask is not installed, there is no scheduler, or its Dask does not fit.
     """
     try:
+        import dask
         from distributed import Client
     except ImportError:
         raise StudyFailed(INSTALL) from None
-    with quiet():
+    with quiet(), dask.config.set(UNWATCHED):
         try:
             client = Client(address, timeout=CONNECT, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:

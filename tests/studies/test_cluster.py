@@ -43,6 +43,13 @@ class Squares(NamedTuple):
             yield number * number
 
 
+class Lengths(NamedTuple):
+    """A study of the lengths of what a share has."""
+
+    def prepare(self) -> Run:
+        return partial(map, len)
+
+
 @pytest.fixture(scope="module")
 def client() -> Iterator[Client]:
     with local_workers(2) as client:
@@ -75,6 +82,17 @@ def test_shares_are_read_as_they_are_needed(client):
     assert [next(found) for _ in range(20)] == [[k * k] for k in range(20)]
     assert next(read) <= 20 + 2 * stream.AHEAD
     found.close()
+
+
+def test_shares_that_are_done_leave_the_memory(client):
+    shares, before = ([os.urandom(200_000)] for _ in range(600)), memory()
+    assert all(found == [200_000] for found in results(Lengths(), shares, client))
+    assert memory() - before < 60  # of 120
+
+
+def memory() -> float:
+    """Returns the memory that this process has [MB]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def test_the_share_of_a_lost_worker_is_computed_again(client, tmp_path):
