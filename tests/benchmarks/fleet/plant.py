@@ -17,7 +17,8 @@ from typing import NamedTuple
 import httpx2
 import yaml
 import zenoh
-from websockets.sync.client import connect
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
 
 from controller.network import session
 from controller.panel.access.people import digest_of
@@ -116,7 +117,7 @@ class Plant:
         cookie = answer.headers["set-cookie"].partition(";")[0]
         live = eventually(lambda: self._page(url, cookie), PATIENCE, self._logs)
         self._closing.callback(live.close)
-        threading.Thread(target=lambda: [None for _ in live], daemon=True).start()
+        threading.Thread(target=drain, args=(live,), daemon=True).start()
 
     def start_recorder(self) -> None:
         """Starts a recorder of the first arm."""
@@ -156,12 +157,13 @@ class Plant:
         assert self._processes[name].poll() is None, f"{name} has ended: {self._log(name)[-500:]}"
         return f"serving the arm {name}" in self._log(name)
 
-    def _page(self, url: str, cookie: str) -> object:
+    def _page(self, url: str, cookie: str) -> ClientConnection | None:
         try:
             return connect(
                 f"{url.replace('http', 'ws')}arms/{self.arms[0]}/live",
                 origin=url.rstrip("/"),
                 additional_headers={"cookie": cookie},
+                ping_interval=None,  # a busy computer answers late, and the page stays open all the same
             )  # type: ignore[arg-type]
         except OSError:
             return None
@@ -199,6 +201,13 @@ class Plant:
             except subprocess.TimeoutExpired:
                 process.kill()  # the kernel then ends its executor
                 process.wait()
+
+
+def drain(live: ClientConnection) -> None:
+    """Reads the messages to a page until its connection ends, also if the panel is killed."""
+    with contextlib.suppress(ConnectionClosed):
+        for _ in live:
+            pass
 
 
 def session_of(leader: int) -> list[int]:
