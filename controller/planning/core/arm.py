@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 States = NDArray[np.uint8]
 Measured = NDArray[np.int8]  # actuator states, -1 unknown
 
+# Fields of a snapshot from which `ArmState` computes.
+OF_ACTUATORS = ("outputs", "measured", "known", "sensed", "homing", "locked", "moving")
+
 
 def measured_states(measured: bytes, known: bytes, actuators: int) -> Measured:
     """Unpacks measured states to shape (A,); -1 where they are not known."""
@@ -39,6 +42,13 @@ class ArmState:
 
     def __init__(self, manipulator: Manipulator, snapshot: Snapshot) -> None:
         self.manipulator, self.snapshot = manipulator, snapshot
+
+    def at(self, snapshot: Snapshot) -> ArmState:
+        """Returns the arm at a later snapshot. It keeps the arrays of this one if all actuators are as they were."""
+        later = ArmState(self.manipulator, snapshot)
+        if all(getattr(snapshot, name) == getattr(self.snapshot, name) for name in OF_ACTUATORS):
+            vars(later).update({**vars(self), "snapshot": snapshot})
+        return later
 
     @cached_property
     def outputs(self) -> States:
@@ -109,7 +119,7 @@ class ArmState:
         """Why the arm at rest is in no configuration; None if it is in one, moves, or a board is missing."""
         return self._spelled if isinstance(self._spelled, str) and not self.snapshot.moving else None
 
-    @property
+    @cached_property
     def locked_states(self) -> bytes:
         """The state in which each actuator is locked, as in `Tables`; 255 if it is free or not known."""
         return np.where(self.locked, self.measured, -1).astype(np.int8).tobytes()
@@ -192,7 +202,7 @@ class ExecutorView:
 
     def receive_snapshot(self, snapshot: Snapshot) -> ArmState:
         """Stores a snapshot, and returns it as ArmState."""
-        state = ArmState(self.manipulator, snapshot)
+        state = ArmState(self.manipulator, snapshot) if self.state is None else self.state.at(snapshot)
         self.rest.note(self.state, state)
         self.state, self._was_connected = state, True
         if snapshot.mode == "ready":

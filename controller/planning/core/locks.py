@@ -28,13 +28,14 @@ class Locks:
     a state.
 
     Attributes:
+        listed: label and state of each locked actuator.
         problem: why the tables could not be rebuilt; None if they could.
     """
 
     def __init__(self, parts: Parts, tables: Tables) -> None:
         self._view, self._jobs, self._act = parts.view, parts.jobs, parts.act
         self._built, self._building = tables, False
-        self._locked = tables.locked
+        self._set(tables.locked)
         self.problem: str | None = None
 
     @property
@@ -64,7 +65,8 @@ class Locks:
     def update(self, state: ArmState) -> None:
         """Takes the locked actuators of a snapshot."""
         if state.known and not state.snapshot.moving and (locked := state.locked_states) != self._locked:
-            self._locked, self.problem = locked, None
+            self._set(locked)
+            self.problem = None
             self._act(Log(logging.WARNING, self.sentence()))
         self._rebuild()
 
@@ -99,19 +101,20 @@ class Locks:
 
     def faults(self) -> Iterator[Fault]:
         """Yields the faults for `state`: each locked actuator, and tables that could not be rebuilt."""
-        for label, state in self._locks():
+        for label, state in self.listed:
             yield Fault("degraded", label, lock_warning(label, state))
         if self.problem is not None:
             yield Fault("internal-error", "daemon", self.problem)
 
     def sentence(self) -> str:
         """Returns the locked actuators in words, e.g. "locked: 5.left (contracted)"."""
-        return locks_in_words(self._locks())
+        return locks_in_words(self.listed)
 
-    def _locks(self) -> Iterator[tuple[str, int]]:
-        """Yields label and state of each locked actuator."""
-        labels, states = self._view.manipulator.actuators, self.states
-        return ((labels[k], int(states[k])) for k in np.flatnonzero(states >= 0))
+    def _set(self, locked: bytes) -> None:
+        """Sets the locked actuators."""
+        self._locked = locked
+        labels = self._view.manipulator.actuators
+        self.listed = tuple(pair for pair in zip(labels, self.states.tolist(), strict=True) if pair[1] >= 0)
 
     def _rebuild(self) -> None:
         """Starts a rebuild if one is needed and none runs."""

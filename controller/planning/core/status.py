@@ -100,7 +100,7 @@ class Status:
         if measured_from != self._measured_from:
             self._measured_from, self._measured = measured_from, self._measure()
         age = 0.0 if state is None else max(self._moment.now - state.snapshot.at, 0.0)
-        labels, faults = parts.view.manipulator.actuators, self._faults(self._warnings)
+        faults = self._faults(self._warnings)
         return {
             "stamp": self._moment.wall - age,
             "mode": mode,
@@ -115,11 +115,7 @@ class Status:
             "target": None if report is None else report.target,
             "obstacles": parts.obstacles.generation,
             "faults": [msgspec.structs.asdict(fault) for fault in faults.values()],
-            "degraded": [
-                {"actuator": label, "state": locked}
-                for label, locked in zip(labels, parts.locks.states.tolist(), strict=True)
-                if locked >= 0
-            ],
+            "degraded": [{"actuator": label, "state": locked} for label, locked in parts.locks.listed],
             **({} if parts.tip_bias is None else {"bias": parts.tip_bias.bias().tolist()}),
         }
 

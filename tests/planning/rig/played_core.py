@@ -32,9 +32,13 @@ class PlayedLocks:
     def mode(self) -> tuple[Mode, str]:
         return self._view.mode()
 
-    def faults(self) -> Iterator[Fault]:
+    @property
+    def listed(self) -> list[tuple[str, int]]:
         labels = self._view.manipulator.actuators
-        return (Fault("degraded", labels[k], "locked") for k in np.flatnonzero(self.states >= 0))
+        return [(labels[k], int(self.states[k])) for k in np.flatnonzero(self.states >= 0)]
+
+    def faults(self) -> Iterator[Fault]:
+        return (Fault("degraded", label, "locked") for label, _ in self.listed)
 
 
 @dataclass
