@@ -73,9 +73,10 @@ def cluster_workers(address: str) -> Iterator[Client]:
         from distributed import Client
     except ImportError:
         raise StudyFailed(INSTALL) from None
-    with quiet(), dask.config.set(UNWATCHED):
+    with quiet():
         try:
-            client = Client(address, timeout=CONNECT, set_as_default=False)
+            with dask.config.set(UNWATCHED):
+                client = Client(address, timeout=CONNECT, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise StudyFailed(

@@ -19,6 +19,7 @@ from controller.studies import stream, workers
 from controller.studies.shares import Run, StudyFailed, compute, pack
 from controller.studies.stream import results
 from controller.studies.workers import check_workers, cluster_workers, local_workers
+from tests.waiting import PATIENCE
 
 ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")
 
@@ -51,9 +52,16 @@ class Lengths(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def client() -> Iterator[Client]:
+def cluster() -> Iterator[Client]:
     with local_workers(2) as client:
         yield client
+
+
+@pytest.fixture
+def client(cluster: Client) -> Client:
+    """Two workers; some tests end one, which is then started again."""
+    cluster.wait_for_workers(2, timeout=PATIENCE)
+    return cluster
 
 
 @pytest.fixture(scope="module")
