@@ -17,7 +17,7 @@ from controller.search.method import MINIMUM_SWITCH, Method
 from controller.search.solution import Solution
 from controller.studies.shares import Run, StudyFailed, goals_a_share
 from controller.studies.stream import results
-from controller.studies.workers import local_workers
+from controller.studies.workers import check_workers, local_workers
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -92,6 +92,8 @@ def solutions(
     left = iter(goals)
     shares = iter(lambda: list(islice(left, goals_a_share(job.effort))), [])
     try:
+        if client is not None:
+            check_workers(client)
         with nullcontext(client) if client is not None or workers == 1 else local_workers(workers) as used:
             for found in results(job, shares, used):
                 yield from found

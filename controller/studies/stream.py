@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 from controller.studies.shares import Job, StudyFailed, alone, compute, pack
-from controller.studies.workers import check_workers
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -30,15 +29,15 @@ def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> Ge
     Args:
         job: what the shares have in common.
         shares: they can be pickled.
-        client: of a Dask cluster; None: this process computes all, and yields each result by itself.
+        client: of a Dask cluster that fits, see check_workers; None: this process computes all, and yields each result
+            by itself.
 
     Raises:
-        StudyFailed: the cluster does not fit, or is lost.
+        StudyFailed: the cluster is lost, or a worker has another version.
     """
     if client is None:
         yield from ([result] for result in alone(job, shares))
         return
-    check_workers(client)
     packed, waiting = pack(job), deque["Future"]()
     most, counted = 0, -math.inf
     study = f"study-{uuid4()}"  # one group of tasks: Dask keeps each group until the study ends

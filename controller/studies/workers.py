@@ -63,10 +63,10 @@ def local_workers(count: int) -> Iterator[Client]:
 
 @contextmanager
 def cluster_workers(address: str) -> Iterator[Client]:
-    """Connects to the scheduler of a Dask cluster, such as tcp://host:8786.
+    """Connects to the scheduler of a Dask cluster, such as tcp://host:8786, and checks its workers.
 
     Raises:
-        StudyFailed: Dask is not installed, there is no scheduler, or its Dask does not fit.
+        StudyFailed: Dask is not installed, there is no scheduler, or the cluster does not fit.
     """
     try:
         import dask
@@ -83,6 +83,7 @@ def cluster_workers(address: str) -> Iterator[Client]:
                 f"{address}: no Dask scheduler answers ({reason}); start one with `dask scheduler`"
             ) from None
         with client:
+            check_workers(client)
             yield client
 
 

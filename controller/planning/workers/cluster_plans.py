@@ -19,7 +19,7 @@ from controller.planning.workers.arm_model import Abandoned
 from controller.planning.workers.long_plans import LongAnswer, LongPlan, Planner
 from controller.studies.shares import PackedJob, Run, StudyFailed, compute, pack
 from controller.studies.stream import result_of
-from controller.studies.workers import check_workers, cluster_workers
+from controller.studies.workers import cluster_workers
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -125,7 +125,6 @@ class ClusterPlanner:
         while not self._closed.is_set():
             try:
                 with cluster_workers(self._address) as client:
-                    check_workers(client)
                     prepare_workers(client, self._job)
                     self._set(client, "")
                     while client.status == "running" and not self._closed.wait(LOOK):
