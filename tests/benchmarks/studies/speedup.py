@@ -1,8 +1,9 @@
 """Time of `hyperbit plan --goals --apart` with one process, with local workers, and on a Dask cluster.
 
-Each row runs the command on the same goals and compares the results byte by byte. The rate leaves out the start of the
-command: imports, tables and worker processes. One row runs a command for each worker at once, each with its part of the
-goals: the processors of this computer allow no more.
+Each row runs the command on the same goals and compares the results byte by byte. The rate is that of the last nine
+tenths of the results: it leaves out imports, tables and the start of processes. One row runs a command for each worker
+at once, each with its part of the goals: the processors of this computer allow about that. Rounds run all rows one
+after the other; the table has the medians, and medians of the ratios of each round.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from statistics import median
 from typing import NamedTuple
 
 import hyperbit as hb
@@ -30,7 +32,7 @@ class Row(NamedTuple):
         workers: who computed.
         seconds: time of the whole command [s].
         first: time until its first result [s].
-        rate: goals in a second after that.
+        rate: goals in a second, of the last nine tenths.
         faster: the rate over that of one process.
         whole_faster: time of the whole command with one process over this time.
         same: whether the results are the same bytes.
@@ -46,11 +48,12 @@ class Row(NamedTuple):
 
 
 class Run(NamedTuple):
-    """The output of the command, its time and the time until its first result [s]."""
+    """The output of the command, its time, and the times until its first result and until a tenth of them [s]."""
 
     output: bytes
     seconds: float
     first: float
+    tenth: float
 
 
 def main() -> None:
@@ -58,6 +61,7 @@ def main() -> None:
     line = CommandLine(__doc__, goals=10_000)
     line.add_argument("--effort", type=float, default=10.0, help="of each goal (default: 10)")
     line.add_argument("--workers", type=int, default=2, help="number of worker processes (default: 2)")
+    line.add_argument("--rounds", type=int, default=1, help="number of rounds (default: 1)")
     given = line.parse()
     with tempfile.TemporaryDirectory() as folder:
         goals = Path(folder) / "goals.csv"
@@ -65,21 +69,8 @@ def main() -> None:
         tips = arm.frames(arm.sample(given.goals, seed=1))[:, :2, 3].tolist()
         goals.write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y in tips))
         options = "--apart", "--effort", str(given.effort), "--json"
-        words = "--goals", str(goals), *options
-        with ThreadPoolExecutor(given.workers) as pool:
-            runs = {"this process": plan(words)}
-            parts = [["--goals", str(part), *options] for part in split(goals, given.workers)]
-            runs[f"{given.workers} commands, without workers"] = joined(list(pool.map(plan, parts)))
-        runs[f"{given.workers} local"] = plan((*words, "--workers", str(given.workers)))
-        with cluster(given.workers, Path(folder)) as address:
-            runs[f"{given.workers} of a cluster"] = plan((*words, "--dask", address))
-    one, rows = runs["this process"], list[Row]()
-    for name, run in runs.items():
-        faster = (one.seconds - one.first) / (run.seconds - run.first)
-        rate = given.goals / (run.seconds - run.first)
-        rows.append(
-            Row(name, run.seconds, run.first, rate, faster, one.seconds / run.seconds, run.output == one.output)
-        )
+        rounds = [ran(goals, options, given.workers) for _ in range(given.rounds)]
+    rows = [row(name, rounds, given.goals) for name in rounds[0]]
     print("| workers | whole command [s] | first result [s] | goals/s | rate, times | command, times | same bytes |")
     print("|---|---|---|---|---|---|---|")
     for row in rows:
@@ -88,18 +79,46 @@ def main() -> None:
     write_figures(given.json, [row._asdict() for row in rows])
 
 
+def ran(goals: Path, options: Sequence[str], workers: int) -> dict[str, Run]:
+    """Runs all rows once."""
+    words = "--goals", str(goals), *options
+    runs = {"this process": plan(words)}
+    with ThreadPoolExecutor(workers) as pool:
+        parts = [["--goals", str(part), *options] for part in split(goals, workers)]
+        runs[f"{workers} commands, without workers"] = joined(list(pool.map(plan, parts)))
+    runs[f"{workers} local"] = plan((*words, "--workers", str(workers)))
+    with cluster(workers, goals.parent) as address:
+        runs[f"{workers} of a cluster"] = plan((*words, "--dask", address))
+    return runs
+
+
+def row(name: str, rounds: Sequence[dict[str, Run]], goals: int) -> Row:
+    """Returns the medians over the rounds."""
+    runs, ones = [one[name] for one in rounds], [one["this process"] for one in rounds]
+    took = [run.seconds - run.tenth for run in runs]
+    return Row(
+        name,
+        median(run.seconds for run in runs),
+        median(run.first for run in runs),
+        median(0.9 * goals / each for each in took),
+        median((one.seconds - one.tenth) / each for one, each in zip(ones, took, strict=True)),
+        median(one.seconds / run.seconds for one, run in zip(ones, runs, strict=True)),
+        all(run.output == one.output for one, run in zip(ones, runs, strict=True)),
+    )
+
+
 def plan(words: Sequence[str]) -> Run:
     """Runs the command; its results come through a pipe."""
-    began, first, lines = time.perf_counter(), 0.0, list[bytes]()
+    began, times, lines = time.perf_counter(), list[float](), list[bytes]()
     command = [sys.executable, "-m", "controller.cli", "plan", str(PAPER_ARM), *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         for line in process.stdout:
-            first = first or time.perf_counter() - began
+            times.append(time.perf_counter() - began)
             lines.append(line)
     if process.returncode:
         sys.exit(process.returncode)
-    return Run(b"".join(lines), time.perf_counter() - began, first)
+    return Run(b"".join(lines), time.perf_counter() - began, times[0], times[len(times) // 10])
 
 
 def split(goals: Path, count: int) -> list[Path]:
@@ -113,7 +132,8 @@ def split(goals: Path, count: int) -> list[Path]:
 
 def joined(runs: Sequence[Run]) -> Run:
     """Returns commands that ran at once as one."""
-    return Run(b"".join(run.output for run in runs), max(r.seconds for r in runs), max(r.first for r in runs))
+    output = b"".join(run.output for run in runs)
+    return Run(output, *(max(run[k] for run in runs) for k in (1, 2, 3)))
 
 
 @contextmanager
