@@ -70,7 +70,7 @@ def main() -> None:
         goals.write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y in tips))
         options = "--apart", "--effort", str(given.effort), "--json"
         rounds = [ran(goals, options, given.workers) for _ in range(given.rounds)]
-    rows = [row(name, rounds, given.goals) for name in rounds[0]]
+    rows = [medians(name, rounds, given.goals) for name in rounds[0]]
     print("| workers | whole command [s] | first result [s] | goals/s | rate, times | command, times | same bytes |")
     print("|---|---|---|---|---|---|---|")
     for row in rows:
@@ -92,7 +92,7 @@ def ran(goals: Path, options: Sequence[str], workers: int) -> dict[str, Run]:
     return runs
 
 
-def row(name: str, rounds: Sequence[dict[str, Run]], goals: int) -> Row:
+def medians(name: str, rounds: Sequence[dict[str, Run]], goals: int) -> Row:
     """Returns the medians over the rounds."""
     runs, ones = [one[name] for one in rounds], [one["this process"] for one in rounds]
     took = [run.seconds - run.tenth for run in runs]
