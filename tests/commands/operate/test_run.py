@@ -1,6 +1,7 @@
 """The command `run`: what it sets in its process. What it serves is tested in tests/gateway and tests/system."""
 
 import contextlib
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -36,13 +37,14 @@ print(resident() - begun)
 def left(setup: str) -> float:
     """Returns how much memory a process keeps that has freed 40 MiB in large blocks [MiB]."""
     words = [sys.executable, "-c", MEASURE.replace("SETUP", setup)]
-    return float(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
+    # Dask sets MALLOC_TRIM_THRESHOLD_ in a process that starts workers, as other tests do.
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("MALLOC_")}
+    return float(subprocess.run(words, capture_output=True, text=True, check=True, env=environment).stdout)
 
 
 def test_large_blocks_are_returned_to_the_system() -> None:
     assert left("return_large_blocks()") < 8
-    # A process whose heap cannot grow where it lies keeps nothing, which is rare.
-    assert any(left("") > 30 for _ in range(5)), "what this protects from is gone"
+    assert left("") > 30, "what this protects from is gone"
 
 
 def test_a_daemon_whose_thread_has_died_ends_the_process_in_words(
