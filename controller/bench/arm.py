@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -36,11 +35,6 @@ class BenchArm:
     def arm(self) -> library.Arm:
         """The arm as an object of the library `hyperbit`, obstacles included."""
         return library.Arm._of(self.model)
-
-    @property
-    def path(self) -> Path | None:
-        """Path of the arm's file; workers on other computers do not have it."""
-        return self.model.path
 
     @property
     def states(self) -> NDArray[np.int64]:

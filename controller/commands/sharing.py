@@ -92,7 +92,7 @@ def progress_bar(unit: str, *, shown: bool = True) -> Iterator[Progress]:
     from rich.text import Text
 
     class Rate(ProgressColumn):
-        """Units in a second, and the time left. Shares come many at once, so both are means since the begin."""
+        """Units in a second, and the time left. Shares come many at once, so both are means since the start."""
 
         def render(self, task: Task) -> Text:
             rate = (task.completed - task.fields.get("before", 0)) / (task.elapsed or math.inf)

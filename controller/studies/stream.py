@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Generator, Iterable
 from concurrent.futures import CancelledError
 from typing import TYPE_CHECKING, Any
-from uuid import uuid4
 
 from controller.studies.shares import Job, StudyFailed, alone, compute, pack
 
@@ -40,10 +39,9 @@ def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> Ge
         return
     packed, waiting = pack(job), deque["Future"]()
     most, counted = 0, -math.inf
-    study = f"study-{uuid4()}"  # one group of tasks: Dask keeps each group until the study ends
     try:
-        for number, share in enumerate(shares):
-            waiting.append(client.submit(compute, packed, share, key=(study, number)))
+        for share in shares:
+            waiting.append(client.submit(compute, packed, share, pure=False))
             if time.monotonic() > counted + COUNT_AGAIN:
                 most, counted = AHEAD * max(1, sum(client.nthreads().values())), time.monotonic()
             while len(waiting) >= most:

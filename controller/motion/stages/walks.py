@@ -160,7 +160,7 @@ def aim(walk: Walk) -> None:
     for actuator in range(len(walk.order)):
         if walk.switches.owners[actuator] != module:
             module = walk.switches.owners[actuator]
-            if module == 0 or draw(walk.random, length) == 0:
+            if actuator == 0 or draw(walk.random, length) == 0:
                 states = draw(walk.random, 1 << 31)
         if (states >> (walk.switches.places[actuator] % 31)) & 1:
             flip(walk.target, actuator)
