@@ -103,32 +103,39 @@ class ArrivedGoal:
             reply(self.answer)
 
 
+def keys_of(payload: bytes, attached: bytes, *, has_id: bool) -> list[bytes]:
+    """Returns the keys by which a goal is recognized when it comes again.
+
+    Args:
+        payload: of the goal.
+        attached: what the client attached; empty if nothing.
+        has_id: whether the payload has an id.
+    """
+    digest = hashlib.blake2b(payload, digest_size=16).digest()
+    keys = [b"number" + digest + attached[:64]] if attached else []
+    return [*keys, b"payload" + digest] if has_id else keys
+
+
 class RepeatedGoals:
     """Answers a repeated goal with the answer to the first one: a client without an answer asks again.
 
-    A goal is recognized by the request number that hyperbit's clients attach to it. Goals of other clients are
-    recognized by their payload if it has an id. A number always identifies the same request. A payload identifies its
-    goal only until the goal has ended, because the same file may be sent again later.
+    A goal is recognized by its payload together with what the client attached, such as the number of the request. A
+    payload that has an id is recognized by itself, but only until its goal has ended, because the same file may be sent
+    again later.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._forget_at = clock, -float("inf")
         self._known: dict[bytes, ArrivedGoal] = {}
 
-    def receive_goal(
-        self, payload: bytes | None, number: bytes, reply: Reply, request: Callable[[Reply], object]
-    ) -> None:
+    def receive_goal(self, keys: list[bytes], reply: Reply, request: Callable[[Reply], object]) -> None:
         """Requests a new goal, or repeats the answer to a known one. For any thread.
 
         Args:
-            payload: of the goal if it has an id, else None.
-            number: of the request, which the client attached; empty if none.
+            keys: of `keys_of`.
             reply: takes the answer.
             request: requests a new goal; is given the function that takes its answer.
         """
-        keys = [b"number" + number[:64]] if number else []
-        if payload is not None:
-            keys.append(b"payload" + hashlib.blake2b(payload, digest_size=16).digest())
         goal = ArrivedGoal(keys, self._clock())
         goal.await_answer(reply)
         for key in keys:

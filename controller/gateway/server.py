@@ -13,13 +13,15 @@ from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import msgspec
 import zenoh
+from zenoh.handlers import Callback
 
-from controller.gateway.arrivals import FloodBrake, Rate, RepeatedGoals, Reply
+from controller.gateway.arrivals import FloodBrake, Rate, RepeatedGoals, Reply, keys_of
 from controller.gateway.outbox import Outbox
 from controller.gateway.poses import Poses, decode_poses
 from controller.motion.decoding.goal import GoalMessage, Undecodable
 from controller.motion.decoding.setpoint import parse
 from controller.planning.core.events import (
+    Arrival,
     CancelMessage,
     Key,
     Message,
@@ -36,7 +38,8 @@ from controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 
-MOST_SAMPLES = 64  # of a mailbox; a full one drops its oldest
+MOST_SENDERS = 16  # of set-points or measured tips whose latest one waits; one more displaces the oldest
+MOST_SENDER = 64  # bytes of what a sender attaches that tell it from others
 MOST_UNANSWERED = 100  # requests on one key; a planner refuses more than 16 goals by itself, if it is not too slow
 MOST_REFUSALS = 50  # refusals of puts published in one second
 MOST_NOTES = 50  # notes in one second on refused requests
@@ -74,6 +77,8 @@ class Server:
     Requests that can move an arm, or change its limits, must name it in full. `stop` and `cancel` also reach each arm
     that a wildcard matches, as in `hyperbit/*/stop`. Queries that change nothing accept any wildcard.
 
+    Commands are received in Zenoh's own thread, because threads for each key would change their order.
+
     Args:
         session: open session.
         arm: name of the arm.
@@ -94,13 +99,13 @@ class Server:
         self._command("obstacles")
         self._command("fault")
         self._command("poses")
-        self._query("plan")
+        self._query("plan", ordered=True)
         self._query("arm")
         self._query("result")
         mailboxes = planner.loop.mailboxes
-        mailboxes.set(SetpointArrived, self._mailbox("setpoint"))
+        mailboxes.set(SetpointArrived, self._mailbox("setpoint", SetpointArrived))
         if planner.decoder.tracker:
-            mailboxes.set(TipArrived, self._mailbox("measured_tip"))
+            mailboxes.set(TipArrived, self._mailbox("measured_tip", TipArrived))
         self._declared.callback(session.liveliness().declare_token(f"{self._prefix}/alive").undeclare)
 
     def close(self) -> None:
@@ -109,36 +114,40 @@ class Server:
 
     def _command(self, key: ServedKey, reach: Reach = "named") -> None:
         """Accepts commands on `key`, by query and by put."""
-        way = self._query(key, reach)
-        on_put = partial(way.receive, deliver=self._publish_refusal)
+        way = self._query(key, reach, ordered=True)
+        on_put = Callback(partial(way.receive, deliver=self._publish_refusal), indirect=False)
         self._declared.callback(self._session.declare_subscriber(way.name, on_put).undeclare)
 
-    def _query(self, key: ServedKey, reach: Reach = "all") -> "Way":
-        """Answers queries on `key`."""
+    def _query(self, key: ServedKey, reach: Reach = "all", *, ordered: bool = False) -> "Way":
+        """Answers queries on `key`; `ordered` if they have a place among the commands."""
         kind = {"arm": Description, "poses": PosesWay, "result": ResultWay}.get(key, Way)
         way = kind(self._prefix, key, reach, self._parts)
-        self._declared.callback(self._session.declare_queryable(way.name, way.on_query).undeclare)
+        on_query = Callback(way.on_query, indirect=not ordered)
+        self._declared.callback(self._session.declare_queryable(way.name, on_query).undeclare)
         return way
 
-    def _mailbox(self, key: str) -> Receive:
-        """Returns a function that returns the latest sample put on `key` itself, None if there is no new one.
+    def _mailbox(self, key: str, kind: type[SetpointArrived] | type[TipArrived]) -> Receive:
+        """Returns a function that returns the latest sample of each sender once, put on `key` itself.
 
         A put by a wildcard displaces no sample that names the key.
         """
-        name = f"{self._prefix}/{key}"
-        subscriber = self._session.declare_subscriber(name, zenoh.handlers.RingChannel(MOST_SAMPLES))
-        self._declared.callback(subscriber.undeclare)
+        name, loop = f"{self._prefix}/{key}", self._parts.planner.loop
+        latest: dict[str, SetpointArrived | TipArrived] = {}
 
-        def receive() -> bytes | None:
-            latest = None
-            try:
-                while (sample := subscriber.try_recv()) is not None:
-                    if str(sample.key_expr) == name:
-                        latest = content(sample.payload)
-            except zenoh.ZError:  # undeclared: the keys are closed before their readers
-                return None
-            return latest
+        def put(sample: zenoh.Sample) -> None:
+            if str(sample.key_expr) != name:
+                return
+            sender = content(sample.attachment)[:MOST_SENDER].decode("ascii", "backslashreplace")
+            if len(latest) >= MOST_SENDERS and sender not in latest:
+                latest.pop(next(iter(latest)), None)
+            latest[sender] = kind(content(sample.payload), loop.arrive(), sender)
 
+        def receive() -> list[SetpointArrived | TipArrived]:
+            waiting = [latest.pop(sender, None) for sender in list(latest)]
+            return sorted(filter(None, waiting), key=lambda arrived: arrived.arrival.number)
+
+        on_put = Callback(put, indirect=False)
+        self._declared.callback(self._session.declare_subscriber(name, on_put).undeclare)
         return receive
 
     def _publish_refusal(self, answer: Payload) -> None:
@@ -158,10 +167,11 @@ class ResultQuery(msgspec.Struct, forbid_unknown_fields=True):
 
 
 @dataclass(eq=False, frozen=True)
-class Arrival:
+class Received:
     """A request as it came."""
 
     name: str  # its key expression
+    arrival: Arrival
     payload: bytes
     number: bytes  # that the client attached; empty if none
     deliver: Reply  # sends the answer
@@ -188,7 +198,7 @@ class Way:
         self._key = cast(Key, key)  # `PosesWay` and `ResultWay` have another key, and give the planner nothing
         self._planner, self._outbox, self._goals, self._poses, self._find = parts
         self._brake, self._notes = FloodBrake(), Rate(MOST_NOTES)
-        self._unanswered = set[Arrival]()  # an arrival is removed once, atomically
+        self._unanswered = set[Received]()  # a request is removed once, atomically
 
     def on_query(self, query: zenoh.Query) -> None:
         """Receives a query; its answer ends it."""
@@ -196,32 +206,33 @@ class Way:
 
     def receive(self, it: zenoh.Query | zenoh.Sample, deliver: Reply) -> None:
         """Receives a request; `deliver` sends its answer."""
-        arrival = Arrival(str(it.key_expr), content(it.payload), content(it.attachment), deliver, time.time())
-        self._unanswered.add(arrival)
+        place = self._planner.loop.arrive()
+        received = Received(str(it.key_expr), place, content(it.payload), content(it.attachment), deliver, time.time())
+        self._unanswered.add(received)
         try:
-            self._request(arrival)
+            self._request(received)
         except Refusal as refusal:
-            self._answer(arrival, refused(refusal))
+            self._answer(received, refused(refusal))
         except Exception:
             log.exception("a request on %s failed", self._key)
-            self._answer(arrival, refused(Refusal(Reason.INTERNAL_ERROR)))
+            self._answer(received, refused(Refusal(Reason.INTERNAL_ERROR)))
         self._brake.slow_down()
 
-    def _request(self, arrival: Arrival) -> None:
+    def _request(self, received: Received) -> None:
         """Queues a request for the planner; raises Refusal if it is malformed, names no arm, or too many wait."""
-        self._check_named(arrival.name, named=self._reach == "named")
+        self._check_named(received.name, named=self._reach == "named")
         if self._reach != "each arm" and len(self._unanswered) > MOST_UNANSWERED:
             raise Refusal(Reason.BUSY, most=MOST_UNANSWERED, what=f"requests on {self._key}")
-        message = self._decode(arrival.payload)
+        message = self._decode(received.payload)
         if isinstance(message, CancelMessage) and message.goal is not None:
-            self._check_named(arrival.name, named=True)
-        reply = partial(self._answer, arrival)
+            self._check_named(received.name, named=True)
+        reply = partial(self._answer, received)
         if self._key == "goal" and isinstance(message, GoalMessage):
-            identified = arrival.payload if message.id else None
-            request = partial(self._planner.loop.request, self._key, message)
-            self._goals.receive_goal(identified, arrival.number, reply, request)
+            request = partial(self._planner.loop.request, received.arrival, self._key, message)
+            keys = keys_of(received.payload, received.number, has_id=message.id is not None)
+            self._goals.receive_goal(keys, reply, request)
         else:
-            self._planner.loop.request(self._key, message, reply)
+            self._planner.loop.request(received.arrival, self._key, message, reply)
 
     def _decode(self, payload: bytes) -> Message:
         """Returns the content of a request, or raises Refusal; in a flood without a reason that takes long."""
@@ -238,53 +249,54 @@ class Way:
             return
         raise Refusal(Reason.NOT_NAMED, key=self._key, name=self.name, given=name[:200])
 
-    def _answer(self, arrival: Arrival, answer: Payload) -> None:
+    def _answer(self, received: Received, answer: Payload) -> None:
         """Answers a request that has no answer yet, and notes it if a recorder listens."""
         try:
-            self._unanswered.remove(arrival)
+            self._unanswered.remove(received)
         except KeyError:
             return
-        arrival.deliver(answer)
+        received.deliver(answer)
         accepted = answer.get("accepted") is not False
         if not accepted:
             self._brake.refused.add()
         if self._key != "arm" and self._outbox.recorded() and (accepted or self._notes.admits()):
-            stamped = {"stamp": arrival.stamp, "key": self._key}
-            self._outbox.publish("@request", {**stamped, **noted_content(arrival.payload), "answer": answer})
+            stamped = {"stamp": received.stamp, "key": self._key}
+            self._outbox.publish("@request", {**stamped, **noted_content(received.payload), "answer": answer})
 
 
 class Description(Way):
     """The way of queries on `arm`. Adds the parts that the planner's core does not know."""
 
-    def _request(self, arrival: Arrival) -> None:
-        parts = wanted(arrival.payload)
+    def _request(self, received: Received) -> None:
+        parts = wanted(received.payload)
         static = self._planner.description(parts)
-        self._planner.loop.request("arm", None, partial(self._describe, arrival, static, "running" in parts))
+        describe = partial(self._describe, received, static, "running" in parts)
+        self._planner.loop.request(received.arrival, "arm", None, describe)
 
-    def _describe(self, arrival: Arrival, static: Payload, running: bool, live: Payload) -> None:
+    def _describe(self, received: Received, static: Payload, running: bool, live: Payload) -> None:
         daemon = {"host": socket.gethostname(), "pid": os.getpid()}
         parts = {name: value for name, value in live.items() if running or name != "running"}
-        self._answer(arrival, {**static, **parts, "poses": self._poses.listed(), "daemon": daemon})
+        self._answer(received, {**static, **parts, "poses": self._poses.listed(), "daemon": daemon})
 
 
 class PosesWay(Way):
     """The way of requests on `poses`, which the planner's core does not know."""
 
-    def _request(self, arrival: Arrival) -> None:
-        self._check_named(arrival.name, named=True)
-        message = decode_poses(arrival.payload)
+    def _request(self, received: Received) -> None:
+        self._check_named(received.name, named=True)
+        message = decode_poses(received.payload)
         if message.goal is not None:
             self._planner.decoder.decode("goal", msgspec.json.encode(message.goal))
         answer = self._poses.change(message)
         self._outbox.count_poses_change()
-        self._answer(arrival, answer)
+        self._answer(received, answer)
 
 
 class ResultWay(Way):
     """The way of queries on `result`: the ledger knows how a goal ended, also if its client was away."""
 
-    def _request(self, arrival: Arrival) -> None:
-        goal = parse(arrival.payload, ResultQuery, "result", MOST_QUERY).id
+    def _request(self, received: Received) -> None:
+        goal = parse(received.payload, ResultQuery, "result", MOST_QUERY).id
         try:
             row = self._find(goal)
         except sqlite3.Error as error:
@@ -293,9 +305,8 @@ class ResultWay(Way):
             raise Refusal(Reason.UNKNOWN_GOAL, goal=goal)
         ended = row["ended"] is not None
         result = {"id": goal, **{name: row[name] for name in LEDGER_FIELDS}} if ended else None
-        self._answer(
-            arrival, {**done("the goal has ended" if ended else "the goal has no result yet"), "result": result}
-        )
+        told = done("the goal has ended" if ended else "the goal has no result yet")
+        self._answer(received, {**told, "result": result})
 
 
 def content(payload: zenoh.ZBytes | None) -> bytes:

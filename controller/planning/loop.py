@@ -30,7 +30,10 @@ STREAM_EVERY = 0.005  # [s] the same while set-points come
 STREAM_ENDS = 0.5  # [s] after its last set-point
 LAST_RESULTS = 1.5  # [s] for the core and the executor to end the running goal
 
-Receive = Callable[[], bytes | None]
+STILL = 1.0  # [s] without a round of the loop, after which the process counts as having stood still
+SETTLES = 1.0  # [s] in which what was sent meanwhile arrives
+
+Receive = Callable[[], Iterable[events.SetpointArrived | events.TipArrived]]
 OnReply = Callable[[events.Payload], None]
 
 
@@ -103,7 +106,9 @@ class Loop:
         self._core, self._inbox, self._link = core, services.inbox, link
         self._workers, self._services = workers, services
         self._recorder, (self._clock, self._wall) = recorder, clocks
-        self._numbers = itertools.count(1)  # of requests
+        self._numbers = itertools.count(1)  # of arrivals
+        self._alive_at = self._clock()  # time of the last round [s]
+        self._stood_still = (-math.inf, -math.inf)  # since when, and until when requests of that time may arrive [s]
         self._replies: dict[int, OnReply] = {}
         self.mailboxes = Mailboxes()
         self._wake, self._warnings_at = math.inf, 0.0
@@ -131,16 +136,30 @@ class Loop:
             self._carry_out(events.Reply(number, events.refused(Refusal(Reason.SHUTTING_DOWN))))
         self._link.close()
 
-    def request(self, key: events.Key, message: events.Message, reply: OnReply) -> int:
-        """Posts a request; returns its number. `reply` is called once, in the loop's thread, and must not wait.
+    def arrive(self) -> events.Arrival:
+        """Numbers a request, set-point or measured tip. Call it first, in the order of arrival."""
+        now = self._note_alive()
+        since, until = self._stood_still
+        return events.Arrival(next(self._numbers), since if now < until else now)
+
+    def _note_alive(self) -> float:
+        """Returns the time, and notes whether the process stood still until now [s]."""
+        now = self._clock()
+        if now - self._alive_at > STILL:
+            self._stood_still = self._alive_at, now + SETTLES
+        self._alive_at = now
+        return now
+
+    def request(self, arrival: events.Arrival, key: events.Key, message: events.Message, reply: OnReply) -> None:
+        """Posts a request. `reply` is called once, in the loop's thread, and must not wait.
 
         Simultaneous requests may reach the core in another order than their numbers. A stop, or a cancel without an id,
         goes to the executor before the loop is woken: in a flood of requests, a thread that wakes another one may wait
         for the GIL for some milliseconds.
         """
-        number = next(self._numbers)
+        number = arrival.number
         self._replies[number] = reply
-        self._inbox.events.append(events.Request(number, key, message, self._wall()))
+        self._inbox.events.append(events.Request(arrival, key, message, self._wall()))
         unsent = None
         if key == "stop":
             unsent = self._link.send_now(Stop(number))
@@ -149,7 +168,6 @@ class Loop:
         if unsent is not None:
             self._inbox.events.append(events.Unsent(number, unsent))
         self._inbox.wake()
-        return number
 
     # --- the thread
 
@@ -172,6 +190,7 @@ class Loop:
         to the executor, so that the core knows the request when the executor's answer comes.
         """
         ready = self._wait()
+        self._note_alive()
         self._handle_posted()
         self._link.connect(self._clock())
         if self._link.sending:
@@ -188,7 +207,7 @@ class Loop:
         """Handles the events posted so far."""
         for _ in range(len(self._inbox.events)):
             event = self._inbox.events.popleft()
-            if isinstance(event, events.Request):  # a set-point that waits has its place before a later request
+            if isinstance(event, events.Request):  # set-points that wait may have arrived before
                 self._step_all(self.mailboxes.look(self._clock()))
             self._step(event)
 
@@ -303,7 +322,7 @@ class Mailboxes:
         self._stream_until = -math.inf
 
     def set(self, kind: type[events.Arrived], receive: Receive) -> None:
-        """Sets the mailbox of a kind: `receive` returns the latest payload, or None, and never waits."""
+        """Sets the mailbox of a kind: `receive` returns the latest of each sender once, and never waits."""
         self._boxes = {**self._boxes, kind: receive}
         self.due = 0.0
 
@@ -312,14 +331,13 @@ class Mailboxes:
         arrived: list[events.Arrived] = []
         for kind, receive in self._boxes.items():
             try:
-                payload = receive()
+                latest = list(receive())
             except Exception:
                 log.exception("a mailbox cannot be read")
                 continue
-            if payload is not None:
-                arrived.append(kind(payload))
-                if kind is events.SetpointArrived:
-                    self._stream_until = now + STREAM_ENDS
+            arrived += latest
+            if latest and kind is events.SetpointArrived:
+                self._stream_until = now + STREAM_ENDS
         if self._boxes:
             self.due = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
         return arrived

@@ -22,6 +22,8 @@ from controller.planning.link import ExecutorLink
 from controller.planning.loop import Loop, Services
 from controller.planning.workers.arm_model import build_scene, build_tables
 from controller.planning.workers.pool import Workers
+from controller.refusals.reasons import Reason
+from controller.refusals.refusal import Refusal
 from controller.workspace.densities import Densities
 
 
@@ -90,9 +92,9 @@ def planning(
 
 
 class _NamedGoal(msgspec.Struct):
-    """The payload of a `cancel` of one goal; other fields are ignored."""
+    """The payload of a `cancel`; other fields are ignored."""
 
-    id: Id
+    id: Id | None = None
 
 
 class RequestDecoder:
@@ -144,9 +146,16 @@ class RequestDecoder:
 def decode_cancel(payload: bytes) -> events.CancelMessage:
     """Returns the content of a `cancel`: the goal that {"id": ...} names.
 
-    Any other payload cancels whatever runs, because a cancel must not fail for its form.
+    A payload without an `id` cancels whatever runs, because such a cancel must not fail for its form.
+
+    Raises:
+        Refusal: the `id` cannot be that of a goal.
     """
     try:
         return events.CancelMessage(msgspec.json.decode(payload, type=_NamedGoal).id)
+    except msgspec.ValidationError as error:
+        if b'"id"' in payload:
+            raise Refusal(Reason.INVALID_FIELDS, faults=f"cancel: {error}") from None
     except (msgspec.MsgspecError, RecursionError, UnicodeError):
-        return events.CancelMessage()
+        pass
+    return events.CancelMessage()

@@ -36,6 +36,7 @@ class Program(Message, frozen=True, tag="program"):
         strict: no stage may be skipped, or begin before the one before has settled.
         name: for sentences, e.g. "goal a1".
         context: opaque; comes back with the result, so that a restarted planner can publish it.
+        until: a program that the executor takes after this time is declined, because its client no longer waits [s].
         homed: packed mask. Actuators of unknown state in the mask are switched to their state of the last stage before
             the first stage; no others are homed. Empty: all are homed to their state of `start`. Nothing is homed
             while a program that is not `final` has no stages.
@@ -51,6 +52,7 @@ class Program(Message, frozen=True, tag="program"):
     name: Text
     context: Annotated[bytes, Meta(max_length=8_192)] = b""
     homed: States = b""
+    until: Seconds = 1e12
 
 
 class Replacement(Message, frozen=True, tag="replacement"):
@@ -131,9 +133,14 @@ class Stop(Message, frozen=True, tag="stop"):
 
 
 class Reset(Message, frozen=True, tag="reset"):
-    """Leave a fault or a stop. Answered by `Answer`."""
+    """Leave a fault or a stop. Answered by `Answer`; refused if a stop, cancel or fault came after it.
+
+    Attributes:
+        epoch: the executor's epoch when the request arrived.
+    """
 
     request: Number
+    epoch: Number
 
 
 class Lock(Message, frozen=True, tag="lock"):

@@ -117,10 +117,12 @@ class Begun(Message, frozen=True, tag="begun"):
     Attributes:
         program: its number.
         stage: index.
+        switches: actuators switched by the program so far.
     """
 
     program: Number
     stage: Number
+    switches: Number
 
 
 class Settled(Message, frozen=True, tag="settled"):

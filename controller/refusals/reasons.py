@@ -114,6 +114,11 @@ class Reason(enum.Enum):
     NO_ORIENTATION = "no-orientation", "tolerance.orientation: this arm follows positions only, leave it out"
     OTHER_ORIENTATION = "other-orientation", "orientation: {wanted} is needed for this arm"
     NOT_FINITE = "not-finite", "{where}: {given} given, {needed} are needed"
+    STREAM_OF_ANOTHER = (
+        "stream-of-another",
+        "a set-point of {sender}: {owner} streams set-points already, until it pauses for {pause} s",
+        "end the other stream; attach a name to your set-points, so that streams are told apart",
+    )
     TIP_TOO_FAR = (
         "tip-too-far",
         "position: {away} from the computed tip, at most {most} is accepted, twice the clamp",
@@ -207,7 +212,7 @@ class Reason(enum.Enum):
     BUSY = "busy", "busy: {most} {what} are waiting already", "wait for the answers"
     INTERNAL_ERROR = "internal-error", "internal error, see the journal", REPORT
     PLANNING_FAILED = "planning-failed", "internal error while planning, see the journal", REPORT
-    SHUTTING_DOWN = "shutting-down", "the daemon is shutting down; the arm holds", "send it again to the next daemon"
+    SHUTTING_DOWN = "shutting-down", "the daemon is shutting down", "send it again to the next daemon"
     ALREADY_RUNNING = "already-running", "id: goal {goal} is running already; a goal that replaces it needs another id"
     ACTUATOR_LOCKED = (
         "actuator-locked",
@@ -219,6 +224,12 @@ class Reason(enum.Enum):
         "a cancel, stop, reset or fault, or the loss of the planner, came before it began",
         AGAIN,
     )
+    TOO_LATE_TO_BEGIN = (
+        "too-late-to-begin",
+        "the motion could not begin within its `begin_within`: other requests or its own search took too long",
+        "send it again, if it is still wanted; `begin_within` gives it more time",
+    )
+    OBSTACLES_CHANGING = "obstacles-changing", "the obstacles changed each time before the goal could begin", AGAIN
     ARM_MOVED = "arm-moved", "the arm moved each time before the goal could begin", AGAIN
     ARM_STARTING = "arm-starting", "the arm is starting: {why}", "wait until it is ready: hyperbit watch {arm}"
     ARM_IN_FAULT = "arm-in-fault", "the arm is in fault: {why}", RESET
@@ -231,7 +242,7 @@ class Reason(enum.Enum):
     )
     EXECUTOR_LOST = (
         "executor-lost",
-        "the connection to the executor was lost before it answered; the arm holds: {why}",
+        "the connection to the executor was lost before it answered: {why}",
         "check it by: systemctl status hyperbit-executor",
     )
     EXECUTOR_SILENT = "executor-silent", "the executor did not answer within {seconds} s", AGAIN

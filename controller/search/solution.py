@@ -13,6 +13,7 @@ from controller.search.clock import WALL, Clock, WorkClock
 
 Certificate = Literal["optimal", "bound", "unreachable", "unknown"]
 
+UNFOUND = 1.0  # [s] for a goal that is not reached in the first time, without a deadline or if others wait
 # Sums of the same weights differ by rounding. Costs that differ by a smaller share count as equal.
 EPSILON = 1e-9
 
@@ -69,7 +70,7 @@ class Incumbent:
         until: the first deadline.
         later: returns the deadline after `extend`, from the difference of cost and bound; None: it stays.
         hurried: called with each check of the deadline. It returns whether an extended search must end as soon as it
-            has a configuration; what it raises ends the search at once.
+            has a configuration, or after UNFOUND; what it raises ends the search at once.
         clock: of this search.
     """
 
@@ -82,7 +83,7 @@ class Incumbent:
         clock: Clock = WALL,
     ) -> None:
         self.configuration, self.until, self._later, self._hurried = configuration, until, later, hurried
-        self.clock = clock
+        self.clock, self._begun = clock, clock.now()
         self.cost, self.square, self.bound = np.inf, np.inf, 0.0
         self._extended = False
 
@@ -103,8 +104,8 @@ class Incumbent:
 
     def remaining(self) -> float:
         """Returns the time until the deadline [s]."""
-        if self._hurried() and self._extended and self.cost < np.inf:
-            self.until = -np.inf
+        if self._hurried() and self._extended:
+            self.until = min(self.until, -np.inf if self.cost < np.inf else self._begun + UNFOUND)
         return self.until - self.clock.now()
 
     def extend(self) -> bool:

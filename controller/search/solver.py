@@ -18,7 +18,7 @@ from controller.search.clock import EFFORT, START, WALL
 from controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
 from controller.search.minimum_switch import MinimumSwitch, Problem
 from controller.search.paths import Paths
-from controller.search.solution import EPSILON, Incumbent, SearchTime, Solution
+from controller.search.solution import EPSILON, UNFOUND, Incumbent, SearchTime, Solution
 from controller.search.target import SearchTarget, distance
 from controller.search.two_list import Candidates
 from controller.workspace.densities import Densities
@@ -29,7 +29,6 @@ Vector = NDArray[np.float64]
 IDENTITY = np.eye(4)
 
 TIMEOUT = 0.05  # [s]
-UNFOUND = 1.0  # [s] for a goal that is not reached within TIMEOUT
 
 
 class Solver:

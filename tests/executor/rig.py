@@ -101,6 +101,11 @@ class Rig:
     def now(self) -> float:
         return self.agenda.now
 
+    @property
+    def epoch(self) -> int:
+        """The executor's epoch."""
+        return self.core.modes.epoch
+
     def do(self, event: Any) -> None:
         for action in self.core.step(event, self.now):
             match action:

@@ -57,6 +57,12 @@ class World(Hardware, Witness):
         self.executor.hear(PLANNER, ClientGone(PLANNER))
         self.agenda.run(WAKE_UP)
 
+    @property
+    def epoch(self) -> int:
+        """The executor's epoch."""
+        assert self.executor.core is not None
+        return self.executor.core.modes.epoch
+
     def send(self, message: Any) -> None:
         """Sends a message of the planner, which the executor takes at once."""
         self.executor.hear(PLANNER, FromClient(PLANNER, message))

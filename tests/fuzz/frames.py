@@ -70,7 +70,7 @@ class Boards:
                     world.send(Stop(1) if number % 2 else Cancel(1, None, "canceled"))
                     world.go(1)
                 case 0xF7 | 0xF8:
-                    world.send(Reset(1))
+                    world.send(Reset(1, world.epoch))
                     world.go(2)
                 case 0xF9 | 0xFA | 0xFB | 0xFC:
                     frames += 1

@@ -72,6 +72,8 @@ class Packets:
             case Setpoint():
                 until = world.now + 0.3
                 return msgspec.structs.replace(message, stream=greatest + 1, epoch=epoch, start=start, until=until)
+            case Reset():
+                return msgspec.structs.replace(message, epoch=epoch)
             case Replacement():
                 return msgspec.structs.replace(message, program=greatest)
             case Hello():
@@ -113,7 +115,7 @@ MESSAGES: list[Down] = [
     Cancel(1, None, "canceled"),
     Cancel(2, 1, "path"),
     Stop(3),
-    Reset(4),
+    Reset(4, 0),
     Lock(5, 2, 0),
     Lock(6, 2, -1),
     Lock(7, 63, 1),

@@ -56,7 +56,7 @@ def read_goal(data: bytes) -> int:
 def read_jog(data: bytes) -> int:
     """Actuators that are to be switched."""
     try:
-        it = requests.decode_jog(data, LABELS)
+        it = requests.decode_jog(data, LABELS).states
     except Refusal as error:
         told(str(error))
         return 1

@@ -152,6 +152,11 @@ class World(Hardware, Witness):
         role: Literal["planner", "operator"] = "planner" if client == PLANNER else "operator"
         self.executor.hear(client, FromClient(client, Hello(VERSION, role, self.arm.name)))
 
+    @property
+    def epoch(self) -> int:
+        """The executor's epoch."""
+        return self.core.modes.epoch
+
     def send(self, message: Down, client: ClientId = PLANNER) -> None:
         """Sends a message of a client, which connects again after a refusal. An operator may send no program."""
         self.executor.hear(client, FromClient(client, message))
@@ -245,7 +250,7 @@ class World(Hardware, Witness):
             self.send(Lock(2, k, -1))
         if self.core.modes.mode != "ready":
             self.send(Stop(3))
-            self.send(Reset(4))
+            self.send(Reset(4, self.epoch))
             self.go(15)
         self.judge.clear()
         if self.core.modes.mode != "ready":

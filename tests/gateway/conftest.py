@@ -1,10 +1,12 @@
 """A server with a planner that only remembers requests, on real Zenoh sessions over loopback TCP."""
 
+import itertools
 import json
 import socket
 import sqlite3
 import threading
-from collections.abc import Callable, Collection, Iterator
+import time
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,7 +22,17 @@ from controller.gateway.server import GatewayParts, Server
 from controller.motion.decoding.goal import GoalMessage, parse
 from controller.network import session
 from controller.network.client import Client
-from controller.planning.core.events import LockMessage, Message, Payload, SetpointArrived, TipArrived, done, refused
+from controller.planning.core.events import (
+    Arrival,
+    LockMessage,
+    Message,
+    Payload,
+    SetpointArrived,
+    TipArrived,
+    done,
+    refused,
+)
+from controller.planning.loop import Receive
 from controller.planning.planner import decode_cancel
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
@@ -36,6 +48,7 @@ class FakePlanner:
 
     Attributes:
         heard: key and message of each request.
+        arrivals: their numbers.
         decoded: keys of the payloads that were decoded.
         waiting: answers that wait.
         receive: mailboxes.
@@ -43,10 +56,12 @@ class FakePlanner:
 
     def __init__(self) -> None:
         self.heard: list[tuple[str, Message]] = []
+        self.arrivals: list[int] = []
+        self._numbers = itertools.count(1)
         self.decoded: list[str] = []
         self.holding = threading.Event()
         self.waiting: list[tuple[Reply, Payload]] = []
-        self.receive: dict[str, Callable[[], bytes | None]] = {}
+        self.receive: dict[str, Receive] = {}
         self.tracker = True
         self.loop = self.decoder = self.mailboxes = self
 
@@ -69,8 +84,12 @@ class FakePlanner:
             case _:
                 return None
 
-    def request(self, key: str, message: Message, reply: Reply) -> None:
+    def arrive(self) -> Arrival:
+        return Arrival(next(self._numbers), time.monotonic())
+
+    def request(self, arrival: Arrival, key: str, message: Message, reply: Reply) -> None:
         self.heard.append((key, message))
+        self.arrivals.append(arrival.number)
         answer = self._answer(key, message)
         if self.holding.is_set():
             self.waiting.append((reply, answer))
@@ -93,7 +112,7 @@ class FakePlanner:
     def keys(self) -> list[str]:
         return [key for key, _ in self.heard if key != "arm"]
 
-    def set(self, kind: type[SetpointArrived | TipArrived], receive: Callable[[], bytes | None]) -> None:
+    def set(self, kind: type[SetpointArrived | TipArrived], receive: Receive) -> None:
         self.receive["setpoint" if kind is SetpointArrived else "measured_tip"] = receive
 
     def description(self, wanted: Collection[str] = ()) -> Payload:

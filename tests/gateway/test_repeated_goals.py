@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from controller.gateway.arrivals import MOST, REMEMBERED, RepeatedGoals, Reply
+from controller.gateway.arrivals import MOST, REMEMBERED, RepeatedGoals, Reply, keys_of
 from controller.planning.core.events import Payload, done, refused
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
@@ -24,10 +24,8 @@ class Bench:
         self.answers: list[Payload] = []
 
     def send(self, payload: bytes = GOAL, number: bytes = b"") -> None:
-        identified = payload if json.loads(payload).get("id") else None
-        self.goals.receive_goal(
-            identified, number, self.answers.append, lambda reply: self.planned.append((payload, reply))
-        )
+        keys = keys_of(payload, number, has_id=bool(json.loads(payload).get("id")))
+        self.goals.receive_goal(keys, self.answers.append, lambda reply: self.planned.append((payload, reply)))
 
     def accept(self) -> None:
         payload, reply = self.planned[-1]
@@ -112,7 +110,7 @@ def test_memory_is_bounded(bench: Bench) -> None:
 
 def test_a_goal_that_could_not_be_requested_may_be_sent_again(bench: Bench) -> None:
     with pytest.raises(ZeroDivisionError):
-        bench.goals.receive_goal(GOAL, b"7", bench.answers.append, lambda reply: 1 / 0)
+        bench.goals.receive_goal(keys_of(GOAL, b"7", has_id=True), bench.answers.append, lambda reply: 1 / 0)
     bench.send(GOAL, b"7")
     assert len(bench.planned) == 1
 

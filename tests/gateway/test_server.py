@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from controller.gateway.arrivals import Rate
-from controller.gateway.server import MOST_REFUSALS, MOST_UNANSWERED, content
+from controller.gateway.server import MOST_REFUSALS, MOST_SENDERS, MOST_UNANSWERED, content
 from controller.planning.core.events import CancelMessage, refused
 from tests.gateway.conftest import ARM, NO_ACTUATOR, Gateway
 from tests.waiting import PATIENCE, eventually
@@ -94,13 +94,39 @@ def test_only_the_latest_sample_waits_and_wildcards_give_none(gateway: Gateway, 
     session, receive = gateway.other(), gateway.planner.receive[key]
     for number in range(10):
         session.put(f"{PREFIX}/{key}", str(number))
-    latest = []
-    eventually(lambda: latest[-1:] == [b"9"] or (latest.append(receive()) and False))
-    assert receive() is None
     session.put(f"hyperbit/*/{key}", b"x")
+    session.put(f"{PREFIX}/cancel", b"")  # of the same session: it arrives last
+    eventually(gateway.planner.keys)
+    assert [arrived.payload for arrived in receive()] == [b"9"]
+    assert list(receive()) == []
+
+
+@pytest.mark.parametrize("key", ["setpoint", "measured_tip"])
+def test_the_latest_sample_of_each_sender_waits(gateway: Gateway, key: str) -> None:
+    session, receive = gateway.other(), gateway.planner.receive[key]
+    for number in range(3):
+        for sender in (b"left", b"right", b"\xff"):
+            session.put(f"{PREFIX}/{key}", str(number), attachment=sender)
     session.put(f"{PREFIX}/cancel", b"")
     eventually(gateway.planner.keys)
-    assert receive() is None
+    assert [(arrived.sender, arrived.payload) for arrived in receive()] == [
+        ("left", b"2"), ("right", b"2"), ("\\xff", b"2"),
+    ]  # fmt: skip
+    for number in range(MOST_SENDERS + 5):
+        session.put(f"{PREFIX}/{key}", b"x", attachment=str(number))
+    session.put(f"{PREFIX}/stop", b"")
+    eventually(lambda: len(gateway.planner.keys()) == 2)
+    assert [arrived.sender for arrived in receive()] == [str(k) for k in range(5, MOST_SENDERS + 5)]
+
+
+def test_requests_of_one_session_keep_their_order_over_all_keys(gateway: Gateway) -> None:
+    session = gateway.other()
+    sent = ["reset", "stop", "cancel", "jog", "stop", "reset"] * 30
+    for key in sent:
+        session.put(f"{PREFIX}/{key}", b"{}")
+    eventually(lambda: len(gateway.planner.keys()) == len(sent))
+    assert gateway.planner.keys() == sent
+    assert gateway.planner.arrivals == sorted(gateway.planner.arrivals)
 
 
 @pytest.mark.parametrize("key", ["setpoint", "measured_tip"])
@@ -111,8 +137,8 @@ def test_a_put_by_a_wildcard_displaces_no_sample(gateway: Gateway, key: str) -> 
         session.put(f"hyperbit/*/{key}", "x")
     session.put(f"{PREFIX}/cancel", b"")  # of the same session: it arrives last
     eventually(gateway.planner.keys)
-    assert eventually(receive) == b"real"
-    assert receive() is None
+    assert [arrived.payload for arrived in receive()] == [b"real"]
+    assert list(receive()) == []
 
 
 def test_without_a_tracker_measured_tips_are_not_declared(gateway: Gateway) -> None:
@@ -209,4 +235,4 @@ def test_after_close_nobody_is_served_and_the_token_is_gone(gateway: Gateway) ->
 
 def test_after_the_end_no_setpoint_comes(gateway: Gateway) -> None:
     gateway.server.close()
-    assert [receive() for receive in gateway.planner.receive.values()] == [None, None]
+    assert [list(receive()) for receive in gateway.planner.receive.values()] == [[], []]

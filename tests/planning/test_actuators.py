@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from controller.arm.arm import Arm
-from controller.planning.core.goals import TABLES_TIMEOUT
+from controller.motion.decoding.goal import BEGIN_WITHIN
 from controller.planning.core.tasks import BuildTables
 from controller.program import (
     Acknowledge,
@@ -64,7 +64,7 @@ def test_goals_do_not_wait_for_tables_for_ever(desk: Desk) -> None:
     desk.held.add(BuildTables)
     desk.show(locked=b"\x01\x00", locks=1)
     desk.goal(A)
-    desk.pass_time(TABLES_TIMEOUT)
+    desk.pass_time(BEGIN_WITHIN)
     assert desk.inbox.next("reply")["message"].startswith("the arm is starting: the planner's tables are being rebuilt")
 
 

@@ -15,6 +15,7 @@ from controller.planning.core.events import (
     Abandon,
     AcceptanceEntry,
     Answered,
+    Arrival,
     Disconnect,
     Event,
     Fail,
@@ -47,7 +48,8 @@ from tests.planning.rig.loop_parts import Remembering, ScriptedCore
 from tests.waiting import PATIENCE
 
 WALL = 1e9  # [UNIX s]
-REQUEST = Request(1, "reset", None, WALL)
+REQUEST = Request(Arrival(1, 100.0), "reset", None, WALL)
+SETPOINT, TIP = SetpointArrived(b"s", Arrival(1, 0.0)), TipArrived(b"t", Arrival(1, 0.0))
 TASK = BuildTables(1, b"")
 
 
@@ -66,6 +68,10 @@ class Bench:
 
     def record(self, *step: Any) -> None:
         self.recorded.append(step)
+
+    def ask(self, reply: Any) -> None:
+        """Requests a reset."""
+        self.loop.request(self.loop.arrive(), "reset", None, reply)
 
     def handle(self, *events: Event) -> list[Event]:
         """Posts events, runs the loop once, and returns what the core has seen but snapshots."""
@@ -113,10 +119,10 @@ def test_posted_events_come_before_messages(executor: ScriptedExecutor, bench: B
 
 
 def test_a_setpoint_that_waits_comes_before_a_request(bench: Bench) -> None:
-    box = [b"1"]
-    bench.loop.mailboxes.set(SetpointArrived, lambda: box.pop() if box else None)
-    bench.loop.mailboxes.set(TipArrived, lambda: None)
-    assert bench.handle(Published(1), REQUEST) == [Published(1), SetpointArrived(b"1"), REQUEST]
+    box = [SETPOINT]
+    bench.loop.mailboxes.set(SetpointArrived, lambda: [box.pop()] if box else [])
+    bench.loop.mailboxes.set(TipArrived, list)
+    assert bench.handle(Published(1), REQUEST) == [Published(1), SETPOINT, REQUEST]
 
 
 def test_events_posted_by_the_core_s_actions_wait_for_the_next_round(bench: Bench) -> None:
@@ -141,15 +147,15 @@ def test_it_ticks_at_the_last_wake(bench: Bench) -> None:
 
 
 def test_mailboxes_are_read_more_often_while_set_points_come(bench: Bench) -> None:
-    setpoints, tips = list[bytes](), [b"t"]
-    bench.loop.mailboxes.set(SetpointArrived, lambda: setpoints.pop() if setpoints else None)
-    bench.loop.mailboxes.set(TipArrived, lambda: tips.pop() if tips else None)
+    setpoints, tips = list[SetpointArrived](), [TIP]
+    bench.loop.mailboxes.set(SetpointArrived, lambda: [setpoints.pop()] if setpoints else [])
+    bench.loop.mailboxes.set(TipArrived, lambda: [tips.pop()] if tips else [])
     mailboxes = bench.loop.mailboxes
-    assert bench.handle(Published(1)) == [Published(1), TipArrived(b"t")]
+    assert bench.handle(Published(1)) == [Published(1), TIP]
     assert mailboxes.due == bench.now + LOOK_EVERY
-    setpoints.append(b"s")
+    setpoints.append(SETPOINT)
     bench.now = mailboxes.due
-    assert bench.handle() == [SetpointArrived(b"s")]
+    assert bench.handle() == [SETPOINT]
     assert mailboxes.due == bench.now + STREAM_EVERY
     bench.now += STREAM_ENDS
     bench.handle()
@@ -157,12 +163,12 @@ def test_mailboxes_are_read_more_often_while_set_points_come(bench: Bench) -> No
 
 
 def test_a_mailbox_that_fails_keeps_nothing_waiting(bench: Bench) -> None:
-    def fail() -> bytes:
+    def fail() -> list[SetpointArrived]:
         raise RuntimeError("closed")
 
     bench.loop.mailboxes.set(SetpointArrived, fail)
-    bench.loop.mailboxes.set(TipArrived, lambda: b"t")
-    assert bench.handle(REQUEST) == [TipArrived(b"t"), REQUEST]
+    bench.loop.mailboxes.set(TipArrived, lambda: [TIP])
+    assert bench.handle(REQUEST) == [TIP, REQUEST]
 
 
 def test_changed_warnings_are_told(bench: Bench) -> None:
@@ -192,7 +198,7 @@ def test_actions_are_carried_out_in_order(bench: Bench, caplog: pytest.LogCaptur
         RecordCounts((1, 2)), ToExecutor(Stop(1)), Abandon(1), Notify("WATCHDOG=1"),
         Log(logging.WARNING, "100 % moved", {"HYPERBIT_GOAL": "a"}), Wake(0.0),
     ]  # fmt: skip
-    bench.loop.request("reset", None, lambda payload: bench.services.calls.append(("reply", payload)))
+    bench.ask(lambda payload: bench.services.calls.append(("reply", payload)))
     assert bench.handle()[:2] == [REQUEST, Tick()]
     assert bench.services.calls == [
         ("start", 1, TASK), ("reply", {"accepted": True}), ("publish", "state", {"mode": "ready"}),
@@ -220,8 +226,8 @@ def test_a_failing_action_stops_no_other(bench: Bench, caplog: pytest.LogCapture
     bench.core.script[Request] = lambda event: [Reply(event.number, {}), Publish("state", {})]
     bench.services.broken = {"publish"}
     answered: list[Any] = []
-    bench.loop.request("reset", None, fail)
-    bench.loop.request("reset", None, answered.append)
+    bench.ask(fail)
+    bench.ask(answered.append)
     bench.handle()
     assert answered == [{}]
     assert [record.getMessage() for record in caplog.records].count("the action Reply failed") == 1
@@ -231,7 +237,7 @@ def test_a_failing_action_stops_no_other(bench: Bench, caplog: pytest.LogCapture
 def test_a_request_is_answered_at_most_once(bench: Bench) -> None:
     answered: list[Any] = []
     bench.core.script[Request] = [Reply(1, {"first": True}), Reply(1, {"first": False})]
-    bench.loop.request("reset", None, answered.append)
+    bench.ask(answered.append)
     bench.handle()
     assert answered == [{"first": True}]
 
@@ -298,7 +304,7 @@ def test_it_says_when_the_core_has_ended(bench: Bench) -> None:
 
 def test_closing_refuses_what_was_not_answered(bench: Bench) -> None:
     answered: list[Any] = []
-    bench.loop.request("reset", None, answered.append)
+    bench.ask(answered.append)
     bench.loop.close()
     bench.loop.close()
     assert [payload["message"] for payload in answered] == [SHUTTING_DOWN]
@@ -331,7 +337,7 @@ def test_a_thread_serves_requests(bench: Bench) -> None:
     bench.loop = bench.make()
     bench.loop.start()
     answered = threading.Event()
-    bench.loop.request("reset", None, lambda payload: answered.set())
+    bench.ask(lambda payload: answered.set())
     assert answered.wait(PATIENCE)
     bench.loop.close()
     assert not bench.loop._thread.is_alive()

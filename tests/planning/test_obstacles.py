@@ -132,7 +132,7 @@ def test_a_replacement_that_was_only_sent_is_parked_and_checked(desk: Desk) -> N
     desk.executor.accept(program)
     better = desk.executor.expect(Replacement)  # of look-ahead; not answered yet
     assert desk.inbox.next("reply")["accepted"]
-    desk.executor.send(Begun(program.program, 0))
+    desk.executor.send(Begun(program.program, 0, 1))
     desk.executor.show(outputs=program.stages[0].states)
     end = better.stages[-1].states
     states = np.array([unpack(end) >> k & 1 for k in range(desk.executor.actuators)])

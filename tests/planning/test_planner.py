@@ -10,6 +10,7 @@ import pytest
 from controller.arm.arm import Arm
 from controller.host.process import Quit
 from controller.planning.core.events import (
+    Arrival,
     CancelMessage,
     FromExecutor,
     Key,
@@ -44,7 +45,7 @@ class Bench:
 
     def request(self, key: Key, message: Message) -> Request:
         """Sends a request, waits for its reply, and returns the event."""
-        self.planner.loop.request(key, message, self.replies.put)
+        self.planner.loop.request(self.planner.loop.arrive(), key, message, self.replies.put)
         event = self.core.expect(Request)
         assert self.replies.get(timeout=PATIENCE) == {"number": event.number}
         return event
@@ -112,10 +113,11 @@ def test_a_request_is_decoded_by_its_key(bench: Bench) -> None:
 
 
 def test_mailboxes_are_read(bench: Bench) -> None:
-    bench.planner.loop.mailboxes.set(SetpointArrived, lambda: b"setpoint")
-    assert bench.core.expect(SetpointArrived) == SetpointArrived(b"setpoint")
-    bench.planner.loop.mailboxes.set(TipArrived, lambda: b"tip")
-    assert bench.core.expect(TipArrived) == TipArrived(b"tip")
+    setpoint, tip = SetpointArrived(b"setpoint", Arrival(1, 0.0)), TipArrived(b"tip", Arrival(2, 0.0))
+    bench.planner.loop.mailboxes.set(SetpointArrived, lambda: [setpoint])
+    assert bench.core.expect(SetpointArrived) == setpoint
+    bench.planner.loop.mailboxes.set(TipArrived, lambda: [tip])
+    assert bench.core.expect(TipArrived) == tip
 
 
 def test_the_description_has_the_wanted_parts(bench: Bench) -> None:

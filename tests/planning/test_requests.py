@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.arm.arm import Arm
-from controller.motion.decoding.goal import GoalMessage
+from controller.motion.decoding.goal import BEGIN_WITHIN, GoalMessage
+from controller.motion.decoding.requests import Jog
 from controller.planning.core.events import CancelMessage, FaultToPlay, Key, LockMessage, SentObstacles
 from controller.planning.planner import RequestDecoder
 from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
@@ -54,7 +55,7 @@ def test_a_position_of_another_dimension_is_left_to_the_schedule(decoder: Reques
 
 
 def test_other_contents(decoder: RequestDecoder) -> None:
-    assert decoder.decode("jog", payload({"actuators": {"1.right": "extended"}})) == {2: 1}
+    assert decoder.decode("jog", payload({"actuators": {"1.right": "extended"}})) == Jog({2: 1}, BEGIN_WITHIN)
     assert decoder.decode("degrade", payload({"actuator": "1.left", "state": None})) == LockMessage("1.left", None)
     assert decoder.decode("fault", payload({"fault": "silence can0/5"})) == FaultToPlay("silence can0/5")
     sent = decoder.decode("obstacles", payload(OBSTACLES))
@@ -79,9 +80,6 @@ NO_NAMES = [
     b"[]",
     b'"a"',
     b'{"id": null}',
-    b'{"id": 1}',
-    b'{"id": ""}',
-    b'{"id": "\xc3\xa4"}',
     NO_JSON,
 ]
 
@@ -89,6 +87,12 @@ NO_NAMES = [
 @pytest.mark.parametrize("data", [*NO_NAMES, b"[" * 100_000, b'{"id": "a"'])
 def test_any_other_cancel_cancels_whatever_runs(decoder: RequestDecoder, data: bytes) -> None:
     assert decoder.decode("cancel", data) == CancelMessage(None)
+
+
+@pytest.mark.parametrize("data", [b'{"id": 1}', b'{"id": ""}', b'{"id": "\xc3\xa4"}', b'{"id": ["a"]}'])
+def test_a_cancel_of_an_impossible_id_cancels_nothing(decoder: RequestDecoder, data: bytes) -> None:
+    with pytest.raises(Refusal, match=r"cancel: .*id"):
+        decoder.decode("cancel", data)
 
 
 @pytest.mark.parametrize("key", ["goal", "plan", "jog", "degrade", "obstacles"])

@@ -102,7 +102,7 @@ def test_what_an_earlier_process_has_published_and_recorded_is_acknowledged_only
 def test_what_another_executor_owed_is_lost(make: Make) -> None:
     owed = OpenGoal(Identity(77, 5), "old", 12.0, 3)
     later = make(owed=[owed])
-    result = later.inbox.next("result")
+    result = later.inbox.next("inherited")
     assert (result["id"], result["status"], result["code"]) == ("old", "lost", -4)
     assert "the executor ended before it told" in result["message"]
     ((kind, entry),) = later.entries
@@ -142,7 +142,7 @@ def test_what_an_earlier_process_may_have_published_in_vain_is_repeated_with_the
 def test_what_another_executor_owed_is_repeated_as_it_was_published(make: Make) -> None:
     owed = OpenGoal(Identity(77, 5), "old", 12.0, 3)
     later = make(owed=[owed], published={owed.identity: REACHED})
-    result = later.inbox.next("result")
+    result = later.inbox.next("inherited")
     assert result["repeated"]
     assert (result["id"], result["status"], result["message"], result["switches"]) == ("old", "succeeded", "reached", 4)
     assert kinds(later) == ["accepted+ended"]

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.search.solution import Incumbent, SearchTime
-from controller.search.solver import UNFOUND, Solver, search_time
+from controller.search.solution import UNFOUND, Incumbent, SearchTime
+from controller.search.solver import Solver, search_time
 from controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
 

@@ -193,9 +193,15 @@ class World:
 
     def reset(self) -> None:
         """Resets the executor, and waits until it is ready."""
-        self.send(Reset(1))
+        self.send(Reset(1, self.epoch))
         self.go(TICK)
         self.until("ready")
+
+    @property
+    def epoch(self) -> int:
+        """The executor's epoch."""
+        assert self.core is not None
+        return self.core.modes.epoch
 
     def last(self, kind: type) -> Any:
         return next(message for message in reversed(self.heard) if isinstance(message, kind))

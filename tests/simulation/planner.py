@@ -167,7 +167,7 @@ class ScriptedPlanner:
     def _calm_act(self, snapshot: Snapshot) -> None:
         self._acknowledge()
         if snapshot.mode in ("fault", "stopped"):
-            self.connection.send(Reset(self._next()))
+            self.connection.send(Reset(self._next(), snapshot.epoch))
         elif snapshot.mode == "executing" and snapshot.program != self._wanted:
             self.connection.send(Cancel(self._next(), None, "quiet is wanted"))
         elif snapshot.mode == "ready":
@@ -187,7 +187,7 @@ class ScriptedPlanner:
     def _perform(self, snapshot: Snapshot) -> None:
         random, now = self._random, self._agenda.now
         if snapshot.mode in ("fault", "stopped") and random.random() < 0.2:
-            self.connection.send(Reset(self._next()))
+            self.connection.send(Reset(self._next(), snapshot.epoch))
             return
         match random.choices(list(ACTS), list(ACTS.values()))[0]:
             case "program":
@@ -211,7 +211,7 @@ class ScriptedPlanner:
                 number = random.choice([max(0, snapshot.program), self._number, 10**9])
                 self.connection.send(Cancel(0, number, "off its path"))
             case "reset":
-                self.connection.send(Reset(self._next()))
+                self.connection.send(Reset(self._next(), snapshot.epoch))
             case "lock":
                 actuator = random.randrange(len(self._arm.actuators) + 1)
                 self.connection.send(Lock(self._next(), actuator, random.choice([-1, 0, 1])))

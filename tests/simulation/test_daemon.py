@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from controller.motion.decoding.goal import BEGIN_WITHIN
 from controller.motion.stages.feed import Feed
 from controller.planning.core import goals, offers, parts
 from controller.planning.core.arm import ExecutorView
@@ -38,7 +39,6 @@ def test_a_seed_replays_exactly() -> None:
 
 
 def test_a_hung_search_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(goals, "LONGEST_PLANNING", 2.0)
     monkeypatch.setattr(parts, "HUNG", 2.0)
     world = World(0, whole=True)
     daemon = world.daemon
@@ -46,7 +46,7 @@ def test_a_hung_search_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None
     world.calm()
     daemon.mood.hangs = True
     daemon.clients.ask("goal", daemon.clients.simple_goal())
-    world.pass_time(6.0)
+    world.pass_time(BEGIN_WITHIN + 4.0)
     assert daemon.history.counts["planners that failed"] == 1
     world.calm()
 
@@ -100,7 +100,7 @@ def _claim_optimum(parts: Any, motion: Any, planned: Any, *now: Any) -> Any:
 def _reset_after_stop(self: ExecutorRequests, request: Request) -> None:
     _receive_request(self, request)
     if request.key == "stop":
-        self._act(ToExecutor(Reset(10**6)))
+        self._act(ToExecutor(Reset(10**6, self._view.state.snapshot.epoch)))
 
 
 def _take_present_epoch(parts: Any, *arguments: Any) -> Any:

@@ -107,7 +107,7 @@ class ClientRequests:
 
     def _receive_program(self, message: Program, now: float) -> None:
         """Starts a program in place of the running one, or declines it."""
-        refusal = self._refusal(message)
+        refusal = self._refusal(message, now)
         if refusal is not None:
             self._clients.to_planner(Declined(message.program, refusal.data))
             return
@@ -116,7 +116,7 @@ class ClientRequests:
         self._modes.run(ProgramExecution(message, begin, self._locked))
         self._clients.to_planner(Accepted(message.program, begin))
 
-    def _refusal(self, message: Program) -> Refusal | None:
+    def _refusal(self, message: Program, now: float) -> Refusal | None:
         """Returns why a program is declined, or None."""
         if self.quitting:
             return Refusal(Reason.EXECUTOR_SHUTTING_DOWN)
@@ -124,6 +124,8 @@ class ClientRequests:
             return no_motion(self._modes.mode, self._modes.reason)
         if message.epoch != self._modes.epoch:
             return Refusal(Reason.OVERTAKEN)
+        if now > message.until:
+            return Refusal(Reason.TOO_LATE_TO_BEGIN)
         if message.program <= self._program:
             return Refusal(Reason.PROGRAM_MALFORMED, misfit=f"a program of number {self._program} came before")
         try:
@@ -220,6 +222,9 @@ class ClientRequests:
         """Boots the boards after a fault or a stop."""
         if self._modes.mode not in ("fault", "stopped"):
             self._answer(client, message.request, f"nothing to reset: the arm is {self._modes.mode}")
+            return
+        if message.epoch != self._modes.epoch:
+            self._refuse(client, message.request, Refusal(Reason.OVERTAKEN))
             return
         if opened := self._motion.readings.interlock_faults():
             interlock = opened[0].message + (f" (and {len(opened) - 1} more)" if opened[1:] else "")

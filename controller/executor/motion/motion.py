@@ -193,9 +193,10 @@ class ArmMotion:
         execution = self.execution
         if execution is None:
             return None
-        if execution.waiting and not self.busy and not self.moving and execution.settle(now):
+        rests = not self.busy and not self.moving and self.supervision.decided(self.readings.ends, self._master.known)
+        if execution.waiting and rests and execution.settle(now):
             self._send(self._settled(execution))
-        if execution.idle and now >= self.actuation.free_at - EPSILON and not self.busy and not self.moving:
+        if execution.idle and rests and now >= self.actuation.free_at - EPSILON:
             end = execution.find_end(self.clock)
             if end is not None:
                 return end
@@ -309,7 +310,7 @@ class ArmMotion:
         if execution is not None:
             switched = commit.states != self._before
             execution.record_reached(self._index, self._before, switched, self.actuation.free_at)
-            self._send(Begun(execution.program.program, self._index))
+            self._send(Begun(execution.program.program, self._index, execution.switches))
 
     def _settled(self, execution: ProgramExecution) -> Settled:
         counted = execution.switches, execution.stages

@@ -104,6 +104,16 @@ class MotionSupervision:
         unconfirmed = self._pending & ~self._confirms
         return any(clock - self._switched_at[k] < self._travel(k) for k in indices(unconfirmed))
 
+    def decided(self, ends: Ends, known: int) -> bool:
+        """Returns whether no end-stop contradicts the commanded state in a way that may still become a fault.
+
+        Args:
+            ends: what the end-stops read.
+            known: mask of the actuators whose boards are operational.
+        """
+        readable = known & self._commanded_known
+        return not (self._pending & self._late(ends) & readable or (self._strayed | self._doubtful) & readable)
+
     def tick(self, ends: Ends, known: int, clock: float, now: float) -> list[Finding]:
         """Compares commanded states with the end-stops, and asks the boards of late actuators for their inputs.
 

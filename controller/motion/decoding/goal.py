@@ -26,6 +26,7 @@ if TYPE_CHECKING:  # its kernels take a second to import; clients that only deco
     from controller.motion.stages.pacing import Pace
 
 MOST_BYTES = 1_000_000
+BEGIN_WITHIN = 8.0  # [s] from the arrival of a request to its acceptance; Zenoh's queries end after 10 s
 FARTHEST_AHEAD = 86_400.0  # [s]; a stamp in milliseconds would lie centuries ahead
 
 # The bounds exclude infinity and NaN. Greater lengths are mistakes of the unit and overflow when they are squared.
@@ -33,6 +34,7 @@ Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Tolerable = Annotated[float, Meta(ge=1e-9, le=1e6)]
 Time = Annotated[float, Meta(ge=0, le=sys.float_info.max)]
 PlanningSeconds = Annotated[float, Meta(gt=0, le=60)]
+BeginSeconds = Annotated[float, Meta(gt=0, le=86_400)]
 # An angle, or one component of a quaternion.
 Turn = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Position = Sequence[float] | NDArray[np.float64]
@@ -62,7 +64,7 @@ class GoalMessage(Struct, forbid_unknown_fields=True, frozen=True):
     """The payload of a goal; `stamp` is t = 0 in UNIX seconds, 0 means now.
 
     With a `path_tolerance` the tip follows the straight lines between the waypoints. `deadline` is the longest time of
-    its planning [s].
+    its planning [s]. The goal is refused unless it was accepted within `begin_within` [s] after its arrival.
     """
 
     waypoints: list[Waypoint]
@@ -71,6 +73,12 @@ class GoalMessage(Struct, forbid_unknown_fields=True, frozen=True):
     tolerance: Tolerance = Tolerance()
     path_tolerance: Tolerable | None = None
     deadline: PlanningSeconds | None = None
+    begin_within: BeginSeconds | None = None
+
+    @property
+    def patience(self) -> float:
+        """`begin_within`, or its default: BEGIN_WITHIN beside the time of planning [s]."""
+        return BEGIN_WITHIN + (self.deadline or 0.0) if self.begin_within is None else self.begin_within
 
 
 _NAMES = [b'"%s"' % name.encode() for kind in (GoalMessage, Waypoint, Tolerance) for name in kind.__struct_fields__]

@@ -1,11 +1,12 @@
 """Requests beside goals: jog, degrade, obstacles and fault. Strict decoding."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from msgspec import Meta, Struct
 
 from controller.manipulator.locked import STATES
+from controller.motion.decoding.goal import BEGIN_WITHIN, BeginSeconds
 from controller.motion.decoding.setpoint import parse
 from controller.obstacles.notation import ObstacleList, parse_obstacles
 from controller.obstacles.obstacles import Obstacles
@@ -16,9 +17,22 @@ MOST_OBSTACLE_BYTES = 200_000  # 256 obstacles with long names and all digits
 
 
 class JogMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of `jog`: the new state of each actuator, by label."""
+    """The payload of `jog`: the new state of each actuator, by label, and the longest time to its acceptance [s]."""
 
     actuators: Annotated[dict[str, Literal["contracted", "extended"]], Meta(min_length=1)]
+    begin_within: BeginSeconds = BEGIN_WITHIN
+
+
+class Jog(NamedTuple):
+    """A decoded jog.
+
+    Attributes:
+        states: new state of each actuator, 0 contracted and 1 extended, by index.
+        patience: longest time from its arrival to its acceptance [s].
+    """
+
+    states: dict[int, int]
+    patience: float = BEGIN_WITHIN
 
 
 class DegradeMessage(Struct, forbid_unknown_fields=True, frozen=True):
@@ -40,8 +54,8 @@ class FaultMessage(Struct, forbid_unknown_fields=True, frozen=True):
     fault: Annotated[str, Meta(min_length=1, max_length=200)]
 
 
-def decode_jog(payload: bytes, actuators: Sequence[str]) -> dict[int, int]:
-    """Returns the states in a `jog` payload, 0 contracted and 1 extended, by index of the actuator.
+def decode_jog(payload: bytes, actuators: Sequence[str]) -> Jog:
+    """Returns the jog in a payload.
 
     Args:
         payload: JSON.
@@ -54,7 +68,8 @@ def decode_jog(payload: bytes, actuators: Sequence[str]) -> dict[int, int]:
     indices = {label: k for k, label in enumerate(actuators)}
     if unknown := [label for label in message.actuators if label not in indices]:
         raise no_actuator("actuators", unknown[0], actuators)
-    return {indices[label]: STATES.index(state) for label, state in message.actuators.items()}
+    states = {indices[label]: STATES.index(state) for label, state in message.actuators.items()}
+    return Jog(states, message.begin_within)
 
 
 def decode_degrade(payload: bytes) -> DegradeMessage:

@@ -95,11 +95,15 @@ class ArmState:
         return ArmStart(self.snapshot.outputs, packed(self.commanded), packed(self.states), self.snapshot.locked)
 
     @cached_property
+    def homing(self) -> NDArray[np.bool_]:
+        """Which actuators have an unknown state until they are homed, shape (A,)."""
+        empty = bytes((len(self.manipulator.actuators) + 7) // 8)
+        return self.unpacked(self.snapshot.homing or empty).astype(np.bool_)
+
+    @cached_property
     def known(self) -> bool:
         """Whether each actuator's state is known or will be homed. It is not while a board is missing."""
-        empty = bytes((len(self.manipulator.actuators) + 7) // 8)
-        homing = self.unpacked(self.snapshot.homing or empty).astype(np.bool_)
-        return bool(((self.measured >= 0) | homing).all())
+        return bool(((self.measured >= 0) | self.homing).all())
 
     @cached_property
     def _spelled(self) -> Configuration | str | None:

@@ -112,6 +112,7 @@ class Core:
         self._handle(event)
         self._obstacles.check_standing()
         self._programs.check()
+        self._requests.advance()
         self._goals.advance()
         self._queries.advance()
         self._stream.consider()
@@ -139,8 +140,8 @@ class Core:
                 self._answer(event)
             case events.Answered(number, answer, last):
                 self._jobs.answered(number, answer, last)
-            case events.SetpointArrived(payload):
-                self._stream.receive_setpoint(payload, self._admission.arrive())
+            case events.SetpointArrived():
+                self._stream.receive_setpoint(event)
             case events.TipArrived(payload):
                 if self._parts.tip_bias is not None:
                     self._parts.tip_bias.receive_tip(payload)
@@ -177,7 +178,7 @@ class Core:
         try:
             match request.key:
                 case "goal" | "jog":
-                    self._goals.queue_motion(request, self._admission.arrive())
+                    self._goals.queue_motion(request, self._admission.arrive(request.number))
                 case "plan":
                     self._queries.queue_query(request)
                 case "obstacles":
@@ -212,6 +213,7 @@ class Core:
             case program.Snapshot():
                 self._admission.snapshot(message.epoch)
                 self._locks.update(self._view.receive_snapshot(message))
+                self._results.check(message.program)
             case program.Accepted():
                 self._goals.accepted(message)
             case program.Declined():

@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 from controller.host.process import Log, Notify, Quit
 from controller.motion.decoding.goal import GoalMessage
+from controller.motion.decoding.requests import Jog
 from controller.planning.core.tasks import Answer, Task
 from controller.program import Down, Fault, Up
 from controller.refusals import codes
@@ -43,8 +44,23 @@ class SentObstacles(NamedTuple):
 
 
 Key = Literal["goal", "jog", "plan", "cancel", "stop", "reset", "degrade", "obstacles", "fault", "arm"]
-# A jog has the new state of each actuator by index. Keys without a content have None.
-Message = GoalMessage | dict[int, int] | CancelMessage | LockMessage | SentObstacles | FaultToPlay | None
+# Keys without a content have None.
+Message = GoalMessage | Jog | CancelMessage | LockMessage | SentObstacles | FaultToPlay | None
+
+
+class Arrival(NamedTuple):
+    """The arrival of a request, set-point or measured tip at the gateway.
+
+    Requests may reach the core in another order: their numbers decide.
+
+    Attributes:
+        number: from 1, ascending.
+        at: time of arrival [s, the monotonic clock]. What arrives just after the process stood still may have waited
+            since it did.
+    """
+
+    number: int
+    at: float
 
 
 class Request(NamedTuple):
@@ -53,14 +69,19 @@ class Request(NamedTuple):
     A `stop`, and a `cancel` without an id, was sent to the executor before, as the executor's request of this number.
 
     Attributes:
-        number: from 1, ascending.
+        arrival: its place in the order of arrival, and its time.
         wall: time of arrival [UNIX s].
     """
 
-    number: int
+    arrival: Arrival
     key: Key
     message: Message
     wall: float
+
+    @property
+    def number(self) -> int:
+        """Number of the request."""
+        return self.arrival.number
 
 
 class Unsent(NamedTuple):
@@ -71,15 +92,19 @@ class Unsent(NamedTuple):
 
 
 class SetpointArrived(NamedTuple):
-    """The latest set-point, as it came."""
+    """The latest set-point of one sender, as it came; `sender` is what the sender attaches, "" if nothing."""
 
     payload: bytes
+    arrival: Arrival
+    sender: str = ""
 
 
 class TipArrived(NamedTuple):
-    """The latest measured tip, as it came."""
+    """The latest measured tip of one sender, as it came."""
 
     payload: bytes
+    arrival: Arrival
+    sender: str = ""
 
 
 Arrived = SetpointArrived | TipArrived

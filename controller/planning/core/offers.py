@@ -22,9 +22,10 @@ from controller.refusals.refusal import Refusal
 
 if TYPE_CHECKING:
     from controller.motion.decoding.goal import GoalMessage
+    from controller.motion.decoding.requests import Jog
     from controller.motion.stages.pacing import Pace
 
-UNCHECKED = "; collisions were not checked, because the arm is in no configuration"
+UNCHECKED = "; collisions were not checked, because"
 
 
 @dataclass(eq=False)
@@ -34,26 +35,31 @@ class Motion:
     Attributes:
         wanted: goal, or new states of single actuators by index.
         received: time of arrival [UNIX s].
+        begin_by: time by which the executor must accept it [s].
         since: when the present wait began [s].
         job: number of the task that plans or checks it; None: no task.
         basis: what the plan holds for.
         planned: the plan of a goal, or the stages (k, A) of a jog; None: there is none for the present basis.
         program: number of its program, if that waits for the executor's answer.
         waits: the snapshot after which it is offered again; None: it does not wait for one.
+        plan_by: end of its planning, by its own deadline [s]; None: planning has not begun, or has no deadline.
+        why: why it was planned or offered again, and would be refused then; None: it was not.
     """
 
     request: int
     ticket: Ticket
-    wanted: GoalMessage | dict[int, int]
+    wanted: GoalMessage | Jog
     id: str
     received: float
+    begin_by: float
     since: float
-    tries: int = 0
     job: int | None = None
     basis: Basis | None = None
     planned: Planned | States | None = None
     program: int | None = None
     waits: ArmState | None = None
+    plan_by: float | None = None
+    why: Refusal | None = None
 
 
 class Draft(NamedTuple):
@@ -121,6 +127,16 @@ def jog_stages(state: ArmState, wanted: dict[int, int], pace: Pace) -> States:
     return in_groups(state.commanded, target, pace.inrush or len(labels))
 
 
+def unsure_of(state: ArmState) -> str | None:
+    """Returns why the stages of a jog from a state cannot be checked for collisions; None if they can."""
+    if state.unknown_state is not None or state.configuration is None:
+        return "the arm is in no configuration"
+    if (unknown := np.flatnonzero(state.homing)).size:
+        labels = ", ".join(state.manipulator.actuators[k] for k in unknown)
+        return f"it is not known where {labels} {'is' if len(unknown) == 1 else 'are'}"
+    return None
+
+
 def jog_program(
     parts: Parts, motion: Motion, wanted: dict[int, int], stages: States, state: ArmState, basis: Basis
 ) -> InFlight:
@@ -129,8 +145,8 @@ def jog_program(
     point = PlannedPoint(0, tuple(state.pack(stages)), None, 0)
     times, most = (lead * len(point.stages),), parts.pace.inrush or len(labels)
     route = Route(state.snapshot.outputs, (point,), times, (False,), lead, 0.0, most)
-    known = state.unknown_state is None and state.configuration is not None
-    unchecked = UNCHECKED if not known and not basis.scene.free else ""
+    unsure = unsure_of(state)
+    known, unchecked = unsure is None, "" if unsure is None or basis.scene.free else f"{UNCHECKED} {unsure}"
     switches = np.count_nonzero(state.commanded != stages[-1])
     named = ", ".join(f"{labels[k]} {STATES[to]}" for k, to in wanted.items())
     words = f"accepted, {switches} {'switch' if switches == 1 else 'switches'}: {named}{unchecked}"[:1_000]
@@ -147,5 +163,8 @@ def _in_flight(parts: Parts, motion: Motion, draft: Draft, basis: Basis) -> InFl
     route, report, name, words, strict, begin, proof, homed = draft
     feed = Feed(manipulator, number, route, strict, basis.scene.generation, proof)
     epoch, context = motion.ticket.epoch or 0, report.context(parts.moment.wall, proof)
-    program = Program(number, epoch, route.start, begin, feed.first, feed.complete, strict, name, context, homed)
+    first = feed.first
+    program = Program(
+        number, epoch, route.start, begin, first, feed.complete, strict, name, context, homed, motion.begin_by
+    )
     return InFlight(program, motion.request, report, feed, {**done(words), "id": motion.id})

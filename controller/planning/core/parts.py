@@ -1,12 +1,13 @@
 """What all parts of the core ask: the time, the order of requests, tasks under way, and the numbers of programs.
 
 A cancel, stop or reset bars every goal and every stream of set-points that arrived before it. The planner decides by
-order of arrival, the executor by epoch. While a cancel is unanswered, new requests belong to the epoch that begins with
-its answer.
+the numbers of arrivals, the executor by epoch. While a cancel is unanswered, new requests belong to the epoch that
+begins with its answer.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from controller.planning.core.stream import TipBiasEstimator
 
 HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
+MOST_UNRESOLVED = 256  # tickets without an epoch; without an executor each stream of set-points leaves one
+MOST_CANCELED = 256  # ids whose cancels are kept for requests that arrived before and reach the core after them
 OnAnswer = Callable[[Answer], None]
 
 
@@ -32,7 +35,7 @@ class Ticket:
     """The place of a request in the order of arrival.
 
     Attributes:
-        number: among all requests and set-points.
+        number: of its arrival.
         epoch: of the executor at arrival; None while it is not known.
         waits_for: the executor's requests that were unanswered at arrival, and may begin a new epoch.
     """
@@ -43,30 +46,43 @@ class Ticket:
 
 
 class Admission:
-    """Numbers requests and set-points by arrival, and decides which are barred."""
+    """Decides which requests are barred, by the numbers of their arrivals and by the executor's epoch.
+
+    A stop, a cancel of all, a needed reset and a lost connection bar all requests that arrived before, also those that
+    reach the core after it. A cancel of a goal bars all earlier requests of its id.
+    """
 
     def __init__(self) -> None:
-        self._last = self._barred = self._replaced = 0  # numbers of tickets
+        self._latest = self._barred = self._replaced = 0  # numbers of arrivals
+        self._canceled: dict[str, int] = {}  # number of the latest cancel of each id, the oldest first
         self._pending: frozenset[int] = frozenset()  # the executor's requests that may begin a new epoch
         self._epoch: int | None = None  # of the last snapshot
         self._current = False  # whether that snapshot came after the last answer
-        self._unresolved: list[Ticket] = []
+        self._unresolved: deque[Ticket] = deque(maxlen=MOST_UNRESOLVED)
 
-    def arrive(self) -> Ticket:
-        """Returns the ticket of a request that arrives now."""
-        self._last += 1
-        ticket = Ticket(self._last, self._epoch if self._current and not self._pending else None, self._pending)
+    def arrive(self, number: int) -> Ticket:
+        """Returns the ticket of a request that has arrived as this number."""
+        self._latest = max(self._latest, number)
+        ticket = Ticket(number, self._epoch if self._current and not self._pending else None, self._pending)
         if ticket.epoch is None:
             self._unresolved.append(ticket)
         return ticket
 
     def bar(self, request: int) -> None:
         """Bars all earlier requests: a cancel, stop or reset goes to the executor as its request of this number."""
-        self._bar_all()
+        self._barred = max(self._barred, request - 1)
         self.fence(request)
+
+    def bar_id(self, goal: str, request: int) -> None:
+        """Bars all earlier requests of an id: its cancel has arrived as this number."""
+        self._canceled.pop(goal, None)
+        self._canceled[goal] = request
+        if len(self._canceled) > MOST_CANCELED:
+            del self._canceled[next(iter(self._canceled))]
 
     def fence(self, request: int) -> None:
         """Notes a request to the executor that begins a new epoch if the executor accepts it."""
+        self._latest = max(self._latest, request)
         self._pending |= {request}
 
     def end_streams(self, ticket: Ticket) -> None:
@@ -84,27 +100,22 @@ class Admission:
     def snapshot(self, epoch: int) -> None:
         """Notes the epoch of a snapshot."""
         self._epoch, self._current = epoch, True
-        for ticket in self._unresolved:
-            if not ticket.waits_for & self._pending:
-                ticket.epoch = epoch
-        self._unresolved = [ticket for ticket in self._unresolved if ticket.epoch is None]
+        for ticket in [ticket for ticket in self._unresolved if not ticket.waits_for & self._pending]:
+            ticket.epoch = epoch
+            self._unresolved.remove(ticket)
 
     def lost(self) -> None:
         """Bars all earlier requests: the connection to the executor is lost."""
-        self._bar_all()
+        self._barred = max(self._barred, self._latest)
         self._pending, self._epoch, self._current = frozenset(), None, False
-
-    def _bar_all(self) -> None:
-        self._last += 1
-        self._barred = self._last
-        self._unresolved.clear()
 
     # --- decisions
 
-    def barred(self, ticket: Ticket) -> bool:
-        """Returns whether a cancel, stop, reset or fault came after a request."""
+    def barred(self, ticket: Ticket, goal: str | None = None) -> bool:
+        """Returns whether a cancel, stop, reset or fault came after a request; `goal` is its id, if it has one."""
         changed = ticket.epoch is not None and self._epoch is not None and ticket.epoch != self._epoch
-        return ticket.number <= self._barred or changed
+        canceled = goal is not None and ticket.number <= self._canceled.get(goal, 0)
+        return ticket.number <= self._barred or canceled or changed
 
     def stream_ended(self, ticket: Ticket) -> bool:
         """Returns whether a stream of set-points is no longer followed, given the ticket of its first set-point."""

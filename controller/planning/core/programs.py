@@ -42,7 +42,8 @@ class InFlight:
         improving, checking: numbers of the tasks that improve and check it.
         deviates: whether the deviations of its points are still awaited.
         held: reports that wait for the deviations, in order.
-        unchecked: whether it cannot be checked, because the arm is in no configuration.
+        unchecked: whether it cannot be checked, because it is not known where the arm is.
+        switches: as the executor told last.
     """
 
     program: Program
@@ -62,6 +63,7 @@ class InFlight:
     held: deque[Settled | Ended] = field(default_factory=deque)
     checking: int | None = None
     unchecked: bool = False
+    switches: int = 0
 
 
 class Programs:
@@ -173,12 +175,14 @@ class Programs:
             return
         match message:
             case Begun():
+                program.switches = message.switches
                 program.report.begun(program.feed.begin(message.stage))
                 self._feed(program)
             case Replaced():
                 program.feed.answered(message.generation, message.accepted)
                 self._feed(program)
             case Settled():
+                program.switches = message.switches
                 program.report.begun(message.mark)
                 if (outcome := program.report.left_path(message.mark, self._view.measured_in(message))) is not None:
                     self.end(program, outcome)
@@ -199,10 +203,10 @@ class Programs:
             self._tell(program)
             if self._programs.pop(program.program.program, None) is not None:
                 self._stop_tasks(program)
-                message = f"{reason}; the arm holds"
-                outcome = program.outcome or GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, message)
+                outcome = program.outcome or GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, reason)
                 known = KnownProgram(outcome, None, None, self._unrecorded(program))
-                self._results.lost(self._identity(program.program.program), program.program.context, known)
+                identity = self._identity(program.program.program)
+                self._results.lost(identity, program.program.context, known, program.switches)
 
     # --- obstacles
 

@@ -19,7 +19,7 @@ from controller.planning.core.events import (
     refused,
 )
 from controller.planning.core.goals import EXECUTOR_TIMEOUT, Goals
-from controller.planning.core.parts import Parts
+from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.tasks import Answer, Described, DescribePlan, PlanGoal, refusal_of
 from controller.program import Answer as ExecutorAnswer
 from controller.program import Cancel, Down, Lock, PlayFault, Reset
@@ -31,14 +31,26 @@ LONGEST = 10.0  # [s] for one query, without its time in the queue and its own d
 CANCELED = "canceled; the arm holds"
 
 
+class WaitingReset(NamedTuple):
+    """A reset whose epoch is not known yet; `at` is the time of its arrival at the core [s]."""
+
+    number: int
+    ticket: Ticket
+    at: float
+
+
 class ExecutorRequests:
-    """Requests that the executor answers; the request's number is the number of the executor's request."""
+    """Requests that the executor answers; the request's number is the number of the executor's request.
+
+    A reset goes to the executor with the epoch of its arrival, so that the executor refuses it after a later stop.
+    """
 
     def __init__(self, parts: Parts, goals: Goals, queries: Queries) -> None:
         self._parts, self._view, self._act = parts, parts.view, parts.act
         self._locks, self._goals, self._programs = parts.locks, goals, parts.programs
         self._queries = queries
         self._pending: dict[int, float] = {}  # time of each request that is not answered yet [s]
+        self._resets: list[WaitingReset] = []
 
     def receive_request(self, request: Request) -> None:
         """Handles a cancel, stop, reset, lock or fault."""
@@ -58,6 +70,23 @@ class ExecutorRequests:
                 else:
                     self._act(Reply(request.number, refused(Refusal(Reason.NOT_SIMULATED))))
 
+    def advance(self) -> None:
+        """Sends the resets whose epoch is known, and refuses those that a stop, cancel or fault came after.
+
+        Call at the end of each step.
+        """
+        waiting, self._resets = self._resets, []
+        for reset in waiting:
+            number, ticket, at = reset
+            if self._parts.admission.barred(ticket):
+                self._finish(number, refused(Refusal(Reason.OVERTAKEN)))
+            elif ticket.epoch is not None or not self._view.connected:
+                self._send(number, Reset(number, ticket.epoch or 0))
+            elif self._parts.moment.now > at + EXECUTOR_TIMEOUT:
+                self._finish(number, refused(Refusal(Reason.EXECUTOR_BEHIND)))
+            else:
+                self._resets.append(reset)
+
     def unsent(self, number: int, reason: str) -> None:
         """Refuses a request that could not be sent."""
         self._finish(number, refused(Refusal(Reason.NO_EXECUTOR, why=reason)))
@@ -69,18 +98,23 @@ class ExecutorRequests:
 
     def lost(self, reason: str) -> None:
         """Refuses all requests that are not answered: the connection is lost."""
+        self._resets.clear()
         for number in list(self._pending):
             self._finish(number, refused(Refusal(Reason.EXECUTOR_LOST, why=reason)))
 
     def overdue(self) -> bool:
         """Returns whether the executor has not answered a request in time."""
-        return any(self._parts.moment.now > at + EXECUTOR_TIMEOUT for at in self._pending.values())
+        now, waiting = self._parts.moment.now, {reset.number for reset in self._resets}
+        return any(now > at + EXECUTOR_TIMEOUT for number, at in self._pending.items() if number not in waiting)
 
     def _cancel_goal(self, number: int, goal: str) -> None:
-        running = self._programs.running(goal)
+        """Bars all earlier requests of an id: refuses those that wait, and ends its program."""
+        self._parts.admission.bar_id(goal, number)
+        running, waited = self._programs.running(goal), self._goals.waits_for_turn(goal)
+        self._goals.refuse_late()
         if running is not None:
             self._send(number, Cancel(number, running.program.program, CANCELED))
-        elif self._goals.cancel(goal):
+        elif waited:
             self._act(Reply(number, done("canceled before it began")))
         elif self._queries.cancel(goal):
             self._act(Reply(number, done("the plan is canceled")))
@@ -92,8 +126,10 @@ class ExecutorRequests:
             self._locks.retry()
         admission = self._parts.admission
         needed = self._view.mode()[0] in ("fault", "stopped")  # otherwise earlier requests may continue
+        reset = WaitingReset(number, admission.arrive(number), self._parts.moment.now)
         (admission.bar if needed else admission.fence)(number)
-        self._send(number, Reset(number))
+        self._pending[number] = self._parts.moment.now
+        self._resets.append(reset)
 
     def _lock(self, number: int, message: LockMessage) -> None:
         state = self._view.state

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from controller.manipulator.manipulator import Manipulator
 
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
+SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting, the executor has sent the results that it stores
 STATUS_CODES = {
     "canceled": codes.INVALID_GOAL,
     "replaced": codes.INVALID_GOAL,
@@ -90,6 +92,7 @@ class Results:
         self._owed = {goal.identity: goal for goal in owed}
         self._doubtful = {identity: mark for identity, mark in published.items() if identity in self._owed}
         self._told = published.keys() - self._owed.keys()
+        self._met_at = math.inf  # when the present executor was met [s]
         self._last = 0  # number of a publication or of an entry of the ledger
         self._publishing: dict[int, Untold] = {}
         self._recording: dict[int, Untold] = {}
@@ -138,10 +141,20 @@ class Results:
             outcome = outcome._replace(message=f"{outcome.message}; {why}")
         payload = result_of(manipulator, message, measured, context, outcome, target)
         view.ended(outcome.sentence)
-        self._tell(Untold(identity, message.result, accepted_of(context), payload), known)
+        self._tell(Untold(identity, message.result, accepted_of(context), payload), known, inherited=known is None)
 
-    def lost(self, identity: Identity, context: bytes, known: KnownProgram, switches: int = 0) -> None:
-        """Ends a program of which the executor tells nothing any more; `known` has an outcome."""
+    def lost(
+        self, identity: Identity, context: bytes, known: KnownProgram, switches: int, *, inherited: bool = False
+    ) -> None:
+        """Ends a program of which the executor tells nothing any more.
+
+        Args:
+            identity: of the program.
+            context: of the program.
+            known: has an outcome.
+            switches: as told last.
+            inherited: whether an earlier planner process accepted the goal.
+        """
         found, view, outcome = decode_context(context) or Context("unknown"), self._view, known.outcome
         assert outcome is not None
         size = len(view.manipulator.actuators)
@@ -149,19 +162,35 @@ class Results:
         silent = Ended(0, identity.program, context, "aborted", outcome.message, -1, switches, unknown, unknown)
         measured = view.measured
         payload = result_of(view.manipulator, silent, measured, found, outcome, None)
-        self._tell(Untold(identity, None, accepted_of(found), payload), known)
+        self._tell(Untold(identity, None, accepted_of(found), payload), known, inherited=inherited)
 
     def met(self, instance: int) -> None:
         """Ends as lost what earlier executors owed, because another one has come.
 
-        Goals of this executor are not lost: it sends their results, or runs them still.
+        This executor sends the results that it stores, or runs these goals still: `check` ends the others.
         """
-        for identity in [identity for identity in self._owed if identity.instance != instance]:
+        self._met_at = self._moment.now
+        self._end_owed([identity for identity in self._owed if identity.instance != instance])
+
+    def check(self, running: int) -> None:
+        """Ends what the present executor owes and has neither sent nor runs, once it had the time to send it.
+
+        It had a result, which an earlier planner process acknowledged without recording it: the disk was full.
+
+        Args:
+            running: number of the program that the executor runs; -1 if none.
+        """
+        if self._owed and self._moment.now > self._met_at + SENT_AGAIN_WITHIN:
+            now = Identity(self._view.instance or 0, running)
+            self._end_owed([identity for identity in self._owed if identity != now])
+
+    def _end_owed(self, over: list[Identity]) -> None:
+        for identity in over:
             goal = self._owed.pop(identity)
             context = msgspec.msgpack.encode(Context(goal.goal, goal.waypoints, sent=goal.wall))
             outcome, mark = self._told_outcome(identity), self._doubtful.get(identity)
             known = KnownProgram(outcome or GoalOutcome("lost", STATUS_CODES["lost"], LOST), None, None, None)
-            self.lost(identity, context, known, 0 if mark is None else mark.switches)
+            self.lost(identity, context, known, 0 if mark is None else mark.switches, inherited=True)
 
     def _told_outcome(self, identity: Identity) -> GoalOutcome | None:
         """Returns the outcome that an earlier planner process has published, perhaps in vain; otherwise None."""
@@ -183,7 +212,7 @@ class Results:
         if untold is not None and untold.result is not None and untold.identity.instance == self._view.instance:
             self._act(ToExecutor(Acknowledge(untold.result)))
 
-    def _tell(self, untold: Untold, known: KnownProgram | None) -> None:
+    def _tell(self, untold: Untold, known: KnownProgram | None, *, inherited: bool) -> None:
         self._owed.pop(untold.identity, None)
         if untold.identity in self._told:
             self._record(untold)
@@ -193,7 +222,7 @@ class Results:
             untold.payload = {**untold.payload, "repeated": True}
         number = self.next_entry()
         self._publishing[number] = untold
-        publication = PublishResult(number, untold.identity, known is None, untold.payload)
+        publication = PublishResult(number, untold.identity, inherited, untold.payload)
         if known is None or known.acceptance is None:
             self._act(publication)
         else:

@@ -1,7 +1,7 @@
 """Samples of moving goals and of the tip: follows set-points by single stages, and estimates the tip bias.
 
-A stream is a sequence of set-points without a pause longer than the tracker's time-out. A cancel, stop, fault, reset or
-goal ends the present stream. Only a stream that begins later is followed.
+A stream is a sequence of set-points of one sender without a pause longer than the tracker's time-out. A cancel, stop,
+fault, reset or goal ends the present stream. Only a stream that begins later is followed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from controller.motion.tracking.bias import DRIFT, TipBias, Tracker
 from controller.motion.tracking.bias import decode as decode_tip
 from controller.motion.tracking.tracking import GoalTracker
 from controller.planning.core.arm import obstruction
-from controller.planning.core.events import Payload, ToExecutor
+from controller.planning.core.events import Payload, SetpointArrived, ToExecutor
 from controller.planning.core.parts import Parts, Ticket
 from controller.planning.core.tasks import Answer, Basis, Failed, Followed, FollowSetpoint
 from controller.program import TICK, Setpoint
@@ -42,6 +42,7 @@ SEARCH_TIME = 0.005  # [s] expected for the first search
 SMOOTHING = 0.1  # weight of the latest value in running means
 VALIDITY, SLACK = 1.0, 0.02  # greatest age of a measured tip [s], and greatest lead of a tracker's clock [s]
 LONGEST = 1_000  # characters of a reason
+MOST_DELAY = 0.2  # [s] of a set-point between its arrival and the core
 
 
 class Stream:
@@ -58,6 +59,7 @@ class Stream:
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
         self._lead = arm.travel_time + TICK  # of a stage
         self._ticket: Ticket | None = None  # of the first set-point; None: no stream is followed
+        self._sender = ""  # of the present stream
         self._number, self._offset, self._searching = 0, 0.0, SEARCH_TIME
         self._heard = self._fitted = self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
         self._next_search = -math.inf  # as of the last consideration
@@ -70,29 +72,39 @@ class Stream:
 
     # --- set-points
 
-    def receive_setpoint(self, payload: bytes, ticket: Ticket) -> None:
+    def receive_setpoint(self, arrived: SetpointArrived) -> None:
         """Takes a set-point that has arrived, as JSON; a refused one is only counted."""
         self._received += 1
         try:
-            setpoint = decode(payload, self._dimension, self._default_tolerance)
-            self._assign(ticket)
+            setpoint = decode(arrived.payload, self._dimension, self._default_tolerance)
+            if (age := self._moment.now - arrived.arrival.at) > MOST_DELAY:
+                raise Refusal(Reason.STALE, age=f"{age:.3f}", most=MOST_DELAY)
+            self._assign(arrived)
             if self._ticket is not None and not self._parts.admission.stream_ended(self._ticket):
                 self._measure(setpoint)
         except Refusal as refusal:
             self._refused += 1
             self._last_refusal = str(refusal)
 
-    def _assign(self, ticket: Ticket) -> None:
-        """Assigns a set-point to the present stream, or begins a new one."""
+    def _assign(self, arrived: SetpointArrived) -> None:
+        """Assigns a set-point to the present stream, or begins a new one.
+
+        Raises:
+            Refusal: the present stream is another sender's.
+        """
         now = self._moment.now
-        if self._alive(self._heard):
-            last = now - self._heard
-            self._interval = last if math.isinf(self._interval) else running_mean(self._interval, last)
-        else:
+        if not self._alive(self._heard):
             self._abandon()
             self._streams += 1
-            self._ticket, self._number, self._interval, self._note = ticket, 0, math.inf, ""
+            self._ticket, self._sender = self._parts.admission.arrive(arrived.arrival.number), arrived.sender
+            self._number, self._interval, self._note = 0, math.inf, ""
             self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
+        elif arrived.sender != self._sender:
+            owner, sender = named(self._sender), named(arrived.sender)
+            raise Refusal(Reason.STREAM_OF_ANOTHER, owner=owner, sender=sender, pause=self._timeout)
+        else:
+            last = now - self._heard
+            self._interval = last if math.isinf(self._interval) else running_mean(self._interval, last)
         self._heard = now
 
     def _measure(self, setpoint: TrackedSetpoint) -> None:
@@ -239,6 +251,7 @@ class Stream:
             "last_refusal": self._last_refusal,
             "outliers": self._tracker.outliers,
             "jumps": self._tracker.jumps,
+            "sender": self._sender if self._alive(self._heard) else None,
             "rate": 1 / max(self._interval, 1e-3) if self._alive(self._heard) else 0.0,
             "alive": self._alive(self._fitted),
         }
@@ -308,6 +321,11 @@ class TipBiasEstimator:
             "deviation": deviation,
             "bias": self.bias().tolist(),
         }
+
+
+def named(sender: str) -> str:
+    """Returns the name of a sender of set-points for a sentence."""
+    return f'"{sender}"' if sender else "a client without a name"
 
 
 def running_mean(mean: float, latest: float) -> float:

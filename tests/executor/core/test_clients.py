@@ -66,7 +66,7 @@ def test_an_operator_may_halt_and_nothing_else(rig: Rig) -> None:
     rig.send(Stop(5), OPERATOR)
     assert rig.last(Answer, OPERATOR) == Answer(5, "stopped; the arm holds until reset")
     assert (rig.mode, rig.results) == ("stopped", [(1, "aborted")])
-    rig.send(Reset(6), OPERATOR)
+    rig.send(Reset(6, rig.epoch), OPERATOR)
     assert rig.last(Goodbye, OPERATOR).reason == "an operator may only stop the arm"
     assert rig.mode == "stopped"
 

@@ -35,17 +35,17 @@ def test_motion_ends_at_once_when_one_opens(rig: Rig) -> None:
 def test_reset_is_refused_while_one_is_open(rig: Rig) -> None:
     rig.master.inputs &= ~(0b11 << SIZE)
     rig.go()
-    rig.send(Reset(1))
+    rig.send(Reset(1, rig.epoch))
     answer = rig.last(Answer)
     assert (answer.accepted, answer.message) == (False, f"{OPEN} (and 1 more)")
     assert rig.mode == "fault"
     rig.master.inputs |= 0b10 << SIZE
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     assert (rig.last(Answer).accepted, rig.last(Answer).message) == (False, OPEN)
     rig.master.inputs |= 0b01 << SIZE
     rig.go(3.0)
     assert rig.mode == "fault", "that it is closed again is not enough"
-    rig.send(Reset(3))
+    rig.send(Reset(3, rig.epoch))
     rig.go(0.1)
     assert (rig.last(Answer).accepted, rig.mode, codes(rig)) == (True, "ready", [])
 
@@ -63,7 +63,7 @@ def test_an_interlock_that_opens_while_the_arm_is_stopped_keeps_it_stopped(rig: 
     rig.master.inputs &= ~(1 << SIZE)
     rig.go()
     assert (rig.mode, codes(rig)) == ("stopped", [("interlock", "stop (can0/9 input 0)")])
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     assert not rig.last(Answer).accepted
 
 

@@ -45,7 +45,7 @@ def act(rig: Rig, name: str, argument: object) -> None:
         case "cancel":
             rig.send(Cancel(1, None, ""))
         case "halt" | "reset":
-            rig.send(Stop(1) if name == "halt" else Reset(1))
+            rig.send(Stop(1) if name == "halt" else Reset(1, rig.epoch))
         case "fault":
             rig.master.fail(LOST)
         case "missing":

@@ -65,18 +65,18 @@ def test_a_halt_stays_until_reset(rig: Rig) -> None:
     rig.run(A)
     assert (rig.last(Declined).refused.reason.value, rig.mode) == ("arm-stopped", "stopped")
     rig.go(3 * RETRY)
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     assert rig.mode == "starting"
     rig.go(2 * TICK)
     assert rig.mode == "ready"
-    rig.send(Reset(3))
+    rig.send(Reset(3, rig.epoch))
     assert answer(rig) == (True, "nothing to reset: the arm is ready")
     assert rig.switched == []
 
 
 def test_a_halt_while_booting_stays(rig: Rig) -> None:
     rig.send(Stop(1))
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     rig.send(Stop(3))
     rig.go(0.1)
     assert rig.mode == "stopped"
@@ -93,7 +93,7 @@ def test_a_fault_ends_the_program_and_waits_for_reset(rig: Rig) -> None:
     assert (rig.mode, rig.reason, rig.results) == ("fault", "short circuit", [(1, "aborted")])
     rig.go(5 * RETRY)
     assert rig.mode == "fault"
-    rig.send(Reset(1))
+    rig.send(Reset(1, rig.epoch))
     rig.go(2 * TICK)
     assert (rig.mode, rig.snapshot.faults, rig.switched) == ("ready", (), [A])
 
@@ -133,7 +133,7 @@ def test_limits_of_boards_are_in_the_journal_after_each_boot(rig: Rig) -> None:
     limit = ArmFault("board-limits", "can0/5", "board can0/5: RPDO1 refuses to wait for SYNC")
     rig.master.warnings = lambda: (limit,)
     rig.send(Stop(1))
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     rig.go(3 * TICK)
     assert (rig.mode, (logging.WARNING, f"board-limits: {limit.message}") in rig.logged) == ("ready", True)
 
@@ -141,7 +141,7 @@ def test_limits_of_boards_are_in_the_journal_after_each_boot(rig: Rig) -> None:
 def test_faults_of_a_boot_are_reported_at_its_end(rig: Rig) -> None:
     rig.master.boot_faults = [LOST, ArmFault("board-missing", "can0/2", "another")]
     rig.send(Stop(1))
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     rig.go(3 * TICK)
     assert (rig.mode, rig.reason) == ("fault", f"{LOST.message} (and 1 more)")
 
@@ -188,7 +188,7 @@ def test_a_defect_is_a_fault_the_arm_holds_and_the_executor_goes_on(rig: Rig, ve
     assert "internal error" in rig.reason
     assert sum("Traceback" in text for text in rig.errors()) == 1
     rig.master.broken = set()
-    rig.send(Reset(1))
+    rig.send(Reset(1, rig.epoch))
     rig.go(2 * TICK)
     assert rig.mode == "ready"
 

@@ -85,7 +85,7 @@ def test_without_the_board_of_end_stops_nothing_is_known_and_the_arm_recovers_wi
     world.fault("unsilence", str(board))
     world.go(3.0)
     if world.mode == "fault":
-        world.send(Reset(1))
+        world.send(Reset(1, world.epoch))
         world.go(3.0)
         assert world.last(Answer).accepted
     assert world.mode == "ready", world.logged

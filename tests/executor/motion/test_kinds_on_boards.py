@@ -92,12 +92,12 @@ def test_the_door_stops_the_arm_within_a_period_and_reset_waits_for_it() -> None
     world.go(TICK)
     assert world.mode == "fault"
     assert world.last(Ended).message == "interlock door (can0/9 input 5) is open: close it, then reset"
-    world.send(Reset(1))
+    world.send(Reset(1, world.epoch))
     world.go(2.0)
     assert (world.last(Answer).accepted, world.mode, len(world.syncs)) == (False, "fault", 1)
     world.fault("close", "door")
     world.go(2 * STEP)
-    world.send(Reset(2))
+    world.send(Reset(2, world.epoch))
     world.go(1.0)
     assert (world.last(Answer).accepted, world.mode) == (True, "ready")
 

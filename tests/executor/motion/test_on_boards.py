@@ -38,7 +38,7 @@ def test_an_actuator_that_sticks_is_found_and_reset_goes_on_with_it_released(wor
     assert [fault.code for fault in world.last(Snapshot).faults] == ["stuck"]
     world.fault("release", "1.left")
     world.go(0.5)
-    world.send(Reset(1))
+    world.send(Reset(1, world.epoch))
     world.go(2.0)
     assert world.mode == "ready", world.logged
     world.run(2, 0)
@@ -89,7 +89,7 @@ def test_frames_that_waited_during_a_stall_are_no_fault_after_a_reset(world: Wor
     world.fault("error", "can0/1", code)
     world.go(1.5 - STEP)
     world.fault("error_over", "can0/1", code)
-    world.executor._events.appendleft(FromClient(PLANNER, Reset(1)))
+    world.executor._events.appendleft(FromClient(PLANNER, Reset(1, world.epoch + 1)))  # of the stall's fault
     world.go(1.0)
     assert world.mode == "ready", world.logged
     assert world.last(Snapshot).faults == ()

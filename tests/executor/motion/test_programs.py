@@ -162,7 +162,7 @@ def test_all_actuators_rest_after_a_start_and_those_whose_outputs_fell_after_a_b
     assert rig.results == [(1, "done")]
     rig.send(Stop(1))
     rig.master.outputs = rig.master.inputs = A & 1  # a board has lost its supply
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     rig.go(3 * TICK)
     booted = rig.now
     rig.run(1 | 0b100000, A)

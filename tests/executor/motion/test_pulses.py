@@ -132,7 +132,7 @@ def test_boards_are_booted_only_when_no_pulse_is_on() -> None:
     rig.run(1)
     rig.go(TICK)
     rig.send(Stop(1))
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     boots = rig.master.booted
     rig.go(TICK)
     assert (rig.mode, rig.master.booted) == ("starting", boots)
@@ -179,7 +179,7 @@ def test_a_boot_keeps_known_states_but_not_those_of_a_board_that_started_anew() 
     rig.go(0.5)
     rig.send(Stop(1))
     rig.master.boots = (0, 1)
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     rig.go(0.2)
     assert (rig.mode, rig.states, unpack(rig.snapshot.homing)) == ("ready", 0b010010, 0b111000)
 
@@ -223,7 +223,7 @@ def test_whatever_is_asked_no_pulse_is_longer_than_asked_by_a_period(
             case "halt":
                 rig.send(Stop(request))
             case "reset":
-                rig.send(Reset(request))
+                rig.send(Reset(request, rig.epoch))
             case "lost":
                 rig.master.fail(LOST)
             case "busy":

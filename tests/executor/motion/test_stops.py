@@ -93,7 +93,7 @@ def test_a_reset_boots_when_nothing_is_under_way_any_more() -> None:
     rig.run(A)
     rig.send(Stop(1))
     booted = rig.master.booted
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     rig.go(2 * TICK)
     assert (rig.master.booted, rig.mode) == (booted, "starting")
     rig.master.slow_sync = False
@@ -155,5 +155,5 @@ def test_requests_of_number_zero_that_wait_are_all_answered(rig: Rig) -> None:
     rig.master.slow_sync = False
     rig.go(2 * TICK)
     assert [answer.request for answer in rig.of(Answer)] == [0, 0, 0]
-    rig.send(Reset(0))
+    rig.send(Reset(0, rig.epoch))
     assert rig.last(Answer).message == "resetting; the mode will be ready, or fault with the reason"

@@ -65,7 +65,7 @@ def finish(world: World) -> None:
     world.fault("error_over", "can0/1", "2320")
     world.go(1.0)
     if world.mode in ("fault", "stopped"):
-        world.send(Reset(99))
+        world.send(Reset(99, world.epoch))
     world.go(2.0)
     assert world.mode == "ready", world.logged
     stops = world.driven
@@ -170,7 +170,7 @@ def finish_pulses(world: World) -> None:
     """A later goal works, and each switch was counted once."""
     world.buses["can0"].bitrate = FAST
     world.go(1.0)
-    world.send(Reset(99))
+    world.send(Reset(99, world.epoch))
     world.go(2.0)
     world.run(3, unpack(world.last(Snapshot).outputs) ^ 0b100001)
     world.go(0.6)

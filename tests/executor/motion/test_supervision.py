@@ -173,12 +173,12 @@ def test_one_with_two_end_stops_that_stays_between_them_is_stuck_there_also_afte
     assert rig.core.motion.moving
     rig.go(0.2)
     assert rig.reason.endswith("it has left its contracted end, and neither end-stop reads")
-    rig.send(Reset(1))
+    rig.send(Reset(1, rig.epoch))
     rig.go(0.3)
     assert (rig.mode, codes(rig)) == ("fault", [("stuck", "1.left (can0/1 output 0)")])
     rig.master.halfway = 0
     rig.master.inputs |= 1
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     rig.go(0.3)
     assert (rig.mode, rig.snapshot.faults) == ("ready", ())
 
@@ -240,11 +240,11 @@ def test_both_end_stops_at_once_are_a_fault_of_their_own_after_the_board_was_ask
     rig.master.answers = True
     rig.go(2 * TICK)
     assert (rig.mode, codes(rig)) == ("fault", [("end-stops", "1.left (can0/1 output 0)")])
-    rig.send(Reset(1))
+    rig.send(Reset(1, rig.epoch))
     rig.go(0.2)
     assert (rig.mode, codes(rig)) == ("fault", [("end-stops", "1.left (can0/1 output 0)")])
     rig.master.inputs &= ~far(0)
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     rig.go(0.2)
     assert rig.mode == "ready"
 
@@ -287,7 +287,7 @@ def stuck_and_reset() -> Rig:
     rig.run(0b000111)
     rig.go(0.2)
     assert rig.mode == "fault"
-    rig.send(Reset(1))
+    rig.send(Reset(1, rig.epoch))
     rig.go(0.2)
     assert (rig.mode, rig.master.outputs) == ("ready", 0b000111)
     return rig
@@ -306,7 +306,7 @@ def test_an_actuator_that_was_stuck_and_is_used_again_is_found_again() -> None:
     rig.go(0.2)
     assert (rig.mode, rig.results[-1]) == ("fault", (2, "aborted"))
     assert codes(rig) == [("stuck", "1.left (can0/1 output 0)")]
-    rig.send(Reset(2))
+    rig.send(Reset(2, rig.epoch))
     rig.go(0.2)
     rig.master.stuck = 0
     rig.master.inputs |= 1  # it comes loose, and arrives

@@ -37,13 +37,13 @@ def test_an_invalid_request_is_refused_by_field(payload: bytes, named: str) -> N
 
 def test_states_are_given_by_the_index_of_the_actuator() -> None:
     payload = b'{"actuators": {"2.left": "extended", "1.left": "contracted"}}'
-    assert decode_jog(payload, LABELS) == {2: 1, 0: 0}
+    assert decode_jog(payload, LABELS).states == {2: 1, 0: 0}
 
 
 @given(st.binary(max_size=60) | anything.map(lambda value: json.dumps(value).encode()))
 def test_any_bytes_are_a_request_or_refused(payload: bytes) -> None:
     try:
-        states = decode_jog(payload, LABELS)
+        states = decode_jog(payload, LABELS).states
     except Refusal:
         return
     assert states

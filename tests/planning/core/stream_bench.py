@@ -7,6 +7,7 @@ from typing import Any
 
 from controller.arm.arm import Arm
 from controller.motion.tracking.goal_motion import tracking_of
+from controller.planning.core.events import Arrival, SetpointArrived
 from controller.planning.core.parts import Ticket
 from controller.planning.core.stream import Stream
 from controller.planning.core.tasks import Followed, FollowSetpoint
@@ -30,13 +31,15 @@ class StreamBench(PlayedCore):
         self.position: list[float] | None = None
         self.first: Ticket | None = None  # of the last stream
         self.steps, self._next = 0, self.now
+        self.numbers, self.delay = 0, 0.0  # of arrivals; between an arrival and the core [s]
         self.show()
 
-    def put(self, payload: Any) -> None:
+    def put(self, payload: Any, sender: str = "") -> None:
         """Takes a set-point."""
-        ticket = self.admission.arrive()
-        self.first = self.first or ticket
-        self.stream.receive_setpoint(json.dumps(payload).encode(), ticket)
+        self.numbers += 1
+        arrival = Arrival(self.numbers, self.now - self.delay)
+        self.stream.receive_setpoint(SetpointArrived(json.dumps(payload).encode(), arrival, sender))
+        self.first = self.first or self.stream._ticket
 
     def step(self) -> None:
         """Ends a step of the core."""

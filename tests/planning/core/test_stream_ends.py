@@ -30,10 +30,11 @@ def test_without_a_stream_there_is_nothing_to_withdraw_or_to_wait_for(bench: Str
 def test_a_cancel_ends_the_stream_until_it_pauses(bench: StreamBench) -> None:
     number, _ = bench.search()
     (first,) = bench.take(Setpoint)
-    bench.admission.bar(1)
+    bench.admission.bar(1_000)
     bench.run(0.1)
     assert bench.take(Abandon) == [Abandon(number)]
-    bench.admission.answered(1)
+    bench.admission.answered(1_000)
+    bench.numbers = 1_000
     bench.show(epoch=2)
     bench.found(number, (bench.states(*A),))
     bench.run(1.0)

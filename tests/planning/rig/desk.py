@@ -19,6 +19,7 @@ from controller.planning.core.events import (
     Abandon,
     Action,
     Answered,
+    Arrival,
     CancelMessage,
     Disconnect,
     Event,
@@ -125,6 +126,7 @@ class Desk:
         failing: kinds of tasks that fail.
         storing: whether results are noted as published, and entries as recorded, at once.
         workers: of the planner.
+        delay: time that requests have waited before they reach the core [s].
 
     Args:
         arm: the arm.
@@ -157,7 +159,7 @@ class Desk:
             "t", tables, built.scene, built.total, self.counts, published, owed, simulation is not None
         )
         self.core = Core(arm, pace_of(arm.settings), self.beginning)
-        self.simulation = simulation
+        self.simulation, self.delay = simulation, 0.0
         self.executor = DeskExecutor(self, len(arm.manipulator.actuators))
         self._waiting = list[Action]()  # publications and records that are held back
 
@@ -290,7 +292,7 @@ class Desk:
             self.executor.messages.append(Stop(self._numbers))
         elif key == "cancel" and message == CancelMessage():
             self.executor.messages.append(Cancel(self._numbers, None, "canceled; the arm holds"))
-        self.post(Request(self._numbers, key, message, self.wall))
+        self.post(Request(Arrival(self._numbers, self.now - self.delay), key, message, self.wall))
         return self._numbers
 
     def goal(self, *configurations: tuple[int, ...], step: float = 0.2, name: str = "a", **fields: Any) -> None:

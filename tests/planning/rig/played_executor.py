@@ -102,7 +102,7 @@ class PlayedExecutor(ABC):
     def run(self, program: Program, stage: int, switches: int = 1, measured: bytes | None = None) -> None:
         """Carries out a stage of a program, and settles its mark if it has one."""
         states = program.stages[stage]
-        self.send(Begun(program.program, stage))
+        self.send(Begun(program.program, stage, switches))
         self.show(outputs=states.states, measured=measured or states.states)
         if states.mark >= 0:
             at = measured or states.states

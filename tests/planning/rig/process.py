@@ -58,7 +58,9 @@ class RunningPlanner:
     def ask(self, key: Any, payload: Any = None, name: str = "reply") -> None:
         data = b"" if payload is None else json.dumps(payload).encode()
         message = self.planner.decoder.decode(key, data)
-        self.planner.loop.request(key, message, lambda answer: self._inbox.put(name, answer))
+        self.planner.loop.request(
+            self.planner.loop.arrive(), key, message, lambda answer: self._inbox.put(name, answer)
+        )
 
     # --- what is published
 

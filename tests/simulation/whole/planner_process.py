@@ -12,7 +12,7 @@ from controller.host.process import Quit
 from controller.motion.stages.pacing import pace_of
 from controller.planning import loop as loop_module
 from controller.planning.core.core import Beginning, Core
-from controller.planning.core.events import Action, Event, Key, Message, SetpointArrived, TipArrived
+from controller.planning.core.events import Action, Arrived, Event, Key, Message, SetpointArrived, TipArrived
 from controller.planning.core.tasks import Tables, VersionedScene
 from controller.planning.link import ExecutorLink
 from controller.planning.loop import Loop, OnReply, PlannerFailed, Services
@@ -120,15 +120,20 @@ class PlannerProcess:
         self.loop = KillableLoop(self.core, self.link, self.searcher, services, daemon.history, clocks)  # type: ignore[arg-type]
         self.loop.before = self._before
         self.loop.ended.clear()
-        self.loop.mailboxes.set(SetpointArrived, daemon.clients.setpoint)
-        self.loop.mailboxes.set(TipArrived, daemon.clients.tip)
+        self.loop.mailboxes.set(SetpointArrived, lambda: self._arrived(SetpointArrived, daemon.clients.setpoint()))
+        self.loop.mailboxes.set(TipArrived, lambda: self._arrived(TipArrived, daemon.clients.tip()))
         self.wake_soon()
 
     # --- the gateway
 
     def request(self, key: Key, message: Message, reply: OnReply) -> int:
         """Posts a request; returns its number."""
-        return self.loop.request(key, message, reply)
+        arrival = self.loop.arrive()
+        self.loop.request(arrival, key, message, reply)
+        return arrival.number
+
+    def _arrived(self, kind: type[Arrived], payload: bytes | None) -> list[Arrived]:
+        return [] if payload is None else [kind(payload, self.loop.arrive())]
 
     def post(self, event: Event) -> None:
         """Posts an event of another thread."""

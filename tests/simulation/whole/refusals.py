@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from controller.planning.core import goals
+from controller.motion.decoding.goal import BEGIN_WITHIN
 from controller.refusals.reasons import Reason
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _failed(asked: Asked, world: World, daemon: Daemon, now: float, waited: floa
 
 
 def _hung(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
-    return waited >= goals.LONGEST_PLANNING
+    return waited >= BEGIN_WITHIN - SOON
 
 
 def _closing(asked: Asked, world: World, daemon: Daemon, now: float, waited: float) -> bool:
@@ -133,8 +133,9 @@ CAUSES = {
     Reason.EXECUTOR_SILENT: _silent,
     Reason.EXECUTOR_BEHIND: _silent,
     Reason.EXECUTOR_LOST: _lost,
-    Reason.PLANNING_TOO_LONG: _hung,
-    Reason.ARM_MOVED: _moved,
+    Reason.TOO_LATE_TO_BEGIN: _hung,
+    Reason.ARM_MOVED: _hung,
+    Reason.OBSTACLES_CHANGING: _hung,
     Reason.MOVED_SINCE_PLANNED: _moved,
     Reason.SWITCH_NOT_CONFIRMED: _unconfirmed,
     Reason.PLANNING_FAILED: _failed,
