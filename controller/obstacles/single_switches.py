@@ -2,8 +2,9 @@
 
 The frames and bodies of a module in mid-travel do not depend on the rest of the arm. So they are computed once for each
 state and actuator of a module, in the middle of each part of the travel: the whole, its halves, their halves, and so
-on. A kernel takes them from the tables and bounds the motion as swept_check does. It decides some 50,000 switches a
-second, which a search in the graph of all actuator states needs.
+on. A kernel takes them from the tables and bounds the motion as swept_check does. It checks some 50,000 switches a
+second, which a search in the graph of all actuator states needs. Sweep decides the few switches that pass through gaps
+too narrow for the tables.
 """
 
 from functools import lru_cache
@@ -33,7 +34,7 @@ from controller.obstacles.swept_check import (
 )
 
 DEPTH, SHALLOW, FEW = 8, 6, 8  # most halvings of a travel; if the arm's modules have more than FEW different switches
-PARTS = 256  # most parts of a travel to check; a switch that they do not prove clear counts as a collision
+PARTS = 256  # most parts of a travel to check; a switch that they neither prove clear nor colliding stays undecided
 
 
 class ModuleSwitches(NamedTuple):
@@ -95,6 +96,7 @@ class SwitchScratch(NamedTuple):
         switching: the actuator that switches.
         suspects, reports: see swept_check.
         waiting: parts of the travel to check, shape (n,).
+        collided: written: whether the arm collides in the middle of a part, shape (1,).
     """
 
     chains: Chains
@@ -103,11 +105,12 @@ class SwitchScratch(NamedTuple):
     suspects: NDArray[np.bool_]
     reports: Index
     waiting: Index
+    collided: NDArray[np.bool_]
 
 
 I3: Any = int64[:, :, ::1]
 ARM_SWITCHES = named(ArmSwitches, I1, I1, I3, I3, F4, F3, F5, F3, F2, F2, F1)
-SWITCH_SCRATCH = named(SwitchScratch, CHAINS, BOX_MOTION, SWITCHING, boolean[:, ::1], I2, I1)
+SWITCH_SCRATCH = named(SwitchScratch, CHAINS, BOX_MOTION, SWITCHING, boolean[:, ::1], I2, I1, boolean[::1])
 
 
 @lru_cache(maxsize=64)
@@ -188,7 +191,8 @@ def switch_scratch(clearance: BodyClearance, modules: int) -> SwitchScratch:
     motion = BoxMotion(*frames, bounds[0], bounds[1], bounds[2], np.zeros((2, 2, 3)))
     switching = Switching(np.zeros(1, dtype=np.int64), np.zeros((1, 3)), np.zeros((1, 1)))
     suspects, reports = np.zeros((1, modules), dtype=bool), np.zeros((1, 3), dtype=np.int64)
-    return SwitchScratch(chains, motion, switching, suspects, reports, np.zeros(DEPTH + 3, dtype=np.int64))
+    waiting, collided = np.zeros(DEPTH + 3, dtype=np.int64), np.zeros(1, dtype=bool)
+    return SwitchScratch(chains, motion, switching, suspects, reports, waiting, collided)
 
 
 @njit(types.void(CHAINS, int64, F2, F1, F3, F1), **UNCOUNTED)
@@ -227,17 +231,19 @@ def switch_is_clear(
     actuator: int,
     scratch: SwitchScratch,
 ) -> bool:
-    """Returns whether an actuator switches clear, from a configuration (B,) that place_arm has written.
+    """Returns whether an actuator is proven to switch clear, from a configuration (B,) that place_arm has written.
 
-    The whole travel is checked first, then the halves of each part that its bounds do not prove clear.
+    The whole travel is checked first, then the halves of each part that its bounds do not prove clear. A switch that is
+    not proven clear collides if `scratch.collided`; otherwise it is undecided.
     """
-    chains, motion, switching, suspects, reports, waiting = scratch
+    chains, motion, switching, suspects, reports, waiting, collided = scratch
     i = switches.owners[actuator]
     k, row = configuration[i], switches.rows[i, configuration[i], switches.places[actuator]]
     switching.owners[0] = i
     for c in range(3):
         switching.rates[0, c] = switches.rates[row, c]
     count, checked, clear = 1, 0, True
+    collided[0] = False
     waiting[0] = 1  # part n has the halves 2 n and 2 n + 1, so it is in row n - 1
     while count > 0 and clear:
         count, checked = count - 1, checked + 1
@@ -253,7 +259,7 @@ def switch_is_clear(
             suspects[0, j] = j >= i
         worst, _, collides = check_box(chains, 0, motion, surroundings, suspects, reports)
         if collides or (worst >= 0 and (2 * part > len(switches.rotations[row]) or checked >= PARTS)):
-            clear = False
+            clear, collided[0] = False, collides
         elif worst >= 0:
             waiting[count], waiting[count + 1] = 2 * part, 2 * part + 1
             count += 2

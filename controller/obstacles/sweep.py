@@ -37,25 +37,26 @@ class Sweep:
 
     Args:
         clearance: bodies and obstacles of the arm.
+        modules: number of the lowest modules that are checked; None: all. States are those of their actuators.
     """
 
-    def __init__(self, clearance: BodyClearance) -> None:
-        self._clearance, arm = clearance, clearance.manipulator
-        self._arm = arm
-        counts = [len(module.actuators) for module in arm.modules]
+    def __init__(self, clearance: BodyClearance, modules: int | None = None) -> None:
+        self._clearance, self._arm = clearance, clearance.manipulator
+        self._modules = self._arm.modules[:modules]
+        counts = [len(module.actuators) for module in self._modules]
         self._starts = np.cumsum([0, *counts])
         self._owners = np.repeat(np.arange(len(counts)), counts)
         self._weights = np.zeros((len(self._owners), len(counts)))  # of each actuator's state in its module's code
         actuators = np.arange(len(self._owners))
         self._weights[actuators, self._owners] = 1 << (actuators - self._starts[self._owners])
-        known = [states_of(module.bits) for module in arm.modules]
+        known = [states_of(module.bits) for module in self._modules]
         self._known, self._tables = np.concatenate(known), np.cumsum([0, *map(len, known[:-1])])
-        self._displacements = [displacements_of(module) for module in arm.modules]
+        self._displacements = [displacements_of(module) for module in self._modules]
 
     @property
     def proven(self) -> bool:
         """Whether "clear" is a proof: all modules have proven bounds, see Module.proven."""
-        return all(module.proven for module in self._arm.modules)
+        return all(module.proven for module in self._modules)
 
     def first_collision(self, states: States, actuators: Index) -> Collision | None:
         """Returns a possible collision while actuators (k,) switch from states (A,); None if the transition is clear.
@@ -113,7 +114,7 @@ class Sweep:
                 return Collision(int(i))
         chain, boxes = self._chain(states), BOXES
         middles = half_widths = np.full((1, len(actuators)), 0.5)
-        suspects = np.ones((1, len(self._arm.modules)), dtype=bool)
+        suspects = np.ones((1, len(self._modules)), dtype=bool)
         while len(middles):
             boxes -= len(middles)
             chains = self._placed(chain, states, actuators, modules, middles)
@@ -130,7 +131,7 @@ class Sweep:
     def _chain(self, states: States) -> tuple[Array, Array, Array, Array]:
         """Returns rotations (B + 1, 3, 3), translations (B + 1, 3), bodies and balls (B, ...) at states (A,)."""
         arm, c = self._arm, self._clearance
-        modules = np.arange(len(arm.modules))
+        modules = np.arange(len(self._modules))
         configuration = self._spelled(states[None])[0]
         frames = np.concatenate([arm.base[None], arm.frames[modules, configuration]])
         return frames[:, :3, :3], frames[:, :3, 3], c.bodies[modules, configuration], c.balls[modules, configuration]
@@ -147,7 +148,7 @@ class Sweep:
             frames, body = self._displacements[i].at(displacements[:, self._starts[i] : self._starts[i + 1]])
             r[:, i + 1], b[:, i + 1], bodies[:, i, : body.shape[1]] = frames[:, :3, :3], frames[:, :3, 3], body
             around[:, i] = balls(body)
-        return Chains(r, b, bodies, around, self._clearance.lines)
+        return Chains(r, b, bodies, around, self._clearance.lines[: len(self._modules)])
 
 
 def cut(middles: Array, half_widths: Array, axes: Index) -> tuple[Array, Array]:

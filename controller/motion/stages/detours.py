@@ -8,24 +8,31 @@ configurations and then towards the other. Among these are bent ones, which lead
 at once. Flooding visits all that can be reached from the start, and all from which an end can be reached, in turn. If
 one of both ends, it proves that there is no way. A shorter proof is a graph of the lowest modules alone: if they cannot
 pass, the whole arm cannot.
+
+Sweep alone decides whether a switch is clear. The kernels find most clear and most colliding switches faster. Sweep
+checks the others before a flood ends.
 """
 
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
 from controller.manipulator.manipulator import Configuration
-from controller.motion.stages.state_trees import StateTree, find, packed, plant, root_of, route, state_tree
-from controller.motion.stages.walks import ROOM, extend, flood, grow, walk_of
+from controller.motion.stages.state_trees import StateTree, find, packed, plant, root_of, route, state_tree, unpacked
+from controller.motion.stages.walks import ROOM, extend, flood, grow, next_undecided, step, walk_of
 from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.distance import Index
+from controller.obstacles.sweep import Sweep
 
 Late = Callable[[], bool]  # returns whether the time of a search is over; what it raises ends the planning
 
 CHECKS = 400  # switches to check between two looks at the time: about 10 ms
+SWEEPS = 0.01  # [s] of swept checks between two looks at the time
 GROWN, FLOODED = 1 << 17, 1 << 19  # most configurations of a tree
 LOWEST, HIGHER = 8, 2  # least actuators of the lowest modules in a proof, and of the modules from one proof to the next
 DIRECT, TRIES = 32, 3  # ends to which walks are tried first, and their number
@@ -100,18 +107,39 @@ class Graph:
         """Yields None until flooding has found a way or a proof; it never ends."""
         start, ends = self.start, self._ends
         both = ((start, ends), (ends, start)) if self._both else ((start, ends),)
-        while all(tree.counts[1] < tree.counts[0] for tree, _ in both):
+        while all(tree.counts[1:].min() < tree.counts[0] for tree, _ in both):
             for tree, other in both:
                 number, met = flood(self._flooding, tree, other, CHECKS // len(both))
+                if number < 0 and tree.counts[1] == tree.counts[0]:
+                    number, met = self._decide(tree, other)
                 if number >= 0:
                     yield Meeting(start, number, ends, met) if tree is start else Meeting(start, met, ends, number)
             yield None
         proof = NoWay("no other place can be reached from there")
-        if start.counts[1] == start.counts[0]:
+        if start.counts[1:].min() == start.counts[0]:
             count = int(start.counts[0])
             proof = NoWay(f"{count} configurations can be reached", start.configurations[:count].astype(np.int64))
         while True:  # a search with another result may go on
             yield proof
+
+    @cached_property
+    def _sweep(self) -> Sweep:
+        return Sweep(self._clearance, self._modules)
+
+    def _decide(self, tree: StateTree, other: StateTree) -> tuple[int, int]:
+        """Checks undecided switches of a flooded tree, up to one that is clear, and adds its neighbour.
+
+        Returns the configurations of both trees where they meet, -1 if they do not.
+        """
+        walk, until = self._flooding, time.perf_counter() + SWEEPS
+        while time.perf_counter() < until and (actuator := next_undecided(walk, tree)) >= 0:
+            number = int(tree.counts[2])
+            states = unpacked(tree.bits[number], len(walk.order))
+            if self._sweep.first_collision(states, np.array([actuator])) is None:
+                added = step(walk, tree, number, actuator, True)
+                met = find(other, tree.bits[added])
+                return (added, met) if met >= 0 else (-1, -1)
+        return -1, -1
 
     def _tree(self, roots: Index, capacity: int) -> StateTree:
         tree = state_tree(self._clearance.manipulator, self._modules, capacity + len(roots))

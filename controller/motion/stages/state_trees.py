@@ -27,14 +27,16 @@ class StateTree(NamedTuple):
         bits: actuator states, actuator a in bit a % 64 of word a // 64, shape (capacity, W).
         parents: number of the parent, ROOT for a root, shape (capacity,).
         actuators: that switches between parent and child, shape (capacity,).
+        undecided: actuators of which flood does not know whether their switch is clear, as `bits`, shape (capacity, W).
         slots: the hash table, numbers + 1, 0 for an empty slot; its size is a power of two.
-        counts: of configurations; of those whose neighbours are all known, see flood; shape (2,).
+        counts: of configurations; of those that flood has visited; of those without undecided switches; shape (3,).
     """
 
     configurations: NDArray[np.int32]
     bits: Bits
     parents: NDArray[np.int32]
     actuators: NDArray[np.int32]
+    undecided: Bits
     slots: NDArray[np.int32]
     counts: Index
 
@@ -42,7 +44,7 @@ class StateTree(NamedTuple):
 S2: Any = int32[:, ::1]
 U1: Any = uint64[::1]
 U2: Any = uint64[:, ::1]
-STATE_TREE = named(StateTree, S2, U2, S1, S1, S1, I1)
+STATE_TREE = named(StateTree, S2, U2, S1, S1, U2, S1, I1)
 
 
 def state_tree(manipulator: Manipulator, modules: int, capacity: int) -> StateTree:
@@ -54,9 +56,15 @@ def state_tree(manipulator: Manipulator, modules: int, capacity: int) -> StateTr
         np.zeros((capacity, words), dtype=np.uint64),
         np.zeros(capacity, dtype=np.int32),
         np.zeros(capacity, dtype=np.int32),
+        np.zeros((capacity, words), dtype=np.uint64),
         np.zeros(slots, dtype=np.int32),
-        np.zeros(2, dtype=np.int64),
+        np.zeros(3, dtype=np.int64),
     )
+
+
+def unpacked(bits: Bits, actuators: int) -> NDArray[np.uint8]:
+    """Returns the states (A,) of the first actuators from words (W,)."""
+    return np.unpackbits(bits.view(np.uint8), count=actuators, bitorder="little")
 
 
 def packed(states: NDArray[np.uint8]) -> Bits:

@@ -24,6 +24,7 @@ from controller.obstacles.single_switches import (
 
 ROOM = 512  # of a tree for one walk
 RUNS = 5  # the mean length of a run of equal modules in a target is 1, 2, 4, .. up to 2^(RUNS - 1)
+COLLIDES, KNOWN, UNDECIDED = -1, -2, -3  # what `step` returns instead of a number
 TOWARDS = 0.3  # share of the targets that are configurations of the other tree
 
 
@@ -98,26 +99,36 @@ def stand(walk: Walk, tree: StateTree, number: int) -> None:
     place_arm(walk.switches, walk.arm, walk.configuration, walk.scratch)
 
 
-@njit(int64(WALK, STATE_TREE, int64, int64), **UNCOUNTED)
-def step(walk: Walk, tree: StateTree, number: int, actuator: int) -> int:
+@njit(int64(WALK, STATE_TREE, int64, int64, boolean), **UNCOUNTED)
+def step(walk: Walk, tree: StateTree, number: int, actuator: int, proven: bool) -> int:
     """Adds the neighbour of a configuration, which the scratch has, if it is new and the switch is clear.
 
-    Returns its number, -1 if the switch is not clear, and -2 if no check was needed.
+    Returns its number, UNDECIDED, COLLIDES, or KNOWN if no check was needed.
+
+    Args:
+        walk: the graph.
+        tree: has room for one more configuration.
+        number: of the configuration in the tree.
+        actuator: that switches.
+        proven: the sweep has proven the switch clear.
     """
     i, place = walk.switches.owners[actuator], walk.switches.places[actuator]
     state = walk.configuration[i]
     following = walk.switches.following[i, state, place]
     if following < 0:
-        return -2
+        return KNOWN
     flip(walk.bits, actuator)
     missing = find(tree, walk.bits)
-    added = -2
+    added = KNOWN
     if missing < 0:
-        added = -1
-        if switch_is_clear(walk.switches, walk.arm, walk.surroundings, walk.configuration, actuator, walk.scratch):
+        if proven or switch_is_clear(
+            walk.switches, walk.arm, walk.surroundings, walk.configuration, actuator, walk.scratch
+        ):
             walk.configuration[i] = following
             added = add(tree, walk.configuration, walk.bits, missing, number, actuator)
             walk.configuration[i] = state
+        else:
+            added = COLLIDES if walk.scratch.collided[0] else UNDECIDED
     flip(walk.bits, actuator)
     return added
 
@@ -140,8 +151,8 @@ def extend(walk: Walk, tree: StateTree, number: int) -> tuple[int, int]:
             k = draw(walk.random, count)
             actuator, count = walk.order[k], count - 1
             walk.order[k] = walk.order[count]
-            added = step(walk, tree, number, actuator)
-            checks += added > -2
+            added = step(walk, tree, number, actuator, False)
+            checks += added != KNOWN
             if added >= 0:
                 number, moved = added, True
     return number, checks
@@ -207,16 +218,18 @@ def grow(walk: Walk, first: StateTree, second: StateTree, rounds: int, checks: i
 def flood(walk: Walk, tree: StateTree, other: StateTree, checks: int) -> tuple[int, int]:
     """Adds all neighbours of configurations, breadth first, for about a number of checks, or until the trees meet.
 
-    Returns the configurations of both trees where they meet, -1 if they do not.
+    Marks undecided switches. Returns the configurations of both trees where they meet, -1 if they do not.
     """
-    room = len(tree.parents) - len(walk.order)
+    room = len(tree.parents) - len(walk.order) - 1  # one more for a neighbour beyond an undecided switch
     while checks > 0 and tree.counts[1] < tree.counts[0] <= room:
         number = tree.counts[1]
         stand(walk, tree, number)
         for actuator in range(len(walk.order)):
             if not walk.once or bit(walk.bits, actuator) != bit(walk.target, actuator):
-                added = step(walk, tree, number, actuator)
-                checks -= added > -2
+                added = step(walk, tree, number, actuator, False)
+                checks -= added != KNOWN
+                if added == UNDECIDED and not bit(tree.undecided[number], actuator):
+                    flip(tree.undecided[number], actuator)
                 if added >= 0:
                     flip(walk.bits, actuator)
                     met = find(other, walk.bits)
@@ -225,3 +238,24 @@ def flood(walk: Walk, tree: StateTree, other: StateTree, checks: int) -> tuple[i
                         return added, met
         tree.counts[1] = number + 1
     return -1, -1
+
+
+@njit([int64(WALK, STATE_TREE)], **UNCOUNTED)
+def next_undecided(walk: Walk, tree: StateTree) -> int:
+    """Returns the next undecided switch to a new configuration, -1 for none, and no longer marks it.
+
+    The scratch has its configuration, whose number is `tree.counts[2]`.
+    """
+    while tree.counts[2] < tree.counts[0]:
+        number = tree.counts[2]
+        stand(walk, tree, number)
+        for actuator in range(len(walk.order)):
+            if bit(tree.undecided[number], actuator):
+                flip(tree.undecided[number], actuator)
+                flip(walk.bits, actuator)
+                missing = find(tree, walk.bits) < 0
+                flip(walk.bits, actuator)
+                if missing:
+                    return actuator
+        tree.counts[2] = number + 1
+    return -1

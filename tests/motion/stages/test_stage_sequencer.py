@@ -20,9 +20,7 @@ from controller.obstacles.clearance import BodyClearance
 from controller.obstacles.obstacles import box, sphere, together
 from controller.obstacles.sweep import Sweep
 from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
-from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
-from controller.search.solution import SearchTime
 from controller.search.solver import Solver
 from controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, planar_frames
@@ -218,52 +216,6 @@ def test_no_way_is_refused_naming_waypoint_module_and_region():
     form = r"waypoints\[0\]\.position: there is no collision-free transition to it, [^:]*: "
     assert re.fullmatch(form + r"module 2 is in box '(shelf|table)'", str(caught.value))
     assert [list(c) for c in product(range(2), repeat=2) if not solver.clearance.blocked([c])[0]] == [[0, 0], [1, 1]]
-
-
-def components(manipulator: Manipulator, sweep: Sweep) -> list[set[bytes]]:
-    """The sets of actuator states that clear switches of single actuators connect, by trying all of them."""
-    states = [manipulator.actuator_states(c) for c in every_configuration(manipulator)]
-    free = {s.tobytes(): s for s in states if sweep.first_collision(s, np.arange(0)) is None}
-    left, found = set(free), list[set[bytes]]()
-    while left:
-        front, own = [left.pop()], set[bytes]()
-        while front:
-            own.add(here := front.pop())
-            for k in range(len(free[here])):
-                there = free[here].copy()
-                there[k] ^= 1
-                if there.tobytes() in left and sweep.first_collision(free[here], np.array([k])) is None:
-                    left.remove(there.tobytes())
-                    front.append(there.tobytes())
-        found.append(own)
-    return found
-
-
-@pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("threads", [1, 2])
-def test_no_way_is_said_only_where_trying_all_switches_finds_none(seed, threads):
-    """Goals of both kinds: within the start's component a transition is found, else the refusal is a proof."""
-    rng = np.random.default_rng(seed)
-    hinges = arm([hinge(-0.8, 0.8, 0.3)] * 6)
-    tips = hinges.tips(every_configuration(hinges))[:, :2, 3]
-    discs = [sphere(f"disc {k}", tips[rng.integers(len(tips))] * rng.uniform(0.3, 0.9), 0.12) for k in range(2)]
-    clearance = BodyClearance(hinges, together(discs))
-    solver = Solver(hinges, map_densities(hinges, 0.02, 10_000)).avoiding(clearance)
-    known = components(hinges, Sweep(clearance))
-    free = [np.frombuffer(code, dtype=np.uint8) for own in known for code in own]
-    for _ in range(6):
-        start, end = (hinges.configuration(free[rng.integers(len(free))]) for _ in range(2))
-        own = next(own for own in known if hinges.actuator_states(start).tobytes() in own)
-        goal = solver.target(hinges.tip(end)[:2, 3], 0.01)
-        possible = any(goal.met(hinges.configuration(np.frombuffer(code, dtype=np.uint8))) for code in own)
-        planner = TransitionPlanner(solver, through(np.zeros(1), goal.goal[None, :2, 3], 0.01))
-        planning = PointByPoint(planner, "minimum-switch", SearchTime(0.03, unfound=600.0), threads)
-        if possible:
-            planning.plan(start)
-            continue
-        with pytest.raises(Refusal) as caught:
-            planning.plan(start)
-        assert caught.value.reason is Reason.NO_WAY
 
 
 class Ended(Exception):
