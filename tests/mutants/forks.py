@@ -108,7 +108,9 @@ def ended(children: list[Child]) -> Iterator[tuple[Child, Result]]:
 def stop(children: list[Child]) -> None:
     """Kills all children."""
     while children:
-        _end(children.pop())
+        child = children.pop()
+        os.kill(child.pid, signal.SIGKILL)  # it may have no group yet
+        _end(child)
 
 
 def _end(child: Child) -> Result:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.mutants.checks import ROOT, TESTS, ordered_tests
-from tests.mutants.forks import Result, ended, start
+from tests.mutants.forks import Result, ended, start, stop
 from tests.mutants.results import Results, equivalents, table
 from tests.mutants.sites import Mutant, listed, mutants_of, sample
 from tests.mutants.started.sitecustomize import plant
@@ -157,6 +157,15 @@ def test_a_child_that_spins_or_dies_has_found_the_defect(tmp_path: Path) -> None
     assert outcome(partial(os._exit, 3))["why"] == "exits with status 3"
     with pytest.raises(RuntimeError, match="KeyError: 'what'"):
         outcome(partial(fail_in_the_tool))
+
+
+def test_children_can_be_stopped(tmp_path: Path) -> None:
+    children = [start("toy", partial(never_end, tmp_path), 600.0, 600.0)]
+    pid = children[0].pid
+    stop(children)
+    assert not children
+    with pytest.raises(ChildProcessError):
+        os.waitpid(pid, 0)
 
 
 def test_results_are_read_again_and_counted(tmp_path: Path) -> None:
