@@ -6,7 +6,7 @@ STEPS ?= 1000000
 # Bytecode is written when a module is first imported: pip would compile all that it installs.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo panel test page-test vm vm-test vcan-test ros2-test check bench fleet fuzz soak clean
+.PHONY: demo panel test page-test vm vm-test vcan-test ros2-test check bench fleet fuzz soak mutants clean
 
 demo: $(VENV)/kernels
 	$(BIN)/hyperbit demo
@@ -98,6 +98,10 @@ fuzz: $(VENV)/installed
 # The executor, and the whole daemon, in simulated worlds with faults. A seed that fails is printed, see tests/README.md.
 soak: $(VENV)/installed
 	$(BIN)/python -m tests.simulation --steps $(STEPS)
+
+# Random defects, planted one at a time: what finds them? make mutants ARGS="--seed 1 --sample 200 --with-tests --json FILE"
+mutants: $(VENV)/installed
+	PYTHONHASHSEED=0 nice $(BIN)/python -m tests.mutants $(ARGS)
 
 # The program alone.
 $(VENV)/program: pyproject.toml

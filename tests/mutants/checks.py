@@ -1,0 +1,205 @@
+"""Looks for a planted defect: by the simulation, and by the tests of the room. Each runs in a child of its own."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import sys
+import tempfile
+from collections.abc import Iterable
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from tests.mutants.forks import Result
+from tests.mutants.sites import Mutant
+from tests.mutants.started import sitecustomize
+
+ROOT = Path(__file__).parents[2]
+STUCK_AFTER = 20.0  # [s] of processor time in one step of the simulation: an endless loop
+TEST_TIMEOUT = 120  # [s] of one test
+LONGEST = 300  # characters of a reason
+
+# Tests of each room, the likely finders first.
+TESTS = {
+    "controller/planning/core": ("tests/planning", "tests/simulation", "tests/fuzz"),
+    "controller/executor/core": ("tests/executor", "tests/simulation", "tests/fuzz"),
+    "controller/executor/motion": ("tests/executor", "tests/simulation"),
+    "controller/gateway": ("tests/gateway", "tests/planning"),
+    "drivers/canopen/boot": ("tests/drivers", "tests/second_opinion", "tests/executor", "tests/simulation"),
+    "drivers/canopen/run": ("tests/drivers", "tests/second_opinion", "tests/executor", "tests/simulation"),
+}
+
+
+class Stuck(BaseException):
+    """One step of the simulation does not end."""
+
+
+def warm_up() -> None:
+    """Imports what takes long and depends on no room with defects."""
+    import can  # noqa: F401
+    import hypothesis  # noqa: F401
+    import pytest  # noqa: F401
+    import zenoh  # noqa: F401
+
+    import controller.arm.arm
+    import controller.motion.stages.stage_sequencer
+    import controller.motion.tracking.tracking
+    import controller.search.solver
+    import controller.workspace.cache  # noqa: F401
+
+
+def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
+    """Runs worlds of both kinds in turn until one fails, or until they have run all steps.
+
+    Args:
+        mutant: the planted defect; None: none.
+        steps: number of steps of all worlds.
+        first: seed of the first worlds.
+    """
+    if mutant is not None:
+        sitecustomize.plant(mutant.module, str(ROOT / mutant.file), mutant.source)
+    try:
+        from tests.simulation.__main__ import KINDS, STEPS_A_SEED
+        from tests.simulation.whole.planner_process import LOGS
+        from tests.simulation.world import World
+    except Exception as error:
+        return {"found": True, "why": f"import: {_told(error)}"}
+    if mutant is not None and mutant.module not in sys.modules:
+        return {"found": False, "why": "the simulation does not import the module"}
+    for log in LOGS:
+        log.setLevel(logging.CRITICAL + 1)
+    done = 0
+    for seed in count(first):
+        for kind in KINDS:
+            most = min(STEPS_A_SEED, steps - done)
+            if most <= 0:
+                return {"found": False, "why": "", "steps": done}
+            watch, why = _Watch(), ""
+            try:
+                world = watch.world = World(seed, whole=kind == "whole")
+                world.run(most)
+            except Stuck:
+                why = "does not end"
+            except BaseException as error:
+                why = _told(error)
+            watch.end()
+            step = watch.step
+            done += step
+            if why:
+                return {"found": True, "why": why, "seed": seed, "kind": kind, "step": step, "steps": done}
+    raise AssertionError
+
+
+class _Watch:
+    """Raises `Stuck` where a step takes too long."""
+
+    def __init__(self) -> None:
+        self.world: Any = None
+        self._seen = -1
+        signal.signal(signal.SIGVTALRM, self._look)
+        signal.setitimer(signal.ITIMER_VIRTUAL, STUCK_AFTER, STUCK_AFTER)
+
+    @property
+    def step(self) -> int:
+        return 0 if self.world is None else int(self.world.agenda.steps)
+
+    def end(self) -> None:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+
+    def _look(self, number: int, frame: object) -> None:
+        if self.step == self._seen:
+            raise Stuck
+        self._seen = self.step
+
+
+def run_tests(mutant: Mutant | None, files: Iterable[str]) -> Result:
+    """Runs test files until a test fails.
+
+    Args:
+        mutant: the planted defect; None: none.
+        files: paths, in the order of the run.
+    """
+    import pytest
+
+    if mutant is not None:
+        sitecustomize.plant(mutant.module, str(ROOT / mutant.file), mutant.source)
+    seen = _FirstFailure()
+    with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
+        if mutant is not None:
+            source = Path(folder, "mutant.py")
+            source.write_text(mutant.source)
+            os.environ[sitecustomize.MUTANT] = json.dumps([mutant.module, str(ROOT / mutant.file), str(source)])
+        started = str(Path(sitecustomize.__file__).parent)
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [started, os.environ.get("PYTHONPATH")]))
+        os.chdir(ROOT)
+        options = [
+            "-x",
+            "-q",
+            "-n0",
+            "-p",
+            "no:cacheprovider",
+            "--timeout",
+            str(TEST_TIMEOUT),
+            "--basetemp",
+            f"{folder}/t",
+        ]
+        code = pytest.main([*options, *files], plugins=[seen])
+    if code in (pytest.ExitCode.USAGE_ERROR, pytest.ExitCode.NO_TESTS_COLLECTED) and mutant is None:
+        raise RuntimeError(f"pytest cannot run {' '.join(files)}: {code!r}")
+    return {"found": code != pytest.ExitCode.OK, "why": seen.why, "test": seen.test}
+
+
+class _FirstFailure:
+    """A plugin of pytest."""
+
+    test = why = ""
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        self._take(report)
+
+    def pytest_collectreport(self, report: Any) -> None:
+        self._take(report)
+
+    def _take(self, report: Any) -> None:
+        if report.failed and not self.test:
+            crash = getattr(report.longrepr, "reprcrash", None)
+            self.test = report.nodeid
+            self.why = " ".join(str(crash.message if crash else report.longrepr).split())[:LONGEST]
+
+
+def ordered_tests(room: str, mutant: Mutant | None, finders: Iterable[str] = ()) -> list[str]:
+    """Returns the test files of a room; those that have found defects of this module, or mirror it, come first.
+
+    Args:
+        room: a key of `TESTS`.
+        mutant: the defect; None: any order will do.
+        finders: test files that have found other defects of the module.
+    """
+    files = [
+        path.relative_to(ROOT).as_posix()
+        for folder in TESTS[room]
+        for path in sorted((ROOT / folder).rglob("test_*.py"))
+    ]
+    if mutant is None:
+        return files
+    parts = mutant.file.removesuffix(".py").split("/")
+    finders = list(finders)
+
+    def rank(file: str) -> tuple[int, int, int, int]:
+        text = (ROOT / file).read_text()
+        words = set(Path(file).stem.removeprefix("test_").split("_"))
+        return (
+            -finders.count(file),
+            -len(words & {*parts[-1].split("_"), parts[-1]}),
+            mutant.module not in text,
+            -len({*parts[:-1]} & set(file.split("/"))),
+        )
+
+    return sorted(files, key=rank)
+
+
+def _told(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST]
