@@ -1,4 +1,4 @@
-"""The `hyperbit` command. Exit codes: 0 done, 1 the request failed, 2 unusable input, 130 interrupted.
+"""The `hyperbit` command. Exit codes: 0 done, 1 failed, 2 unusable input, 129 hang-up, 130 interrupted, 143 terminated.
 
 A command's module is imported when the command runs: `hyperbit stop` must not wait for the kernels of the search.
 """
@@ -14,6 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from controller.commands.table import COMMANDS, GROUPS, CommandEntry
 from controller.host.machine_code import ADVICE, REFUSAL, watch
+from controller.host.signals import exit_on_signals
 
 WIDE = {"max_content_width": 120}  # columns of --help, on terminals that have them
 
@@ -147,6 +148,7 @@ def options(
 def main() -> None:
     """Runs the command line; an error that the user can correct becomes a message and an exit code."""
     watch()
+    exit_on_signals()
     try:
         app()
     except Exception as error:

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import re
+import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,7 @@ class PanelServer:
         prefix: prefix of all Zenoh keys.
         secure: whether the page is served over TLS.
         hosts: names that are accepted as host; None: any.
+        clock: returns the time of the pages' heartbeats [s].
     """
 
     def __init__(
@@ -62,8 +64,10 @@ class PanelServer:
         prefix: str = "hyperbit",
         secure: bool = False,
         hosts: Sequence[str] | None = LOCAL,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._open_session, self._access, self._prefix, self._secure = open_session, access, prefix, secure
+        self._clock = clock
         self._cookie = "__Host-hyperbit" if secure else "hyperbit"
         self._places, self._wrong = Places(), WrongTokens()
         self._arms: Arms | None = None
@@ -203,7 +207,7 @@ class PanelServer:
         if person is None:
             await socket.close(NO_LOGIN, "log in first")
             return
-        page, place = Page(person), PagePlace(person, address_of(socket))
+        page, place = Page(person, self._clock), PagePlace(person, address_of(socket))
         if (refusal := self._places.refusal(place)) is not None:
             await socket.close(TOO_MANY, refusal)
             return

@@ -1,4 +1,4 @@
-"""Requests of pages: checks role, control and rate, then sends the request to the daemon from a thread."""
+"""Requests of pages: checks role, age, control and rate, then sends the request to the daemon from a thread."""
 
 import asyncio
 import logging
@@ -16,6 +16,7 @@ from controller.panel.arms.arm_view import ArmView
 from controller.panel.arms.pages import Page, RateLimit
 from controller.panel.requests import (
     CancelRequest,
+    ControlRequest,
     FaultRequest,
     FreeRequest,
     GoalFileRequest,
@@ -113,6 +114,10 @@ class ArmPage:
             return f"{self._page.person.name} may look, not command"
         if isinstance(request, FreeRequest):
             return None
+        late = self._page.heartbeats.refusal(request.heartbeat)
+        if late is not None:
+            self._say(f"sent a command, refused: {late}")  # the page may be closed
+            return late
         return self._view.control.refusal(self._page)
 
     async def _serve(self, request: PageRequest) -> None:
@@ -132,27 +137,27 @@ class ArmPage:
     async def _carry_out(self, request: PageRequest) -> Message:
         match request:
             case StopRequest():
-                return await self._command("stop", {}, self._threads.stops)
+                return await self._command(request, "stop", {})
             case CancelRequest():
-                return await self._command("cancel", {}, self._threads.stops)
+                return await self._command(request, "cancel", {})
             case ResetRequest():
-                return await self._command("reset", {})
+                return await self._command(request, "reset", {})
             case JogRequest(actuator=actuator, state=state):
-                return await self._command("jog", {"actuators": {actuator: state}})
+                return await self._command(request, "jog", {"actuators": {actuator: state}})
             case LockRequest(actuator=actuator, state=at):
-                return await self._command("degrade", {"actuator": actuator, "state": at})
+                return await self._command(request, "degrade", {"actuator": actuator, "state": at})
             case ObstaclesRequest(regions=regions):
-                return await self._command("obstacles", {"regions": regions})
+                return await self._command(request, "obstacles", {"regions": regions})
             case FaultRequest(fault=fault):
-                return await self._command("fault", {"fault": fault})
+                return await self._command(request, "fault", {"fault": fault})
             case PoseRequest(save=save, goal=goal, remove=remove):
                 change = {"save": save, "goal": goal, "remove": remove}
-                answer = await self._command("poses", {k: v for k, v in change.items() if v is not None})
+                answer = await self._command(request, "poses", {k: v for k, v in change.items() if v is not None})
                 self._view.describe_again()
                 return answer
             case GoalRequest(goal=goal):
                 named = {**goal, "id": f"{self._page.person.name}-{secrets.token_hex(3)}"}
-                answer = await self._command("goal", named)
+                answer = await self._command(request, "goal", named)
                 if answer.get("accepted"):
                     points = goal.get("waypoints")
                     self._view.history.goal(str(answer.get("id")), len(points) if isinstance(points, list) else None)
@@ -165,7 +170,9 @@ class ArmPage:
                 return {**await self._plan(read), "file": read}
             case SeekRequest():
                 asked = {"at": request.at, "speed": request.speed, "paused": request.paused}
-                return await self._ask("timeline", {k: v for k, v in asked.items() if v is not None})
+                changed = {k: v for k, v in asked.items() if v is not None}
+                loop, client = asyncio.get_running_loop(), self._view.client
+                return await loop.run_in_executor(self._threads.others, client.request, "timeline", changed)
             case TakeControlRequest():
                 self._view.control.take_control(self._page)
                 self._say("took control")
@@ -175,16 +182,22 @@ class ArmPage:
                     self._say("released control")
                 return {"accepted": True, "message": "nobody has control"}
 
-    async def _command(self, key: str, payload: Message, pool: ThreadPoolExecutor | None = None) -> Message:
+    async def _command(self, request: UrgentRequest | ControlRequest, key: str, payload: Message) -> Message:
         """Sends a request that changes something, and logs the person."""
-        answer = await self._ask(key, payload, pool)
+        loop = asyncio.get_running_loop()
+        pool = self._threads.stops if isinstance(request, UrgentRequest) else self._threads.others
+        answer = await loop.run_in_executor(pool, self._send, request, key, payload)
         accepted = "" if answer.get("accepted") else ", refused"
         self._say(f"asked for {key}{accepted}: {answer.get('message')}")
         return answer
 
-    async def _ask(self, key: str, payload: Message, pool: ThreadPoolExecutor | None = None) -> Message:
-        loop, client = asyncio.get_running_loop(), self._view.client
-        return await loop.run_in_executor(pool or self._threads.others, client.request, key, payload)
+    def _send(self, request: UrgentRequest | ControlRequest, key: str, payload: Message) -> Message:
+        """Sends a request to the daemon, unless it waited too long for a thread. Called by that thread."""
+        if not isinstance(request, UrgentRequest):
+            late = self._page.heartbeats.refusal(request.heartbeat)
+            if late is not None:
+                return {"accepted": False, "message": late}
+        return self._view.client.request(key, payload)
 
     async def _plan(self, goal: Message) -> Message:
         """Returns the daemon's plan of a goal, with the line segments of each waypoint."""

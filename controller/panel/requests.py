@@ -12,9 +12,10 @@ Label = Annotated[str, Meta(min_length=1, max_length=100)]
 
 
 class NumberedRequest(Struct, forbid_unknown_fields=True, tag_field="do", kw_only=True):
-    """A message of a page, with its number."""
+    """A message of a page, with its number, and the number of the latest heartbeat that the page has heard."""
 
     n: Number
+    heartbeat: Number | None = None
 
 
 class StopRequest(NumberedRequest, tag="stop"):
@@ -99,7 +100,7 @@ class SeekRequest(NumberedRequest, tag="seek"):
 
 UrgentRequest = StopRequest | CancelRequest
 FreeRequest = UrgentRequest | TakeControlRequest | ReleaseControlRequest | PlanRequest | GoalFileRequest | SeekRequest
-ControlRequest = (  # need control
+ControlRequest = (  # need control, and the number of a recent heartbeat, because each can lead to motion
     ResetRequest | JogRequest | LockRequest | ObstaclesRequest | FaultRequest | PoseRequest | GoalRequest
 )
 PageRequest = FreeRequest | ControlRequest

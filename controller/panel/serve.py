@@ -4,7 +4,6 @@ import asyncio
 import errno
 import ipaddress
 import json
-import signal
 import socket
 import ssl
 import sys
@@ -17,6 +16,7 @@ import zenoh
 
 from controller.armfile.strict import InputFaults
 from controller.host.notify import Notifier
+from controller.host.signals import end_on_signals
 from controller.network import session
 from controller.panel.access.access import Access
 from controller.panel.access.people import PersonEntry, digest_of, new_token, read_people
@@ -130,7 +130,7 @@ def read_or_make_people(path: Path | None) -> tuple[list[PersonEntry], dict[str,
 
 
 def serve(address: Address, tls: Tls | None, people: Path | None, config: zenoh.Config, prefix: str) -> None:
-    """Serves the page until SIGTERM or SIGINT; prints its address once it is served.
+    """Serves the page until a signal ends the process; prints its address once it is served.
 
     Raises:
         InputFaults: the file of people is wrong, or other computers could connect without TLS.
@@ -174,8 +174,11 @@ async def _serve(
         )
     )
     announced = asyncio.create_task(_announce(server, address, tls is not None, tokens))
-    for number in (signal.SIGTERM, signal.SIGINT):  # uvicorn raises the signal again after its end
-        signal.signal(number, lambda *_: None)
+
+    def end() -> None:
+        server.should_exit = True
+
+    end_on_signals(end)  # uvicorn handles two of the signals itself, and raises them again after its end
     await server.serve(sockets)
     announced.cancel()
 

@@ -23,6 +23,14 @@ from tests.system.stack import arms
 
 T = TypeVar("T")
 
+# A panel that refuses no command for its age, however slow the browser is on this machine.
+PATIENT_PANEL = """
+from controller.cli import main
+from controller.panel.arms import heartbeats
+heartbeats.LONGEST = 3600.0
+main()
+"""
+
 MISSING = shutil.which("chromium") is None or importlib.util.find_spec("selenium") is None
 collect_ignore_glob = ["test_*.py"] if MISSING else []
 
@@ -99,9 +107,15 @@ class World:
 
 
 class Trouble:
-    """A fake daemon and a panel in its own process."""
+    """A fake daemon and a panel in its own process.
 
-    def __init__(self, folder: Path, closing: ExitStack) -> None:
+    Args:
+        folder: of all files.
+        closing: ends daemon and panel.
+        patient: whether the panel refuses no command for its age.
+    """
+
+    def __init__(self, folder: Path, closing: ExitStack, *, patient: bool = True) -> None:
         endpoint = free_endpoint()
         self.daemon = PlayedDaemon(endpoint)
         closing.callback(self.daemon.close)
@@ -109,7 +123,8 @@ class Trouble:
         listed = (("anna", "operator", OPERATOR), ("hall", "viewer", VIEWER))
         entries = [f"{{name: {name}, role: {role}, token: {digest_of(token)}}}" for name, role, token in listed]
         people.write_text(f"people: [{', '.join(entries)}]\n")
-        started(["panel", "--listen", "127.0.0.1:0", "--people", str(people), "--connect", endpoint], folder, closing)
+        words = ["panel", "--listen", "127.0.0.1:0", "--people", str(people), "--connect", endpoint]
+        started(words, folder, closing, patient=patient)
         begin, log = "hyperbit panel, ", folder / "log"
         line = eventually(lambda: [x for x in log.read_text().splitlines() if x.startswith(begin)])[0]
         self.url = line.removeprefix(begin).rstrip("/")
@@ -127,12 +142,13 @@ def free_endpoint() -> str:
         return f"tcp/127.0.0.1:{free.getsockname()[1]}"
 
 
-def started(words: list[str], folder: Path, closing: ExitStack) -> subprocess.Popen[str]:
+def started(words: list[str], folder: Path, closing: ExitStack, *, patient: bool = True) -> subprocess.Popen[str]:
     """Runs a command of hyperbit until the tests end; its log is in the folder."""
     environment = {**os.environ, "RUNTIME_DIRECTORY": str(folder), "STATE_DIRECTORY": str(folder)}
     log = closing.enter_context((folder / "log").open("w"))
+    program = ["-c", PATIENT_PANEL] if words[0] == "panel" and patient else ["-m", "controller.cli"]
     process = subprocess.Popen(
-        [sys.executable, "-m", "controller.cli", *words], cwd=ROOT, env=environment, stdout=log, stderr=log, text=True
+        [sys.executable, *program, *words], cwd=ROOT, env=environment, stdout=log, stderr=log, text=True
     )
 
     def end() -> None:

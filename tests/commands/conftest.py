@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import yaml
 from controller import cli
 from controller.commands.connection import connected
 from controller.commands.operate import demo
+from controller.host.signals import ENDING
 from drivers.canopen.tools import listening, probe
 
 Told = Callable[..., str]
@@ -18,12 +20,17 @@ ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 
 @pytest.fixture
 def hyperbit(monkeypatch, capsys):
-    """Runs the command in this process; returns exit code, stdout and stderr."""
+    """Runs the command in this process; returns exit code, stdout and stderr. This process keeps its signals."""
 
     def run(*words: str) -> tuple[int, str, str]:
         monkeypatch.setattr("sys.argv", ["hyperbit", *words])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
+        handlers = {number: signal.getsignal(number) for number in ENDING}
+        try:
+            with pytest.raises(SystemExit) as ended:
+                cli.main()
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
         out, err = capsys.readouterr()
         return int(ended.value.code or 0), out, err
 

@@ -170,9 +170,10 @@ class Opened:
             return closed.code
 
     def send(self, do: str, **fields: Any) -> int:
-        """Sends a request; returns its number."""
+        """Sends a request with the latest heartbeat that was heard; returns its number."""
         self._number += 1
-        self.socket.send_text(json.dumps({"do": do, "n": self._number, **fields}))
+        heartbeat = self.until("heartbeat")["number"]
+        self.socket.send_text(json.dumps({"do": do, "n": self._number, "heartbeat": heartbeat, **fields}))
         return self._number
 
     def ask(self, do: str, **fields: Any) -> Message:
@@ -181,8 +182,22 @@ class Opened:
         return self.until("reply", lambda reply: reply["n"] == number)
 
 
+class HeldClock:
+    """A clock that stands: no command becomes too late while this machine is slow."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
 class Site:
-    """A running panel, its daemon, and logged-in clients."""
+    """A running panel, its daemon, and logged-in clients.
+
+    Attributes:
+        clock: of the pages' heartbeats.
+    """
 
     def __init__(self, closing: ExitStack) -> None:
         with socket.create_server(("127.0.0.1", 0)) as free:
@@ -190,7 +205,8 @@ class Site:
         self.daemon = PlayedDaemon(endpoint)
         closing.callback(self.daemon.close)
         config = zenoh_configuration([endpoint], None)
-        self.panel = PanelServer(lambda: zenoh.open(config), Access(PEOPLE))
+        self.clock = HeldClock()
+        self.panel = PanelServer(lambda: zenoh.open(config), Access(PEOPLE), clock=self.clock)
         self.browser = closing.enter_context(TestClient(self.panel.app, base_url=ORIGIN))
         self._closing = closing
         eventually(lambda: ARM in self.panel.arms.views and self.panel.arms.views[ARM].drawing)

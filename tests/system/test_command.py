@@ -78,7 +78,7 @@ def children(process: subprocess.Popen[bytes]) -> list[int]:
     return [int(pid) for pid in others if b"keeper.py" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_both_processes_in_order(
     process: subprocess.Popen[bytes], client: Observer, folder: Path, number: signal.Signals
 ) -> None:
@@ -86,7 +86,7 @@ def test_a_signal_ends_both_processes_in_order(
     client.move(MIDDLE, goal="a")
     client.goal(RIGHT, LEFT, times=[HOUR, 2 * HOUR], id="b")
     client.wait_for("executing", "goal b")
-    os.killpg(process.pid, number)  # as a terminal does at Ctrl-C
+    os.killpg(process.pid, number)  # as a terminal does at Ctrl-C, and when it is closed
     assert process.wait(PATIENCE) == 0
     assert "ERROR" not in (log := (folder / "log").read_text()), log
     assert log.count("buses[1].bitrate: 123456 bit/s is unusual") == 1, log

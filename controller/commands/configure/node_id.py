@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -178,7 +176,6 @@ def opened(settings: BusWiring) -> Iterator[Lss]:
         CommandFailed: the bus cannot be opened, or a board refuses a request.
     """
     bus = CanBus(settings)
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # the board is released first
     try:
         bus.open()
         yield Lss(over(bus))
@@ -186,4 +183,3 @@ def opened(settings: BusWiring) -> Iterator[Lss]:
         raise CommandFailed(f"{settings.name}: {error}") from None
     finally:
         bus.close()
-        signal.signal(signal.SIGTERM, before)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import signal
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -33,14 +32,14 @@ def router(
 
     from controller.host.journal import start_logging
     from controller.host.notify import Notifier
+    from controller.host.signals import end_on_signals
     from controller.network.session import reason
 
     config = router_config(listen, connect, zenoh_file)
     start_logging({})
     zenoh.init_log_from_env_or("error")
     ending, notifier = threading.Event(), Notifier()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: ending.set())
+    end_on_signals(ending.set)
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:

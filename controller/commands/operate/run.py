@@ -6,7 +6,6 @@ import contextlib
 import ctypes
 import hashlib
 import os
-import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -36,7 +35,6 @@ CONNECT = "Zenoh router to join, such as rmw_zenohd, instead of accepting connec
 LEDGER = "File of the ledger, which counts goals and switches; the switch journal is written beside it."
 PANEL = "Also serve the operator's web page at this port of 127.0.0.1, by default 7480, and print its address."
 POLL = 0.2  # [s] between two checks that executor and planner still run
-SIGNALS = (signal.SIGTERM, signal.SIGINT)
 M_MMAP_THRESHOLD = -3  # of glibc's malloc.h
 LARGE = 1 << 17  # [bytes]
 
@@ -239,6 +237,7 @@ def serve(
 
     from controller.gateway.claim import AlreadyRunning
     from controller.gateway.daemon import ServedArm, running
+    from controller.host.signals import end_on_signals
     from controller.planning.ledger import LedgerInUse
     from controller.planning.ledger_file import default_path
 
@@ -248,8 +247,7 @@ def serve(
     served = ServedArm(arm, densities_of(arm), digest, simulated)
     book, ending = ledger or default_path(arm.settings.name, simulated=simulated), threading.Event()
     try:
-        for number in SIGNALS:  # before the first goal, so that an early signal ends goals in order
-            signal.signal(number, lambda *_: ending.set())
+        end_on_signals(ending.set)  # before the first goal, so that an early signal ends goals in order
         if network.connect is not None:
             wait_for_router(network.connect, ending)
             if ending.is_set():

@@ -1,6 +1,5 @@
 """The command `simulate`: runs simulated boards."""
 
-import signal
 import sys
 import threading
 from pathlib import Path
@@ -31,14 +30,14 @@ def simulate(
 
     import can
 
+    from controller.host.signals import end_on_signals
     from drivers.simulation import fault_commands
     from drivers.simulation.buses import board_names
     from drivers.simulation.simulation import Simulation
 
     variants = variants_of(board, board_names(arm.wiring))
     ending = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: ending.set())
+    end_on_signals(ending.set)
     try:
         simulation = Simulation(arm.wiring, arm.timing, variants=variants)
     except (can.CanError, OSError) as error:

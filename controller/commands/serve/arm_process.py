@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import signal
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +19,7 @@ RETRY = 1.0  # [s] between attempts to reach the daemon
 
 
 class ArmProcess:
-    """A process that serves one arm beside its daemon: its end by SIGTERM or SIGINT, and its notifications to systemd.
+    """A process that serves one arm beside its daemon: its end by a signal, and its notifications to systemd.
 
     Attributes:
         arm: name of the arm.
@@ -34,11 +33,11 @@ class ArmProcess:
     def __init__(self, arm: str) -> None:
         from controller.host.journal import start_logging
         from controller.host.notify import Notifier
+        from controller.host.signals import end_on_signals
 
         start_logging({"HYPERBIT_ARM": arm})
         self.arm, self.ending, self.notifier = arm, threading.Event(), Notifier()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: self.ending.set())
+        end_on_signals(self.ending.set)
 
     def feed_watchdog(self) -> None:
         """Tells systemd that the process runs."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -138,13 +137,13 @@ def play(past: RecordingReader, keys: ReplayKeys, times: tuple[float, float], *,
     """
     import zenoh
 
+    from controller.host.signals import end_on_signals
     from controller.network import session
     from controller.recorder.player import Player, Timeline
 
     zenoh.init_log_from_env_or("error")
     ending = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: ending.set())
+    end_on_signals(ending.set)
     if keys.connect is None:
         config = session.configuration("peer", listen=keys.listen)
     else:

@@ -5,7 +5,6 @@ import gc
 import logging
 import os
 import select
-import signal
 import time
 import traceback
 from collections import deque
@@ -28,11 +27,11 @@ from controller.executor.process.server import ExecutorServer
 from controller.flight_recorder import FlightRecorder
 from controller.host.notify import Notifier
 from controller.host.process import Log, Notify, Quit
+from controller.host.signals import ENDING, end_on_signals, ignore
 from controller.program import TICK
 
 log = logging.getLogger("executor")
 
-SIGNALS = (signal.SIGTERM, signal.SIGINT)
 SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
 CLOSE = 0.0007  # [s] before a tick in which no message is handled; a program takes about as long
 MOST_ROUNDS = 32  # polls of the buses in a row, before the tick is checked
@@ -94,12 +93,10 @@ class EventLoop:
             self._end()
 
     def run_until_signal(self) -> None:
-        """Runs until SIGTERM or SIGINT."""
-        for number in SIGNALS:
-            signal.signal(number, lambda *_: self.quit())
+        """Runs until a signal ends the process."""
+        end_on_signals(self.quit)
         self.run()
-        for number in SIGNALS:  # a second signal, such as that of a parent's death, must not interrupt the end
-            signal.signal(number, signal.SIG_IGN)
+        ignore(ENDING)  # a second signal, such as that of a parent's death, must not interrupt the end
 
     def _may_report(self, now: float) -> bool:
         """Whether a message waits and may be sent now."""

@@ -1,11 +1,13 @@
 """Open pages. A page gets the latest content of each section at most 20 times a second; a slow page skips some."""
 
 import asyncio
+import contextlib
 import itertools
 import time
 from collections.abc import Awaitable, Callable
 
 from controller.panel.access.people import Person
+from controller.panel.arms.heartbeats import PERIOD, Heartbeats
 
 LEAST_GAP = 0.05  # [s] between two updates of one page
 MOST_REPLIES = 64  # unsent answers of a page
@@ -19,10 +21,16 @@ class Page:
     Attributes:
         person: the person who opened it.
         number: unique number of the page.
+        heartbeats: sent to the page with each message, at least every PERIOD seconds.
+
+    Args:
+        person: the person who opened it.
+        clock: returns the time of heartbeats [s].
     """
 
-    def __init__(self, person: Person) -> None:
+    def __init__(self, person: Person, clock: Callable[[], float] = time.monotonic) -> None:
         self.person, self.number = person, next(_numbers)
+        self.heartbeats = Heartbeats(clock)
         self._latest: dict[str, bytes] = {}
         self._replies: list[bytes] = []
         self._news = asyncio.Event()
@@ -42,9 +50,11 @@ class Page:
     async def send_updates(self, send: Callable[[bytes], Awaitable[None]]) -> None:
         """Sends queued sections and answers as JSON arrays until the page is closed."""
         while not self._closing:
-            await self._news.wait()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._news.wait(), PERIOD)
             self._news.clear()
-            parts = [*self._latest.values(), *self._replies]
+            heartbeat = b'{"section":"heartbeat","number":%d}' % self.heartbeats.next()
+            parts = [heartbeat, *self._latest.values(), *self._replies]
             self._latest, self._replies = {}, []
             began = time.monotonic()
             await send(b"[" + b",".join(parts) + b"]")

@@ -10,7 +10,6 @@ import contextlib
 import logging
 import multiprocessing
 import os
-import signal
 import threading
 import time
 import traceback
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.arm.arm import Arm
+from controller.host.signals import OF_TERMINAL, ignore
 from controller.motion.decoding.goal import GoalMessage
 from controller.obstacles.obstacles import Obstacles
 from controller.planning.core import tasks
@@ -142,7 +142,7 @@ def packed(task: DescribePlan, arm: str) -> LongPlan:
 
 def serve(connection: Connection, arm: Arm, weights: NDArray[np.float64], expected: str) -> None:
     """Answers plans until the other process ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal
+    ignore(OF_TERMINAL)  # the planner ends this process
     threading.Thread(target=end_with_parent, daemon=True).start()
     with contextlib.suppress(OSError):
         os.nice(NICE)

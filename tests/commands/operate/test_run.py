@@ -15,6 +15,7 @@ from controller import cli
 from controller.commands.common import CommandFailed
 from controller.commands.operate import executor_process
 from controller.gateway import daemon
+from controller.host import signals
 
 MEASURE = """
 import re
@@ -59,7 +60,7 @@ def test_a_daemon_whose_thread_has_died_ends_the_process_in_words(
     monkeypatch.setattr(daemon, "running", failing)
     monkeypatch.setattr(run_module, "load_wired", lambda file: SimpleNamespace(settings=SimpleNamespace(name="a")))
     monkeypatch.setattr(run_module, "densities_of", lambda arm: None)
-    monkeypatch.setattr(run_module, "SIGNALS", ())
+    monkeypatch.setattr(signals, "end_on_signals", lambda end: None)
     file = tmp_path / "a.yaml"
     file.write_text("")
     executor = run_module.RunningExecutor(tmp_path / "a.sock", lambda: None)

@@ -12,6 +12,7 @@ export class Connection {
     this.listeners = new Map();
     this.waiting = new Map(); // callback for the answer to each request
     this.number = 0;
+    this.heartbeat = null; // number of the server's latest heartbeat on this WebSocket
     this.heardAt = -Infinity; // latest state of the arm [ms]
     this.serverAt = performance.now();
     this.pause = 250;
@@ -22,6 +23,7 @@ export class Connection {
 
   connect() {
     const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+    this.heartbeat = null;
     this.socket = new WebSocket(`${scheme}//${location.host}${this.path}`);
     this.socket.onmessage = (event) => {
       this.serverAt = performance.now();
@@ -41,6 +43,10 @@ export class Connection {
     if (message.section === "reply") {
       this.waiting.get(message.n)?.(message);
       this.waiting.delete(message.n);
+      return;
+    }
+    if (message.section === "heartbeat") {
+      this.heartbeat = message.number;
       return;
     }
     if (message.section === "state" || message.section === "timeline") this.heardAt = performance.now();
@@ -68,13 +74,14 @@ export class Connection {
     return this.socket.readyState === WebSocket.OPEN;
   }
 
-  // Sends a request; the promise always resolves to an answer with `accepted` and `message`.
+  // Sends a request; the promise always resolves to an answer with `accepted` and `message`. By the heartbeat the server
+  // sees how old a command is that waited in the network, and refuses it.
   ask(request) {
     if (!this.open) return Promise.resolve({ accepted: false, message: "there is no connection to the server" });
     const n = ++this.number;
     return new Promise((answer) => {
       this.waiting.set(n, answer);
-      this.socket.send(JSON.stringify({ ...request, n }));
+      this.socket.send(JSON.stringify({ ...request, n, heartbeat: this.heartbeat }));
     });
   }
 

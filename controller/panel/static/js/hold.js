@@ -1,6 +1,7 @@
 // A button that acts only after a long press: by mouse, finger or key.
 
 export const HOLD = 700; // [ms]
+const LATEST = 2000; // [ms] after the press; a browser that stood still acts on no press from before
 
 export function onHold(button, act) {
   let timer = null;
@@ -8,9 +9,10 @@ export function onHold(button, act) {
     if (timer !== null || button.disabled) return;
     event.preventDefault();
     button.classList.add("holding");
+    const pressed = Date.now(); // performance.now() may stand still while the computer sleeps
     timer = setTimeout(() => {
       end();
-      act();
+      if (Date.now() - pressed < HOLD + LATEST) act();
     }, HOLD);
   };
   const end = () => {

@@ -1,0 +1,51 @@
+"""The signals that end a process in order: SIGTERM, SIGINT, and SIGHUP, which a terminal sends when it is closed.
+
+SIGHUP stays ignored if it was ignored at the start, as `nohup` does.
+"""
+
+import signal
+import sys
+from collections.abc import Callable, Iterable
+from types import FrameType
+
+ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+OF_TERMINAL = (signal.SIGINT, signal.SIGHUP)  # a terminal sends them to all its processes
+
+
+def end_on_signals(end: Callable[[], object]) -> None:
+    """Has each signal that ends the process call `end` in the main thread.
+
+    A SIGHUP that follows another signal is ignored: kernel, shell and service manager each send one.
+    """
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        end()
+
+    for number in (signal.SIGTERM, signal.SIGINT, *hang_up()):
+        signal.signal(number, handle)
+
+
+def exit_on_signals() -> None:
+    """Has SIGTERM and SIGHUP raise SystemExit, so that the command closes what is open; Python does this at SIGINT.
+
+    The exit code is that of a shell, 128 and the signal's number.
+    """
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        ignore((signal.SIGTERM, *hang_up()))  # a second signal must not interrupt the end
+        sys.exit(128 + number)
+
+    for number in (signal.SIGTERM, *hang_up()):
+        signal.signal(number, handle)
+
+
+def ignore(numbers: Iterable[signal.Signals]) -> None:
+    """Ignores signals from now on, also in programs that the process starts afterwards."""
+    for number in numbers:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def hang_up() -> tuple[signal.Signals, ...]:
+    """Returns SIGHUP if it is to end this process; nothing if it is ignored."""
+    return () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)

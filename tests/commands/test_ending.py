@@ -1,0 +1,130 @@
+"""The ends of commands that run until a signal: in order by each signal, and on by a hang-up that is ignored."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from controller.host.signals import ENDING
+from tests.keys import DEPLOY
+from tests.network.played import PlayedArm, Router, free_endpoint
+from tests.recorder.test_recording import written
+from tests.system.stack import arms
+from tests.waiting import PATIENCE, eventually
+
+PAPER = str(DEPLOY / "planar16.yaml")
+SERVING = {  # by command: its words, a text of its output once it serves
+    "execute": ("execute {paper} --simulate --socket {folder} --journal {folder}/journal", "simulated in this process"),
+    "panel": ("panel --listen 127.0.0.1:0 --connect {endpoint}", "hyperbit panel, viewer"),
+    "record": ("record a --folder {folder}/recordings --connect {endpoint}", "waiting for one"),
+    "replay": ("replay {folder}/a.mcap --stay --listen {endpoint}", "replaying"),
+    "ros2": ("ros2 a --connect {endpoint}", "waiting for one"),
+    "router": ("router --listen {endpoint}", "routing at"),
+    "run": ("run {folder}/arm.yaml --simulate --listen {endpoint} --ledger {folder}/l.db", "serving the arm"),
+    "simulate": ("simulate {folder}/arm.yaml", "faults to type"),
+}
+FOLLOWING = {"watch": "watch a --json --connect {there}", "fleet": "fleet --follow --connect {there}"}
+Start = Callable[..., subprocess.Popen[bytes]]
+
+
+@pytest.fixture(scope="session")
+def densities(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The cache folder of all daemons."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture
+def start(tmp_path: Path, densities: Path) -> Iterator[Start]:
+    """Runs a command in a process of its own, with SIGHUP ignored or not, until its log has a text."""
+    written(tmp_path / "a.mcap").close()
+    arms.write(tmp_path, "planar", "shown", {"interface": "virtual", "channel": "can0"}, {"boards": arms.QUICK})
+    values = {"paper": PAPER, "folder": str(tmp_path), "endpoint": free_endpoint()}
+    environment = {
+        **os.environ, "XDG_CACHE_HOME": str(densities), "STATE_DIRECTORY": str(tmp_path),
+        "RUNTIME_DIRECTORY": str(tmp_path), "PYTHONUNBUFFERED": "1",
+    }  # fmt: skip
+    begin = "import signal, sys; signal.signal(signal.SIGHUP, signal.{}); from controller.cli import main; main()"
+    with ExitStack() as closing:
+
+        def run(words: str, until: str, *, nohup: bool = False, **more: str) -> subprocess.Popen[bytes]:
+            command = [sys.executable, "-c", begin.format("SIG_IGN" if nohup else "SIG_DFL")]
+            command += words.format(**values, **more).split()
+            log = tmp_path / "log"
+            output = closing.enter_context(log.open("wb"))
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment, process_group=0
+            )
+            closing.callback(process.wait)
+            closing.callback(process.kill)
+            eventually(lambda: process.poll() is not None or until in log.read_text(), told=log.read_text)
+            assert process.poll() is None, log.read_text()
+            return process
+
+        yield run
+
+
+def ignores_hang_up(process: subprocess.Popen[bytes]) -> bool:
+    """Whether a process ignores SIGHUP."""
+    mask = re.search(r"SigIgn:\s*([0-9a-f]+)", Path(f"/proc/{process.pid}/status").read_text())
+    return mask is not None and bool(int(mask[1], 16) >> (signal.SIGHUP - 1) & 1)
+
+
+@pytest.mark.parametrize("number", ENDING)
+@pytest.mark.parametrize("command", SERVING)
+def test_a_signal_ends_a_command_in_order(start: Start, tmp_path: Path, command: str, number: signal.Signals) -> None:
+    process = start(*SERVING[command])
+    os.killpg(process.pid, number)
+    assert process.wait(PATIENCE) == 0
+    assert "Traceback" not in (tmp_path / "log").read_text()
+
+
+@pytest.mark.parametrize("command", SERVING)
+def test_an_ignored_hang_up_ends_no_command(start: Start, command: str) -> None:
+    process = start(*SERVING[command], nohup=True)
+    assert ignores_hang_up(process)
+    os.killpg(process.pid, signal.SIGHUP)
+    process.terminate()
+    assert process.wait(PATIENCE) == 0
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+@pytest.mark.parametrize("command", FOLLOWING)
+def test_a_signal_ends_what_follows_an_arm(
+    start: Start, tmp_path: Path, command: str, number: signal.Signals, code: int
+) -> None:
+    with ExitStack() as closing:
+        router = Router(closing)
+        arm = PlayedArm(closing, router.client())
+        arm.publish()
+        process = start(FOLLOWING[command], "", there=router.endpoint)
+
+        def heard() -> bool:
+            arm.publish()
+            return "ready" in (tmp_path / "log").read_text()
+
+        eventually(heard)
+        os.killpg(process.pid, number)
+        assert process.wait(PATIENCE) == code
+        assert "Traceback" not in (tmp_path / "log").read_text()
+
+
+def test_a_demo_that_is_ended_ends_its_daemon(start: Start) -> None:
+    process = start("demo {paper}", "")
+    (daemon,) = eventually(lambda: children(process.pid))
+    eventually(lambda: children(daemon))  # the demo is past the start of its daemon
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(PATIENCE) == 128 + signal.SIGHUP
+    assert not Path(f"/proc/{daemon}").exists()
+
+
+def children(pid: int) -> list[int]:
+    """Returns the ids of a process's children."""
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
