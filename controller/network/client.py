@@ -5,7 +5,9 @@ It imports nothing slow, because `hyperbit stop` uses it.
 
 import contextlib
 import json
+import os
 import queue
+import socket
 import time
 import uuid
 from collections.abc import Callable, Mapping
@@ -47,6 +49,7 @@ class Client:
     ) -> None:
         self._session, self._arm, self._reopen = session, arm, reopen
         self._prefix = f"{prefix}/{arm}"
+        self._name = f"{socket.gethostname()[:40]}:{os.getpid()}:{uuid.uuid4().hex[:8]}"
         self._opened: list[zenoh.Session] = []
         self._on_renewal: list[Callable[[], None]] = []
 
@@ -96,8 +99,12 @@ class Client:
         raise Unanswered(f"no daemon for arm {self._arm!r} answered on {self._prefix}/{key}")
 
     def put(self, key: str, payload: bytes) -> None:
-        """Publishes a payload on `key`: setpoint or measured_tip. There is no answer."""
-        self._session.put(f"{self._prefix}/{key}", payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+        """Publishes a payload on `key`: setpoint or measured_tip. There is no answer.
+
+        The attached name tells the daemon whose stream it is.
+        """
+        encoding = zenoh.Encoding.APPLICATION_JSON
+        self._session.put(f"{self._prefix}/{key}", payload, encoding=encoding, attachment=self._name)
 
     def subscribe(self, key: str, callback: Callable[[Message], None]) -> zenoh.Subscriber[None]:
         """Calls `callback` with each message on `key`: state, feedback, result or diagnostics.

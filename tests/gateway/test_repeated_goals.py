@@ -51,6 +51,15 @@ def test_a_goal_that_is_asked_again_is_planned_once_and_each_is_answered(
     assert bench.answers[0] == bench.answers[1] == bench.answers[2]
 
 
+def test_a_client_that_attaches_the_same_to_each_request_has_each_goal_run(bench: Bench) -> None:
+    for k in range(3):
+        bench.send(b'{"id": "g%d", "waypoints": []}' % k, b"my client")
+        bench.accept()
+    bench.send(b'{"waypoints": []}', b"my client")
+    assert len(bench.planned) == 4
+    assert [answer["id"] for answer in bench.answers] == ["g0", "g1", "g2"]
+
+
 def test_a_goal_without_id_or_number_is_always_new(bench: Bench) -> None:
     bench.send(ANONYMOUS)
     bench.send(ANONYMOUS)

@@ -2,6 +2,7 @@
 
 import logging
 
+import msgspec
 import pytest
 
 from controller.executor.core.modes import CLEARING, RETRY
@@ -80,6 +81,26 @@ def test_a_halt_while_booting_stays(rig: Rig) -> None:
     rig.send(Stop(3))
     rig.go(0.1)
     assert rig.mode == "stopped"
+
+
+@pytest.mark.parametrize("bar", [Stop(3), Cancel(3, None, "canceled")])
+def test_a_reset_that_arrived_before_a_stop_is_refused_after_it(rig: Rig, bar: Stop | Cancel) -> None:
+    rig.send(Stop(1))
+    earlier = rig.epoch
+    rig.send(bar)
+    rig.send(Reset(2, earlier))
+    assert (answer(rig)[0], rig.mode) == (False, "stopped")
+    rig.send(Reset(4, rig.epoch))
+    assert rig.mode == "starting"
+
+
+def test_a_program_that_comes_too_late_is_declined(rig: Rig) -> None:
+    rig.send(msgspec.structs.replace(rig.program(A), until=rig.now - TICK))
+    assert (rig.last(Declined).refused.reason.value, rig.mode) == ("too-late-to-begin", "ready")
+    rig.go(1.0)
+    assert rig.switched == []
+    rig.send(msgspec.structs.replace(rig.program(A), until=rig.now))
+    assert rig.mode == "executing"
 
 
 # --- faults

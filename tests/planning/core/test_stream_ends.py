@@ -51,6 +51,29 @@ def test_a_cancel_ends_the_stream_until_it_pauses(bench: StreamBench) -> None:
     assert bench.status()["streams"] == 2
 
 
+def test_a_stream_belongs_to_its_sender_until_it_pauses(bench: StreamBench) -> None:
+    here, there = {"position": bench.tip(*A)}, {"position": bench.tip(0, 0, 0, 0)}
+    for _ in range(5):
+        bench.put(here, "left")
+        bench.put(there, "right")
+        bench.advance(bench.timeout / 2)
+    assert (bench.status()["sender"], bench.status()["refused"], bench.status()["streams"]) == ("left", 5, 1)
+    assert '"right": "left" streams set-points already' in bench.status()["last_refusal"]
+    bench.advance(bench.timeout)
+    assert bench.status()["sender"] is None
+    bench.put(there, "right")
+    bench.put(here)
+    assert (bench.status()["sender"], bench.status()["streams"]) == ("right", 2)
+    assert "a client without a name" in bench.status()["last_refusal"]
+
+
+def test_a_set_point_that_waited_for_the_core_is_refused(bench: StreamBench) -> None:
+    bench.delay = 0.3
+    bench.put({"position": bench.tip(*A)})
+    bench.run(1.0)
+    assert (bench.status()["refused"], bench.take(Setpoint)) == (1, [])
+
+
 def test_a_goal_ends_the_stream_before_it_and_waits_for_no_stream(bench: StreamBench) -> None:
     bench.search()
     (before,) = bench.take(Setpoint)

@@ -35,6 +35,7 @@ from controller.planning.core.events import (
     Recorded,
     Reply,
     Request,
+    SetpointArrived,
     Start,
     Tick,
     ToExecutor,
@@ -294,6 +295,10 @@ class Desk:
             self.executor.messages.append(Cancel(self._numbers, None, "canceled; the arm holds"))
         self.post(Request(Arrival(self._numbers, self.now - self.delay), key, message, self.wall))
         return self._numbers
+
+    def setpoint(self, payload: bytes, number: int, sender: str = "") -> None:
+        """Sends a set-point, which has arrived as this number."""
+        self.post(SetpointArrived(payload, Arrival(number, self.now - self.delay), sender))
 
     def goal(self, *configurations: tuple[int, ...], step: float = 0.2, name: str = "a", **fields: Any) -> None:
         """Sends a goal whose waypoints are the tips of configurations."""
