@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from controller.arm.arm import Arm
 from controller.motion.plans.point_by_point import PLANNING_TIME
 from controller.planning.core import tasks
-from controller.planning.core.tasks import Answer
+from controller.planning.core.tasks import Answer, Failed
 from controller.planning.workers.arm_model import Abandoned
 from controller.planning.workers.long_plans import LongAnswer, LongPlan, Planner
 from controller.studies.shares import PackedJob, Run, StudyFailed, compute, pack
@@ -118,6 +118,8 @@ class ClusterPlanner:
             raise
         except Exception as error:  # what another code raises there
             raise StudyFailed(f"{self._address}: {type(error).__name__}: {error}") from None
+        if isinstance(found, Failed):
+            raise StudyFailed(f"{self._address}: {found.reason.strip().splitlines()[-1]}")
         answer: Answer = found
         return answer
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -17,7 +18,7 @@ import pytest
 from distributed import Client
 
 from controller.arm.arm import Arm
-from controller.planning.core.tasks import Described, Refused
+from controller.planning.core.tasks import Described, Failed, Refused
 from controller.planning.workers import cluster_plans
 from controller.planning.workers.arm_model import Abandoned, ArmModel
 from controller.planning.workers.cluster_plans import ClusterPlanner, left_after, proceed_on_cluster
@@ -83,6 +84,19 @@ def test_without_a_scheduler_the_plan_is_computed_at_home(
     [record] = [record for record in caplog.records if record.levelno == logging.WARNING]
     assert record.getMessage().startswith(NOBODY)
     assert record.getMessage().endswith("; the plan is computed on this computer instead")
+
+
+def test_a_plan_that_fails_on_the_cluster_is_computed_at_home(
+    bench: Bench, planner_of: Any, expected: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ClusterPlanner, "_stay_connected", lambda self: None)
+    planner = planner_of(NOBODY)
+    failed = Failed("Traceback (most recent call last):\nMemoryError: no memory\n")
+    monkeypatch.setattr(cluster_plans, "result_of", lambda *arguments: [failed])
+    monkeypatch.setattr(planner, "_client", SimpleNamespace(submit=lambda *arguments, **options: None))
+    answer, warning = planner.answer_long(packed(task(bench), bench.arm.digest))
+    assert proven(answer) == expected
+    assert warning == f"{NOBODY}: MemoryError: no memory; the plan is computed on this computer instead"
 
 
 def test_a_scheduler_that_is_away_is_named(planner_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
