@@ -23,7 +23,7 @@ from drivers.canopen.run.commit import Commit
 from drivers.canopen.run.heartbeat import Heartbeat
 from drivers.canopen.wire.cia301 import SYNC, Frame, State
 from drivers.simulation.firmware import SimulatedBoard
-from tests.simulation.invariants import Violation
+from tests.simulation.judge.verdict import Violation
 from tests.simulation.world import World
 
 STEPS = 3_000

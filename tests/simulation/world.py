@@ -18,7 +18,10 @@ from tests.simulation.calm import check_daemon, run_a_goal, run_a_program
 from tests.simulation.executor.arms import draw_arm, draw_boards
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.facts import Step
-from tests.simulation.invariants import INVARIANTS, Violation, require
+from tests.simulation.feed import Feed, Witnesses
+from tests.simulation.invariants import INVARIANTS
+from tests.simulation.judge.judge import Judge
+from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.record import Record
 from tests.simulation.whole.daemon import Daemon
@@ -65,7 +68,9 @@ class World:
             bus.name: BusModel(bus.name, bus.bitrate, agenda, drawn(bus.name), self._to_boards, self._to_executor)
             for bus in arm.wiring.buses
         }
-        self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, record)
+        self.judge = judge = Judge(arm)
+        witness = Witnesses(record, Feed(judge, agenda))
+        self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness)
         record.core = lambda: self.executor.core
         self.kinds = Kinds(arm.wiring, arm.timing)
         self.planner: ScriptedPlanner | Daemon
@@ -76,7 +81,7 @@ class World:
             self.planner = self.daemon = Daemon(arm, planned, agenda, drawn, self.executor, self.note)
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
-        self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board)
+        self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge)
         self.trouble = Trouble(self, drawn("trouble"))
         self.epoch_before, self.mode_before = 0, "starting"
         self._random = drawn("periods")
@@ -86,7 +91,7 @@ class World:
     # --- it runs
 
     def run(self, steps: int) -> None:
-        """Runs `steps` steps, in turns with trouble and without.
+        """Runs `steps` steps, in turns with requests but no trouble, with both, and with neither.
 
         Raises:
             Violation: an invariant does not hold.
@@ -95,6 +100,8 @@ class World:
         self.calm()
         while self.agenda.steps < end:
             self.planner.be_calm(False)
+            self.pass_time(self._random.uniform(1.0, 6.0))
+            self.judge.disturb()
             self.trouble.begin()
             self.pass_time(self._random.uniform(2.0, 15.0))
             self.calm()
@@ -131,6 +138,8 @@ class World:
         self._check_agreement()
         if self.daemon is not None:
             check_daemon(self, self.daemon)
+        if not self.record.suspect:
+            self.judge.quiet_from(self.agenda.now)
 
     @property
     def ready_within(self) -> float:

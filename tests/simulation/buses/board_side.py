@@ -12,6 +12,7 @@ from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import OnItsWay
 from tests.simulation.facts import Commit, Energised, Switch
+from tests.simulation.judge.judge import Judge
 from tests.simulation.record import Record
 
 FOREIGN_START = "foreign START"
@@ -33,6 +34,7 @@ class BoardSide(AttachedBoards):
         agenda: time and events.
         record: takes changes of outputs.
         send: takes the frames of the boards.
+        judge: takes changes of outputs and end-stops.
     """
 
     def __init__(
@@ -43,6 +45,7 @@ class BoardSide(AttachedBoards):
         agenda: Agenda,
         record: Record,
         send: Callable[[str, Frame], None],
+        judge: Judge,
     ) -> None:
         self.names: dict[str, int] = {}
         self._masks = dict.fromkeys((bus.name for bus in wiring.buses), 0)
@@ -51,13 +54,35 @@ class BoardSide(AttachedBoards):
             self.names[name] = self.names.get(name, 0) | 1 << k
             self._masks[channel.bus] |= 1 << k
         self.silent = False
-        self._record = record
+        self._record, self._judge = record, judge
+        self._read = True  # whether end-stops may have changed
         self._paired = sum(1 << k for k in wiring.paired)
         self._drives, self._coils = -1, 0  # unknown
         self._interlocks = tuple(lock.name for lock in wiring.interlocks)
         self.opened: set[str] = set()
         super().__init__(wiring, timing, variants, agenda, send)
         self._drives = self._valves()
+        self._actuators = list(self.simulated._actuators.values())
+        self._levels = [(c.input is not None, c.input_contracted is not None, c.inverted) for c in wiring.channels]
+        for actuator in self._actuators:
+            actuator.observers.append(self._end_stop_changed)
+        judge.at(agenda.now)
+        judge.drives(self._drives, 0, "start")
+        self._read_ends()
+
+    def _end_stop_changed(self) -> None:
+        self._read = True
+
+    def _read_ends(self) -> None:
+        """Tells the judge what the end-stops read."""
+        extended = contracted = 0
+        for k, (actuator, (has, has_contracted, inverted)) in enumerate(
+            zip(self._actuators, self._levels, strict=True)
+        ):
+            extended |= (has and actuator.reads(1) ^ ("input" in inverted)) << k
+            contracted |= (has_contracted and actuator.reads(0) ^ ("input_contracted" in inverted)) << k
+        self._judge.reads(extended, contracted)
+        self._read = False
 
     def drives(self) -> int:
         """Returns the end to which each actuator is driven, or was driven last, as a mask."""
@@ -113,6 +138,7 @@ class BoardSide(AttachedBoards):
             self._record.lying |= 1 << self.simulated.labels.index(name)
         elif verb == "restore_sensor":
             self._record.lying &= ~(1 << self.simulated.labels.index(name))
+        self._read = True
         super().fault(verb, name, *numbers)
         self.silent = any(self.simulated.board(board).silent for board in self.names)
 
@@ -154,6 +180,12 @@ class BoardSide(AttachedBoards):
         on = sum(1 << k for k, pair in enumerate(coils) if self._paired >> k & 1 and any(pair))
         came, self._coils = on & ~self._coils | on & (after ^ self._drives), on
         changed, self._drives = after ^ self._drives, after
+        if changed or self._read:
+            self._judge.at(self._agenda.now)
+            if changed:
+                self._judge.drives(after, changed, cause)
+            if self._read:
+                self._read_ends()
         for bus, mask in self._masks.items():
             if changed & mask:
                 self._record.switch(Switch(changed & mask, after, cause, bus, commit))
