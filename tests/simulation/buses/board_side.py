@@ -57,7 +57,7 @@ class BoardSide(AttachedBoards):
         self._record, self._judge = record, judge
         self._read = True  # whether end-stops may have changed
         self._paired = sum(1 << k for k in wiring.paired)
-        self._drives, self._coils = -1, 0  # unknown
+        self._drives, self._coils, self._on = -1, 0, 0  # unknown
         self._interlocks = tuple(lock.name for lock in wiring.interlocks)
         self.opened: set[str] = set()
         super().__init__(wiring, timing, variants, agenda, send)
@@ -180,8 +180,10 @@ class BoardSide(AttachedBoards):
         on = sum(1 << k for k, pair in enumerate(coils) if self._paired >> k & 1 and any(pair))
         came, self._coils = on & ~self._coils | on & (after ^ self._drives), on
         changed, self._drives = after ^ self._drives, after
-        if changed or self._read:
+        if changed or self._read or on != self._on:
             self._judge.at(self._agenda.now)
+            self._on = on
+            self._judge.energises(on, came, cause)
             if changed:
                 self._judge.drives(after, changed, cause)
             if self._read:

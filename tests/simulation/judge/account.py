@@ -159,8 +159,14 @@ class Account:
 
     @property
     def committing(self) -> bool:
-        """Whether frames of a commit are under way."""
-        return self.commit is not None and bool(self.commit.open or self.commit.awaited)
+        """Whether frames of a commit may be under way; one that is given up tells nobody so."""
+        commit, longest = self.commit, self.arm.timing.heartbeat_timeout / 2 + 0.02
+        return commit is not None and bool(commit.open or commit.awaited) and self.now < commit.at + longest
+
+    @property
+    def switching(self) -> bool:
+        """Whether boards have switched, and the executor has not heard of it."""
+        return self.committing and self.commit is self.mover
 
     @property
     def homing(self) -> int:

@@ -42,7 +42,6 @@ class Ground:
         driven: the last driven states, the newest last.
         switched_at: time when each actuator was switched last [s].
         counts: switches of each actuator by SYNC.
-        on_since: time since when an output of each pair is on [s]; None: both are off.
 
     Args:
         arm: the arm.
@@ -54,7 +53,6 @@ class Ground:
         self.driven = deque([Driven(-1e12, 0)], maxlen=50)
         self.switched_at = [-1e12] * arm.count
         self.counts = [0] * arm.count
-        self.on_since: list[float | None] = [None] * arm.count
 
     @property
     def states(self) -> int:
@@ -72,6 +70,11 @@ class Ground:
         for k in bits_of(changed):
             self.switched_at[k] = now
             self.counts[k] += by_sync
+
+    def energise(self, now: float, came: int) -> None:
+        """Records that one of two outputs of actuators came on: an actuator of unknown state may travel."""
+        for k in bits_of(came):
+            self.switched_at[k] = now
 
     def readings_since(self, since: float) -> list[Reading]:
         """Returns all readings that held at a time or later."""

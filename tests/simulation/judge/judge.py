@@ -30,6 +30,7 @@ from tests.simulation.judge.account import Account, Commit
 from tests.simulation.judge.arm import JudgedArm
 from tests.simulation.judge.ground import Ground
 from tests.simulation.judge.programs import Programs
+from tests.simulation.judge.pulses import Pulses
 from tests.simulation.judge.requests import Requests
 from tests.simulation.judge.snapshots import Snapshots
 from tests.simulation.judge.streams import Streams
@@ -61,6 +62,7 @@ class Judge:
         self.account = Account(self.arm, self.ground)
         self.snapshots = Snapshots(self.account)
         self.programs = Programs(self.account, self.snapshots)
+        self.pulses = Pulses(self.account)
         self.streams = Streams(self.account, self.programs)
         self.requests = Requests(self.account, self.programs, self.snapshots)
 
@@ -217,6 +219,11 @@ class Judge:
         if cause == "SYNC":
             self.account.mover = self.account.commit
             self.programs.switched(mask)
+
+    def energises(self, on: int, came: int, cause: str) -> None:
+        """The actuators of mask `on` have one of two outputs on; those of `came` since this cause."""
+        self.ground.energise(self.account.now, came)
+        self.pulses.energises(on, came, cause)
 
     def reads(self, extended: int, contracted: int) -> None:
         """The end-stops read 1 where these masks say so."""

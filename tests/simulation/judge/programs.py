@@ -73,7 +73,7 @@ class Programs:
         reasons |= self._misfits(message.stages, message.start, -1e12)
         if message.homed and not self._fit(message.homed):
             reasons.add("program-malformed")
-        if a.committing:
+        if a.switching:
             reasons.add("switch-not-confirmed")
         if shown is not None and self._fit(message.start):
             outputs = a.ground.states & ~a.homing | unpack(shown.outputs) & a.homing
@@ -142,9 +142,10 @@ class Programs:
         run = a.run if a.run is not None and a.run.number == asked.program else None
         if a.clear:
             fits = run is not None and self._may_replace(run, asked)
-            sure = run is None or not a.committing or not fits
-            if sure and (not message.accepted or fits is not None):
-                require(message.accepted == bool(fits), f"replacement {asked} is answered by {message.accepted}")
+            commit = a.commit
+            begun = run is not None and commit is not None and commit.at >= run.taken_at
+            begun = begun and a.now < commit.at + READ_BACK and asked.first == run.taken + 1  # type: ignore[union-attr]
+            require(message.accepted == fits or (fits and begun), f"{asked} is answered by {message.accepted}")
         if message.accepted and run is not None:
             run.replace(asked)
             run.generation = asked.generation

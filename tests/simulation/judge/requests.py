@@ -152,8 +152,8 @@ class Requests:
             self._snapshots.epoch_causes += 1
             require(not a.clear or mode in ("fault", "stopped"), f"the arm is reset in mode {mode}")
         else:
-            right = not a.clear or mode not in ("fault", "stopped")
-            require(right, f"a reset in mode {mode} is answered by {message}")
+            if a.clear and mode in ("fault", "stopped"):
+                self._snapshots.expect_mode(("starting", "ready", "executing"), f"a reset is answered by {message}")
 
     def _judge_lock(self, asked: Lock, message: Answer) -> None:
         a = self._a

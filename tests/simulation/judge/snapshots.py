@@ -45,6 +45,15 @@ class Snapshots:
 
         self._claims.append(holds)
 
+    def expect_mode(self, modes: tuple[str, ...], text: str) -> None:
+        """Requires that the next snapshot has one of these modes."""
+        a = self._a
+
+        def holds(snapshot: Snapshot) -> None:
+            require(snapshot.mode in modes or not a.clear, f"{text}, but the next snapshot has mode {snapshot.mode}")
+
+        self._claims.append(holds)
+
     def judge_states(self, measured: bytes, known: bytes, text: str) -> None:
         """Judges measured states in a world without disturbances."""
         a = self._a
