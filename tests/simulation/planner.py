@@ -44,6 +44,7 @@ class ScriptedPlanner:
 
     Attributes:
         calm: it sends only the resets that are needed, and unlocks actuators.
+        patient: while it is calm, it waits for faults to clear by themselves.
         snapshot: the latest snapshot; None before the first of a connection.
         results: results that it has not acknowledged.
         connection: its connection to the executor.
@@ -56,7 +57,7 @@ class ScriptedPlanner:
     """
 
     def __init__(self, arm: ExecutedArm, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
-        self.calm = False
+        self.calm = self.patient = False
         self.snapshot: Snapshot | None = None
         self.results: list[int] = []
         self._arm, self._agenda, self._random = arm, agenda, random
@@ -167,7 +168,8 @@ class ScriptedPlanner:
     def _calm_act(self, snapshot: Snapshot) -> None:
         self._acknowledge()
         if snapshot.mode in ("fault", "stopped"):
-            self.connection.send(Reset(self._next(), snapshot.epoch))
+            if snapshot.mode == "stopped" or not self.patient:
+                self.connection.send(Reset(self._next(), snapshot.epoch))
         elif snapshot.mode == "executing" and snapshot.program != self._wanted:
             self.connection.send(Cancel(self._next(), None, "quiet is wanted"))
         elif snapshot.mode == "ready":

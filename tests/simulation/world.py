@@ -24,6 +24,7 @@ from tests.simulation.judge.judge import Judge
 from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.record import Record
+from tests.simulation.single_faults import SingleFaults
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.planned_arms import draw_planned_arm
 from tests.simulation.whole.planner_invariants import PLANNER_INVARIANTS
@@ -83,6 +84,7 @@ class World:
         self.executor.connect(self.planner.connection.deliver, cut_off)
         self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge)
         self.trouble = Trouble(self, drawn("trouble"))
+        self.single_faults = SingleFaults(self, drawn("single faults"))
         self.epoch_before, self.mode_before = 0, "starting"
         self._random = drawn("periods")
         self._counts: list[int] = []
@@ -101,6 +103,9 @@ class World:
         while self.agenda.steps < end:
             self.planner.be_calm(False)
             self.pass_time(self._random.uniform(1.0, 6.0))
+            if self.daemon is None:
+                self.single_faults.happen()
+                self.planner.be_calm(False)
             self.judge.disturb()
             self.trouble.begin()
             self.pass_time(self._random.uniform(2.0, 15.0))
@@ -110,9 +115,10 @@ class World:
         """Runs all steps of a time [s]."""
         until = self.agenda.now + seconds
         while self.agenda.now < until:
-            self._step()
+            self.one_step()
 
-    def _step(self) -> None:
+    def one_step(self) -> None:
+        """Runs the next event, and judges it."""
         self.record.step = Step()
         if self.daemon is not None:
             self.daemon.history.begin_step()
@@ -157,7 +163,7 @@ class World:
             snapshot = self.planner.snapshot
             shown = snapshot and (snapshot.mode, snapshot.reason, snapshot.faults)
             require(self.agenda.now < until, f"it is not {text} after {patience:g} s: {shown}")
-            self._step()
+            self.one_step()
 
     def settled(self) -> bool:
         """Whether the arm is at rest, and takes programs."""

@@ -30,7 +30,9 @@ class Pulses:
                 continue
             length = a.now - since
             reversed_ = on >> k & 1  # by a later stage
-            require(reversed_ or length >= a.arm.pulse[k] - SHORTER, f"actuator {k}: a pulse of {length:g} s, by {cause}")
+            require(
+                reversed_ or length >= a.arm.pulse[k] - SHORTER, f"actuator {k}: a pulse of {length:g} s, by {cause}"
+            )
             require(length <= a.arm.pulse[k] + LONGER, f"actuator {k}: a pulse of {length:g} s, by {cause}")
         for k in bits_of(came):
             self._since[k] = a.now
