@@ -144,6 +144,9 @@ class World:
         self._check_agreement()
         if self.daemon is not None:
             check_daemon(self, self.daemon)
+        for name in self.boards.simulated.names:
+            objects = self.boards.simulated.board(name).objects
+            self.judge.objects.judge(name, objects.has, objects.number)
         if not self.record.suspect:
             self.judge.quiet_from(self.agenda.now)
 

@@ -26,6 +26,7 @@ class BoardSide(AttachedBoards):
         names: mask of the actuators of each board, by the board's name.
         silent: whether a board is disconnected from its bus.
         opened: names of the open interlocks.
+        loses_sync: the board that does not receive the next SYNC of its bus; None: all do.
 
     Args:
         wiring: buses, boards and actuators.
@@ -54,6 +55,7 @@ class BoardSide(AttachedBoards):
             self.names[name] = self.names.get(name, 0) | 1 << k
             self._masks[channel.bus] |= 1 << k
         self.silent = False
+        self.loses_sync: str | None = None
         self._record, self._judge = record, judge
         self._read = True  # whether end-stops may have changed
         self._paired = sum(1 << k for k in wiring.paired)
@@ -121,10 +123,23 @@ class BoardSide(AttachedBoards):
         """Takes a sent frame of the executor; `lost` if the boards do not receive it."""
         frame = sent.frame
         boards = {name: mask for name, mask in self.names.items() if name.split("/")[0] == bus}
-        missing = sum(mask for name, mask in boards.items() if lost or not self.takes_part(name))
+        deaf = self._deaf_to(frame)
+        missing = sum(mask for name, mask in boards.items() if lost or name == deaf or not self.takes_part(name))
         self._record.arrives(bus, frame, missing)
-        if not lost:
-            self.receive(bus, frame, _words(frame), sent.belongs_to)
+        if lost:
+            return
+        if deaf is not None:
+            self.simulated.silence(deaf)
+        self.receive(bus, frame, _words(frame), sent.belongs_to)
+        if deaf is not None:
+            self.simulated.unsilence(deaf)
+
+    def _deaf_to(self, frame: Frame) -> str | None:
+        """Returns the board that loses a frame which all others receive."""
+        if self.loses_sync is None or frame.id != cia301.SYNC:
+            return None
+        board, self.loses_sync = self.loses_sync, None
+        return board
 
     def hear_tool(self, bus: str, frame: Frame) -> None:
         """Takes a frame of another program; its effects are faults."""

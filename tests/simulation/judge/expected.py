@@ -21,6 +21,7 @@ class Expected(NamedTuple):
         within: time from the cause until it is told [s].
         also: codes that may be told as well.
         cleared: whether the arm becomes ready without a reset when the cause is gone.
+        refused: reason for which a reset is refused while the cause is there; "" if it is not.
     """
 
     codes: frozenset[str]
@@ -28,6 +29,7 @@ class Expected(NamedTuple):
     within: float
     also: frozenset[str] = frozenset()
     cleared: bool = False
+    refused: str = ""
 
 
 def told(expected: Expected, snapshot: Snapshot | None) -> bool:

@@ -12,7 +12,9 @@ from controller.program import (
     Begun,
     Cancel,
     Clearance,
+    Counted,
     Declined,
+    Diagnostics,
     Ended,
     Lock,
     Program,
@@ -28,6 +30,8 @@ from controller.program import (
 )
 from tests.simulation.judge.account import Account, Commit
 from tests.simulation.judge.arm import JudgedArm
+from tests.simulation.judge.boards import BoardObjects, Endings
+from tests.simulation.judge.counts import Counts
 from tests.simulation.judge.ground import Ground
 from tests.simulation.judge.programs import Programs
 from tests.simulation.judge.pulses import Pulses
@@ -65,6 +69,8 @@ class Judge:
         self.pulses = Pulses(self.account)
         self.streams = Streams(self.account, self.programs)
         self.requests = Requests(self.account, self.programs, self.snapshots)
+        self.counts = Counts(self.account)
+        self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
 
     # --- the world
 
@@ -85,18 +91,24 @@ class Judge:
     def begins(self, instance: int) -> None:
         """A process of the executor has started."""
         self.account.instance = instance
+        self.endings.begins()
+        self._forget()
+
+    def _forget(self) -> None:
+        self.counts.begin()
         self.account.begin()
         for part in (self.snapshots, self.programs, self.streams, self.requests):
             part.begin()
 
     def dies(self) -> None:
         """The process has ended."""
-        self.begins(self.account.instance)
-        self.snapshots.connected = False
+        self.endings.dies()
+        self._forget()
 
     def quits(self) -> None:
         """The process is asked to end."""
         self.requests.close_step()
+        self.endings.quits()
         self.account.quitting = True
         self.programs.end("quit", "aborted")
 
@@ -108,6 +120,7 @@ class Judge:
         self.programs.tick()
         self.streams.tick()
         self.requests.tick()
+        self.endings.tick()
 
     def other_event(self) -> None:
         """The process takes an event of another kind."""
@@ -153,6 +166,7 @@ class Judge:
             case Cancel() if client.planner:
                 self._cancel(message)
             case Stop():
+                self.endings.interferes()
                 self.snapshots.epoch_causes += 1
                 self.programs.end("stop", "aborted")
                 self.account.stream = None
@@ -192,6 +206,10 @@ class Judge:
                 self.requests.question(message)
             case Answer():
                 self.requests.answer(message)
+            case Counted(counts):
+                self.counts.told(counts)
+            case Diagnostics():
+                self.counts.diagnosed(message, self.snapshots.connected)
             case Snapshot():
                 self.streams.shown(message)
                 self.snapshots.show(message)
