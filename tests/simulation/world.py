@@ -74,6 +74,8 @@ class World:
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness)
         record.core = lambda: self.executor.core
         self.kinds = Kinds(arm.wiring, arm.timing)
+        for bus in self.buses.values():
+            bus.spares_commands = bool(self.kinds.pulse)  # see `fault_kinds.NOT_DRAWN`
         self.planner: ScriptedPlanner | Daemon
         self.daemon: Daemon | None = None
         if planned is None:
@@ -104,7 +106,8 @@ class World:
             self.planner.be_calm(False)
             self.pass_time(self._random.uniform(1.0, 6.0))
             if self.daemon is None:
-                self.single_faults.happen()
+                for _ in range(3):
+                    self.single_faults.happen()
                 self.planner.be_calm(False)
             self.judge.disturb()
             self.trouble.begin()

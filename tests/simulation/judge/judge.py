@@ -121,6 +121,7 @@ class Judge:
         self.streams.tick()
         self.requests.tick()
         self.endings.tick()
+        self.counts.tick(self.snapshots.connected)
 
     def other_event(self) -> None:
         """The process takes an event of another kind."""
@@ -209,7 +210,7 @@ class Judge:
             case Counted(counts):
                 self.counts.told(counts)
             case Diagnostics():
-                self.counts.diagnosed(message, self.snapshots.connected)
+                self.counts.diagnosed(message)
             case Snapshot():
                 self.streams.shown(message)
                 self.snapshots.show(message)

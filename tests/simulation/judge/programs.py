@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from controller.program import Accepted, Begun, Declined, Ended, Program, Replaced, Replacement, Settled, Stage, unpack
+from controller.program import Accepted, Begun, Declined, Ended, Program, Replaced, Replacement, Settled, unpack
+from tests.simulation.judge.acceptance import MODE_REASONS, misfits, must_decline
 from tests.simulation.judge.account import EPSILON, Account, Run
 from tests.simulation.judge.snapshots import Snapshots
 from tests.simulation.judge.verdict import require
@@ -12,7 +13,6 @@ PROMPT = 6 * TICK  # [s] from the moment at which nothing stands in its way to a
 READ_BACK = 1.0  # [s] within which boards without end-stops are read back after a switch, see the drivers' page
 ENDED_WITHIN = 1.0 + PROMPT  # [s] from its cause to a result: the running commit ends first, and is read back
 STARVES_AFTER = 10.0  # [s] without further stages, after which a program is aborted
-MODE_REASONS = {"starting": "arm-starting", "fault": "arm-in-fault", "stopped": "arm-stopped"}
 WORDS = {  # of the message of a result, by its cause
     "stop": "stopped",
     "quit": "shutting down",
@@ -58,47 +58,6 @@ class Programs:
         """Records a request that must be answered in this step."""
         self._message = message
 
-    def must_decline(self, message: Program) -> set[str]:
-        """Returns the reasons for which the contract declines a program now; empty if it is accepted."""
-        a, reasons = self._a, set[str]()
-        shown = a.shown
-        if a.quitting:
-            reasons.add("executor-shutting-down")
-        if a.mode in MODE_REASONS:
-            reasons.add(MODE_REASONS[a.mode])
-        if shown is None or message.epoch != shown.epoch:
-            reasons.add("overtaken")
-        if message.program <= a.program_number:
-            reasons.add("program-malformed")
-        reasons |= self._misfits(message.stages, message.start, -1e12)
-        if message.homed and not self._fit(message.homed):
-            reasons.add("program-malformed")
-        if a.switching:
-            reasons.add("switch-not-confirmed")
-        if shown is not None and self._fit(message.start):
-            outputs = a.ground.states & ~a.homing | unpack(shown.outputs) & a.homing
-            if unpack(message.start) != outputs:
-                reasons.add("moved-since-planned")
-        return reasons
-
-    def _fit(self, states: bytes) -> bool:
-        return len(states) == self._a.arm.size and not unpack(states) >> self._a.arm.count
-
-    def _misfits(self, stages: tuple[Stage, ...], start: bytes, earliest: float) -> set[str]:
-        """Returns the reasons for which stages do not fit the arm."""
-        a = self._a
-        if not all(self._fit(states) for states in (start, *(stage.states for stage in stages))):
-            return {"program-malformed"}
-        before, found = unpack(start), set[str]()
-        for stage in stages:
-            differ = unpack(stage.states) ^ before
-            if differ & a.locked:
-                found.add("program-locked")
-            if differ.bit_count() > a.arm.most or stage.at < earliest:
-                found.add("program-malformed")
-            before, earliest = unpack(stage.states), stage.at
-        return found
-
     def declined(self, message: Declined) -> None:
         """Judges a decline."""
         asked, self._message = self._message, None
@@ -107,7 +66,7 @@ class Programs:
         a, reason = self._a, str(message.refused.reason.value)
         if not a.clear:
             return
-        may = self.must_decline(asked)
+        may = must_decline(self._a, asked)
         if a.commit is not None and a.now < a.commit.at + READ_BACK:
             may.add("switch-not-confirmed")  # nobody outside sees whether the boards were read back
         if reason in may:
@@ -122,7 +81,7 @@ class Programs:
         require(isinstance(asked, Program) and asked.program == message.program, f"{message} was not asked for")
         assert isinstance(asked, Program)
         if a.clear:
-            reasons = self.must_decline(asked)
+            reasons = must_decline(self._a, asked)
             require(not reasons, f"program {asked.program} is accepted, but {sorted(reasons)}")
         begin = asked.begin or a.now
         require(abs(message.begin - begin) < EPSILON, f"program {asked.program} begins at {message.begin:g}")
@@ -153,10 +112,11 @@ class Programs:
             run.question = None
 
     def _may_replace(self, run: Run, asked: Replacement) -> bool:
+        a = self._a
         if asked.generation <= run.generation or not run.begun < asked.first <= len(run.stages):
             return False
         earliest = run.stages[asked.first - 1].at if asked.first else -1e12
-        if self._misfits(asked.stages, asked.start, earliest):
+        if misfits(a, asked.stages, asked.start, earliest):
             return False
         return run.aligned(unpack(asked.start)) == run.state(asked.first - 1)
 
