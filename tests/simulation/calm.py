@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tests.simulation.invariants import Violation, require
+from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
 
 if TYPE_CHECKING:
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from tests.simulation.world import World
 
 MOST_TRIES = 6  # goals, until one is accepted; some cannot be reached
+MOST_PROGRAMS = 30  # programs, one each 0.1 s, until one is accepted: the last switch may still be read back
 RESTARTED_WITHIN = 10.0  # [s] until a planner or an executor that was killed has started again
 HUNG_WITHIN = 200.0  # [s] until a planner with a hung worker has started again
 SEARCHED_WITHIN = 75.0  # [s], longest time of a goal
@@ -23,7 +24,7 @@ def run_a_program(world: World) -> None:
     """Makes the scripted planner send a program, which ends with a result."""
     planner, record = world.planner, world.record
     assert isinstance(planner, ScriptedPlanner)
-    for _ in range(3):
+    for _ in range(MOST_PROGRAMS):
         world.wait(world.settled, "ready", world.ready_within)
         key = record.instance, planner.ask_for_motion()
         world.pass_time(0.1)

@@ -11,22 +11,13 @@ from drivers.canopen.wire import cia301
 from tests.simulation.buses.board_side import FOREIGN_START
 from tests.simulation.buses.bus_model import RPDOS
 from tests.simulation.facts import Switch
+from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.record import LATE
 
 if TYPE_CHECKING:
     from tests.simulation.world import World
 
 SETTLED_WITHIN = 3.0  # [s], longest time in which the last stage of a program settles, or is a fault
-
-
-class Violation(AssertionError):
-    """An invariant does not hold."""
-
-
-def require(holds: object, text: str) -> None:
-    """Raises `Violation` unless `holds` is true."""
-    if not holds:
-        raise Violation(text)
 
 
 def outputs_change_only_as_asked(world: World) -> None:

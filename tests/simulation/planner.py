@@ -44,9 +44,11 @@ class ScriptedPlanner:
 
     Attributes:
         calm: it sends only the resets that are needed, and unlocks actuators.
+        patient: while it is calm, it waits for faults to clear by themselves.
         snapshot: the latest snapshot; None before the first of a connection.
         results: results that it has not acknowledged.
         connection: its connection to the executor.
+        last_answer: the last answer to a request with a number; None before it comes.
 
     Args:
         arm: the arm.
@@ -56,7 +58,7 @@ class ScriptedPlanner:
     """
 
     def __init__(self, arm: ExecutedArm, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
-        self.calm = False
+        self.calm = self.patient = False
         self.snapshot: Snapshot | None = None
         self.results: list[int] = []
         self._arm, self._agenda, self._random = arm, agenda, random
@@ -67,6 +69,7 @@ class ScriptedPlanner:
         self._wanted = -1  # the program that it sent while it was calm
         self._drawn: Drawn | None = None
         self._answered = 0
+        self.last_answer: Answer | None = None
         agenda.after(0.0, self._live)
         agenda.after(0.0, self._act)
 
@@ -133,7 +136,7 @@ class ScriptedPlanner:
                 self._answer(message)
             case Answer() if message.request:
                 assert self._answered < message.request <= self._request, "answers come once, in order"
-                self._answered = message.request
+                self._answered, self.last_answer = message.request, message
 
     def _answer(self, question: Question) -> None:
         touched = "the disc" if self._random.random() < 0.1 and not self.calm else None
@@ -167,7 +170,8 @@ class ScriptedPlanner:
     def _calm_act(self, snapshot: Snapshot) -> None:
         self._acknowledge()
         if snapshot.mode in ("fault", "stopped"):
-            self.connection.send(Reset(self._next(), snapshot.epoch))
+            if snapshot.mode == "stopped" or not self.patient:
+                self.connection.send(Reset(self._next(), snapshot.epoch))
         elif snapshot.mode == "executing" and snapshot.program != self._wanted:
             self.connection.send(Cancel(self._next(), None, "quiet is wanted"))
         elif snapshot.mode == "ready":
@@ -183,6 +187,19 @@ class ScriptedPlanner:
         self.connection.send(self._drawn.program)
         self._wanted = self._number
         return self._number
+
+    def ask_to_switch(self, actuator: int) -> None:
+        """Sends a program that switches one actuator."""
+        assert self.snapshot is not None
+        self._number += 1
+        self._drawn = self._author.switch(self.snapshot, self._number, actuator)
+        self.connection.send(self._drawn.program)
+        self._wanted = self._number
+
+    def ask_to_reset(self) -> None:
+        """Sends a reset."""
+        self.last_answer = None
+        self.connection.send(Reset(self._next()))
 
     def _perform(self, snapshot: Snapshot) -> None:
         random, now = self._random, self._agenda.now

@@ -20,7 +20,7 @@ from controller.planning.core.programs import Programs
 from controller.planning.core.requests import ExecutorRequests, Queries
 from controller.planning.core.results import Results
 from controller.program import Acknowledge, Reset
-from tests.simulation.invariants import Violation
+from tests.simulation.judge.verdict import Violation
 from tests.simulation.world import World
 
 STEPS = 3_000

@@ -31,5 +31,5 @@ def test_a_copy_from_a_pickle_takes_the_same_actions(monkeypatch: pytest.MonkeyP
         core = world.executor.core
         if k % EVERY == 0 and core is not None and core.calm:
             copies = {id(core): pickle.loads(pickle.dumps(core))}
-        world._step()
+        world.one_step()
     assert compared[0] > STEPS / 10

@@ -18,9 +18,13 @@ from tests.simulation.calm import check_daemon, run_a_goal, run_a_program
 from tests.simulation.executor.arms import draw_arm, draw_boards
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.facts import Step
-from tests.simulation.invariants import INVARIANTS, Violation, require
+from tests.simulation.feed import Feed, Witnesses
+from tests.simulation.invariants import INVARIANTS
+from tests.simulation.judge.judge import Judge
+from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.record import Record
+from tests.simulation.single_faults import SingleFaults
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.planned_arms import draw_planned_arm
 from tests.simulation.whole.planner_invariants import PLANNER_INVARIANTS
@@ -65,9 +69,13 @@ class World:
             bus.name: BusModel(bus.name, bus.bitrate, agenda, drawn(bus.name), self._to_boards, self._to_executor)
             for bus in arm.wiring.buses
         }
-        self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, record)
+        self.judge = judge = Judge(arm)
+        witness = Witnesses(record, Feed(judge, agenda))
+        self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness)
         record.core = lambda: self.executor.core
         self.kinds = Kinds(arm.wiring, arm.timing)
+        for bus in self.buses.values():
+            bus.spares_commands = bool(self.kinds.pulse)  # see `fault_kinds.NOT_DRAWN`
         self.planner: ScriptedPlanner | Daemon
         self.daemon: Daemon | None = None
         if planned is None:
@@ -76,8 +84,9 @@ class World:
             self.planner = self.daemon = Daemon(arm, planned, agenda, drawn, self.executor, self.note)
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
-        self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board)
+        self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge)
         self.trouble = Trouble(self, drawn("trouble"))
+        self.single_faults = SingleFaults(self, drawn("single faults"))
         self.epoch_before, self.mode_before = 0, "starting"
         self._random = drawn("periods")
         self._counts: list[int] = []
@@ -86,7 +95,7 @@ class World:
     # --- it runs
 
     def run(self, steps: int) -> None:
-        """Runs `steps` steps, in turns with trouble and without.
+        """Runs `steps` steps, in turns with requests but no trouble, with both, and with neither.
 
         Raises:
             Violation: an invariant does not hold.
@@ -95,6 +104,12 @@ class World:
         self.calm()
         while self.agenda.steps < end:
             self.planner.be_calm(False)
+            self.pass_time(self._random.uniform(1.0, 6.0))
+            if self.daemon is None:
+                for _ in range(3):
+                    self.single_faults.happen()
+                self.planner.be_calm(False)
+            self.judge.disturb()
             self.trouble.begin()
             self.pass_time(self._random.uniform(2.0, 15.0))
             self.calm()
@@ -103,9 +118,10 @@ class World:
         """Runs all steps of a time [s]."""
         until = self.agenda.now + seconds
         while self.agenda.now < until:
-            self._step()
+            self.one_step()
 
-    def _step(self) -> None:
+    def one_step(self) -> None:
+        """Runs the next event, and judges it."""
         self.record.step = Step()
         if self.daemon is not None:
             self.daemon.history.begin_step()
@@ -131,6 +147,11 @@ class World:
         self._check_agreement()
         if self.daemon is not None:
             check_daemon(self, self.daemon)
+        for name in self.boards.simulated.names:
+            objects = self.boards.simulated.board(name).objects
+            self.judge.objects.judge(name, objects.has, objects.number)
+        if not self.record.suspect:
+            self.judge.quiet_from(self.agenda.now)
 
     @property
     def ready_within(self) -> float:
@@ -148,7 +169,7 @@ class World:
             snapshot = self.planner.snapshot
             shown = snapshot and (snapshot.mode, snapshot.reason, snapshot.faults)
             require(self.agenda.now < until, f"it is not {text} after {patience:g} s: {shown}")
-            self._step()
+            self.one_step()
 
     def settled(self) -> bool:
         """Whether the arm is at rest, and takes programs."""

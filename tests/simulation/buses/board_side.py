@@ -12,6 +12,7 @@ from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import OnItsWay
 from tests.simulation.facts import Commit, Energised, Switch
+from tests.simulation.judge.judge import Judge
 from tests.simulation.record import Record
 
 FOREIGN_START = "foreign START"
@@ -25,6 +26,7 @@ class BoardSide(AttachedBoards):
         names: mask of the actuators of each board, by the board's name.
         silent: whether a board is disconnected from its bus.
         opened: names of the open interlocks.
+        loses_sync: the board that does not receive the next SYNC of its bus; None: all do.
 
     Args:
         wiring: buses, boards and actuators.
@@ -33,6 +35,7 @@ class BoardSide(AttachedBoards):
         agenda: time and events.
         record: takes changes of outputs.
         send: takes the frames of the boards.
+        judge: takes changes of outputs and end-stops.
     """
 
     def __init__(
@@ -43,6 +46,7 @@ class BoardSide(AttachedBoards):
         agenda: Agenda,
         record: Record,
         send: Callable[[str, Frame], None],
+        judge: Judge,
     ) -> None:
         self.names: dict[str, int] = {}
         self._masks = dict.fromkeys((bus.name for bus in wiring.buses), 0)
@@ -51,13 +55,36 @@ class BoardSide(AttachedBoards):
             self.names[name] = self.names.get(name, 0) | 1 << k
             self._masks[channel.bus] |= 1 << k
         self.silent = False
-        self._record = record
+        self.loses_sync: str | None = None
+        self._record, self._judge = record, judge
+        self._read = True  # whether end-stops may have changed
         self._paired = sum(1 << k for k in wiring.paired)
-        self._drives, self._coils = -1, 0  # unknown
+        self._drives, self._coils, self._on = -1, 0, 0  # unknown
         self._interlocks = tuple(lock.name for lock in wiring.interlocks)
         self.opened: set[str] = set()
         super().__init__(wiring, timing, variants, agenda, send)
         self._drives = self._valves()
+        self._actuators = list(self.simulated._actuators.values())
+        self._levels = [(c.input is not None, c.input_contracted is not None, c.inverted) for c in wiring.channels]
+        for actuator in self._actuators:
+            actuator.observers.append(self._end_stop_changed)
+        judge.at(agenda.now)
+        judge.drives(self._drives, 0, "start")
+        self._read_ends()
+
+    def _end_stop_changed(self) -> None:
+        self._read = True
+
+    def _read_ends(self) -> None:
+        """Tells the judge what the end-stops read."""
+        extended = contracted = 0
+        for k, (actuator, (has, has_contracted, inverted)) in enumerate(
+            zip(self._actuators, self._levels, strict=True)
+        ):
+            extended |= (has and actuator.reads(1) ^ ("input" in inverted)) << k
+            contracted |= (has_contracted and actuator.reads(0) ^ ("input_contracted" in inverted)) << k
+        self._judge.reads(extended, contracted)
+        self._read = False
 
     def drives(self) -> int:
         """Returns the end to which each actuator is driven, or was driven last, as a mask."""
@@ -96,10 +123,23 @@ class BoardSide(AttachedBoards):
         """Takes a sent frame of the executor; `lost` if the boards do not receive it."""
         frame = sent.frame
         boards = {name: mask for name, mask in self.names.items() if name.split("/")[0] == bus}
-        missing = sum(mask for name, mask in boards.items() if lost or not self.takes_part(name))
+        deaf = self._deaf_to(frame)
+        missing = sum(mask for name, mask in boards.items() if lost or name == deaf or not self.takes_part(name))
         self._record.arrives(bus, frame, missing)
-        if not lost:
-            self.receive(bus, frame, _words(frame), sent.belongs_to)
+        if lost:
+            return
+        if deaf is not None:
+            self.simulated.silence(deaf)
+        self.receive(bus, frame, _words(frame), sent.belongs_to)
+        if deaf is not None:
+            self.simulated.unsilence(deaf)
+
+    def _deaf_to(self, frame: Frame) -> str | None:
+        """Returns the board that loses a frame which all others receive."""
+        if self.loses_sync is None or frame.id != cia301.SYNC:
+            return None
+        board, self.loses_sync = self.loses_sync, None
+        return board
 
     def hear_tool(self, bus: str, frame: Frame) -> None:
         """Takes a frame of another program; its effects are faults."""
@@ -113,6 +153,7 @@ class BoardSide(AttachedBoards):
             self._record.lying |= 1 << self.simulated.labels.index(name)
         elif verb == "restore_sensor":
             self._record.lying &= ~(1 << self.simulated.labels.index(name))
+        self._read = True
         super().fault(verb, name, *numbers)
         self.silent = any(self.simulated.board(board).silent for board in self.names)
 
@@ -154,6 +195,14 @@ class BoardSide(AttachedBoards):
         on = sum(1 << k for k, pair in enumerate(coils) if self._paired >> k & 1 and any(pair))
         came, self._coils = on & ~self._coils | on & (after ^ self._drives), on
         changed, self._drives = after ^ self._drives, after
+        if changed or self._read or on != self._on:
+            self._judge.at(self._agenda.now)
+            self._on = on
+            self._judge.energises(on, came, cause)
+            if changed:
+                self._judge.drives(after, changed, cause)
+            if self._read:
+                self._read_ends()
         for bus, mask in self._masks.items():
             if changed & mask:
                 self._record.switch(Switch(changed & mask, after, cause, bus, commit))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from random import Random
 from typing import NamedTuple
 
-from drivers.canopen.wire.cia301 import REMOTE, Frame, split, wire_bits
+from drivers.canopen.wire.cia301 import REMOTE, SYNC, Frame, split, wire_bits
 from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
 from tests.simulation.agenda import Agenda
 
@@ -42,6 +42,7 @@ class BusModel:
         acknowledged: whether any node acknowledges the executor's frames; if not, they stay in the controller,
             and it hears none.
         loss: share of the frames that their receiver loses after they have left.
+        spares_commands: whether RPDOs and SYNCs are never lost.
         duplication: share of the frames that their receiver gets twice.
         answer_delay: longest delay of the boards' SDO answers [s].
         mute: whether the boards' SDO answers are lost.
@@ -70,6 +71,7 @@ class BusModel:
         self.capacity, self.mailboxes, self.acknowledged = CAPACITY, MAILBOXES, True
         self.loss = self.duplication = self.answer_delay = 0.0
         self.mute, self.tpdos_to_lose, self.tpdo_lost_at = False, 0, 0.0
+        self.spares_commands = False
         self.bitrate, self.room, self.stuck, self.echoes = bitrate, None, False, True
         self.log: list[Frame] | None = None
         self._agenda, self._random = agenda, random
@@ -195,7 +197,7 @@ class BusModel:
     def _finish(self) -> None:
         """Delivers the frame on the wire."""
         on_wire, self._on_wire = self._on_wire, None
-        lost = self._random.random() < self.loss
+        lost = self._random.random() < self.loss and not self._spared(on_wire)
         twice = not lost and self._random.random() < self.duplication
         if isinstance(on_wire, OnItsWay) and not self._sends:
             if self.state != "down":
@@ -214,6 +216,12 @@ class BusModel:
                 if on_wire.id == MASTER_HEARTBEAT or split(on_wire.id)[0] not in (SDO_ANSWER, HEARTBEAT):
                     self._to_boards(self.name, OnItsWay(on_wire, None), lost)
         self.begin()
+
+    def _spared(self, on_wire: OnItsWay | Frame | None) -> bool:
+        """Returns whether a frame is never lost."""
+        if not self.spares_commands or not isinstance(on_wire, OnItsWay):
+            return False
+        return on_wire.frame.id == SYNC or split(on_wire.frame.id)[0] in RPDOS
 
     def _note(self, frame: Frame) -> None:
         if self.log is not None:

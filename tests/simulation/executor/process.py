@@ -20,7 +20,7 @@ from controller.executor.core.events import (
 )
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.flight_recorder import FlightRecorder
-from controller.host.process import Log
+from controller.host.process import Log, Quit
 from controller.program import TICK, Up
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import BusChanged, SendFailed
@@ -138,6 +138,10 @@ class ExecutorProcess:
             self._witness.killed()
             self._dies()
             self._agenda.after(self._random.choice([0.05, 0.2, 1.0]), self.start)
+
+    def quit(self) -> None:
+        """Asks the process to end in order."""
+        self.post(Quit())
 
     def at_next_start(self, happen: Callable[[], None]) -> None:
         """Calls a function once, after the next start of a process."""

@@ -70,6 +70,13 @@ class Author:
         )
         return Drawn(program, stages)
 
+    def switch(self, snapshot: Snapshot, number: int, actuator: int) -> Drawn:
+        """Returns a program of one stage that switches one actuator."""
+        states = pack(unpack(snapshot.outputs) ^ 1 << actuator, self._count)
+        stages = [Stage(states, 0.0, 1, 0.0)]
+        name, outputs = f"goal {number}", snapshot.outputs
+        return Drawn(Program(number, snapshot.epoch, outputs, 0.0, tuple(stages), True, False, name), stages)
+
     def replacement(self, drawn: Drawn, locked: int) -> Replacement:
         """Returns a replacement of a program's stages, from a random stage on."""
         random = self._random

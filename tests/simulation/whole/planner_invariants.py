@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from controller.planning.core.events import Identity
 from controller.program import Acknowledge, unpack
-from tests.simulation.invariants import require
+from tests.simulation.judge.verdict import require
 from tests.simulation.whole.configurations import first_touched
 from tests.simulation.whole.refusals import unfounded
 

@@ -16,7 +16,7 @@ from controller.planning.core.events import Action, Arrived, Event, Key, Message
 from controller.planning.core.tasks import Tables, VersionedScene
 from controller.planning.link import ExecutorLink
 from controller.planning.loop import Loop, OnReply, PlannerFailed, Services
-from tests.simulation.invariants import require
+from tests.simulation.judge.verdict import require
 from tests.simulation.network import SimulatedLink
 from tests.simulation.whole.planner_storage import SimulatedLedger, SimulatedOut
 from tests.simulation.whole.searcher import Searcher

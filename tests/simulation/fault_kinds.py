@@ -1,0 +1,223 @@
+"""The kinds of single faults: how each is caused and mended, and what must be told of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from random import Random
+from typing import TYPE_CHECKING, NamedTuple
+
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Command, Frame
+from drivers.canopen.wire.events import BusOverrun, FrameReceived
+from tests.simulation.judge.expected import Expected
+from tests.simulation.planner import ScriptedPlanner
+
+if TYPE_CHECKING:
+    from tests.simulation.buses.bus_model import BusModel
+    from tests.simulation.world import World
+
+AT_ONCE = 0.05  # [s] until a frame on a slow bus, or a change of a bus, is told
+SHOWN = 0.1  # [s] until a warning is told, by the next snapshot
+RESTARTS = 0.5  # [s] until a board without supply has booted
+READ_BACK = 2.0  # [s] until outputs that do not follow are told: about a second, and eight reads
+ASKED = 0.3  # [s] until the boards of a late actuator were asked
+
+# What the executor gets wrong today, and which faults are not drawn for that reason. A later change mends the code and
+# removes the rows here, so that these faults are drawn as well; no check is weaker because of them.
+NOT_DRAWN = {
+    "a board loses an RPDO or a SYNC that begins or ends a pulse": "a lost release is not repeated, the coil stays on",
+    "a board is unplugged while it gets a pulse": "a state without end-stop is believed, although nobody read it back",
+    "one bus is stuck while another one has a pulse": "commit and release are one transaction over all buses",
+    "the bus loses frames again and again": "questions starve reads, and a wait is not bounded",
+}
+
+
+class Fault(NamedTuple):
+    """A fault that can be caused and mended."""
+
+    cause: Callable[[], object]
+    mend: Callable[[], object]
+    expected: Expected
+
+
+def nothing() -> None:
+    """Mends a fault that is over at once."""
+
+
+def codes(*names: str) -> frozenset[str]:
+    """Returns codes of faults."""
+    return frozenset(names)
+
+
+NO_FAULT = Expected(codes(), (), 0.0)
+
+
+class FaultKinds:
+    """Draws a fault for the arm as it stands.
+
+    Args:
+        world: with a scripted planner.
+        random: draws.
+    """
+
+    def __init__(self, world: World, random: Random) -> None:
+        self._world, self._random = world, random
+
+    def draw(self) -> tuple[str, Fault]:
+        """Returns the name of a fault, and the fault."""
+        makers = [self._of_bus, self._of_board, self._of_frames, self._of_actuator, self._of_motion, self._of_executor]
+        while True:
+            made = self._random.choice(makers)()
+            if made:
+                return self._random.choice(list(made.items()))
+
+    def _of_bus(self) -> dict[str, Fault]:
+        world, timing = self._world, self._world.arm.timing
+        bus = self._random.choice(list(world.buses.values()))
+        boards = tuple(name for name in world.boards.simulated.names if name.startswith(bus.name))
+        silent = timing.heartbeat_timeout + timing.heartbeat + AT_ONCE
+
+        def cleared(within: float, *names: str) -> Expected:
+            return Expected(codes(*names), (bus.name, *boards), within, cleared=True)
+
+        def set_(name: str, value: object) -> Callable[[], None]:
+            return lambda: setattr(bus, name, value)
+
+        stuck = cleared(silent, "board-lost", "bus-busy")
+        return {
+            "bus is down": Fault(bus.go_down, bus.restore, cleared(AT_ONCE, "bus-down")),
+            "bus-off": Fault(bus.go_off, bus.restore, cleared(AT_ONCE, "bus-off")),
+            "bus is unacknowledged": Fault(set_("acknowledged", False), bus.restore, stuck),
+            "queue is full": Fault(set_("capacity", 0), bus.restore, stuck),
+            "bus-passive": Fault(bus.warn, bus.restore, cleared(SHOWN, "bus-passive")),
+            "overrun": Fault(lambda: world.executor.post(BusOverrun(bus.name)), nothing, NO_FAULT),
+            "frames come twice": Fault(set_("duplication", 0.2), bus.restore, NO_FAULT),
+            "answers are late": Fault(set_("answer_delay", 0.05), bus.restore, NO_FAULT),
+        }
+
+    def _of_board(self) -> dict[str, Fault]:
+        timing, boards = self._world.arm.timing, self._world.boards
+        board = self._random.choice(list(boards.simulated.names))
+        silent = 1.2 * timing.heartbeat_timeout + timing.heartbeat + AT_ONCE
+        lost = Expected(codes("board-lost"), (board,), silent, also=codes("interlock"), cleared=True)
+        cut = lost._replace(also=codes("interlock", "board-rebooted"), cleared=False)
+        again = Expected(codes("board-rebooted"), (board,), RESTARTS, also=codes("interlock"))
+        emergency = Expected(codes("emergency"), (board,), AT_ONCE)
+        code = self._random.choice([0x2310, 0x3320, 0x8F00])
+
+        def reboot() -> None:
+            boards.fault("power_cut", board)
+            boards.fault("power_on", board)
+
+        def do(verb: str, *numbers: float | str) -> Callable[[], None]:
+            return lambda: boards.fault(verb, board, *numbers)
+
+        return {
+            "board is silent": Fault(do("silence"), do("unsilence"), lost),
+            "board without supply": Fault(do("power_cut"), do("power_on"), cut),
+            "board reboots": Fault(reboot, nothing, again),
+            "emergency": Fault(lambda: boards.emergency(board, code), nothing, emergency),
+        }
+
+    def _of_frames(self) -> dict[str, Fault]:
+        """Returns frames that no other node may send."""
+        world = self._world
+        channel = self._random.choice(world.arm.wiring.channels)
+        bus, node = channel.bus, channel.node
+        first = min(c.node for c in world.arm.wiring.channels if c.bus == bus)
+        foreign = Expected(codes("foreign-master"), (bus,), AT_ONCE)
+        hurts = foreign._replace(also=codes("board-stopped", "interlock"))
+
+        def send(cob_id: int, data: bytes, to_boards: bool = False) -> Callable[[], None]:
+            def happen() -> None:
+                if to_boards:
+                    world.boards.hear_tool(bus, Frame(cob_id, data))
+                world.executor.post(FrameReceived(bus, Frame(cob_id, data)))
+
+            return happen
+
+        pre_operational = bytes([Command.PRE_OPERATIONAL, node])
+        made = {
+            "foreign NMT": Fault(send(cia301.NMT, pre_operational, to_boards=True), nothing, hurts),
+            "foreign START": Fault(send(cia301.NMT, bytes([Command.START, 0])), nothing, foreign),
+            "foreign SYNC": Fault(send(cia301.SYNC, b""), nothing, foreign),
+            "foreign heartbeat": Fault(send(cia301.HEARTBEAT + 127, b"\x05"), nothing, foreign),
+            "foreign RPDO": Fault(send(cia301.RPDO1 + first, bytes(8)), nothing, foreign),
+        }
+        if channel.input is not None:
+            short = Expected(codes("wrong-length"), (f"{bus}/{node}",), AT_ONCE)
+            made["short TPDO"] = Fault(send(cia301.TPDO1 + node, b""), nothing, short)
+        return made
+
+    def _of_actuator(self) -> dict[str, Fault]:
+        """Returns faults of an actuator or interlock while nothing moves."""
+        world, boards = self._world, self._world.boards
+        k = self._random.randrange(len(world.arm.actuators))
+        label, at = world.arm.actuators[k], boards.positions() >> k & 1
+        made = {}
+        if world.arm.wiring.interlocks:
+            opened = Expected(codes("interlock"), ("door",), AT_ONCE, refused="interlock-open")
+            made["door is opened"] = Fault(
+                lambda: boards.door("door", is_open=True), lambda: boards.door("door", is_open=False), opened
+            )
+        if world.judge.arm.sensed >> k & 1:
+            moved = Expected(codes("unexpected-motion"), (label,), world.kinds.travel[k][1 - at] + ASKED)
+            made["actuator moves by itself"] = Fault(
+                lambda: boards.fault("stick", label, 1 - at), lambda: boards.fault("release", label), moved
+            )
+        if world.judge.arm.extended_ends & world.judge.arm.contracted_ends & 1 << k:
+            channel = world.arm.wiring.channels[k]
+            if not channel.inverted & {"input", "input_contracted"}:
+                both = Expected(codes("end-stops"), (label,), ASKED)
+                made["wires are shorted"] = Fault(
+                    lambda: boards.fault("short_wires", label), lambda: boards.fault("restore_sensor", label), both
+                )
+        return made
+
+    def _of_motion(self) -> dict[str, Fault]:
+        """Returns faults of one actuator that is switched."""
+        world, boards, planner = self._world, self._world.boards, self._world.planner
+        assert isinstance(planner, ScriptedPlanner)
+        free = [k for k in range(len(world.arm.actuators)) if not world.judge.account.locked >> k & 1]
+        if not free or world.judge.account.homing:
+            return {}
+        k = self._random.choice(free)
+        channel, at = world.arm.wiring.channels[k], boards.positions() >> k & 1
+        label, board = channel.actuator, f"{channel.bus}/{channel.node}"
+        bus: BusModel = world.buses[channel.bus]
+        late = max(world.kinds.travel[k]) + world.kinds.margin[k] + world.arm.rest + 2 * ASKED
+
+        def stick() -> None:
+            boards.fault("stick", label, at)
+            planner.ask_to_switch(k)
+
+        def lose_tpdo() -> None:
+            bus.tpdos_to_lose = 1
+            planner.ask_to_switch(k)
+
+        def lose_sync() -> None:
+            boards.loses_sync = board
+            planner.ask_to_switch(k)
+
+        made = {}
+        if world.judge.arm.sensed >> k & 1:
+            cleared = world.arm.continue_on_stuck
+            stuck = Expected(codes("stuck"), (label,), late, also=codes("unexpected-motion"), cleared=cleared)
+            made["actuator is stuck"] = Fault(stick, lambda: boards.fault("release", label), stuck)
+            made["TPDO is lost"] = Fault(lose_tpdo, nothing, NO_FAULT)
+        if channel.pulse is None:
+            also = codes("stuck", "not-switched", "unexpected-motion")
+            missed = Expected(also, (label, board), READ_BACK + late, also=also)
+            made["a board loses a SYNC"] = Fault(lose_sync, nothing, missed)
+        return made
+
+    def _of_executor(self) -> dict[str, Fault]:
+        executor, timing = self._world.executor, self._world.arm.timing
+        short = (timing.heartbeat_timeout - timing.heartbeat) * 0.7
+        long = timing.heartbeat_timeout * self._random.choice([1.3, 3.0]) + self._random.choice([0.1, 1.0, 20.0])
+        also = codes("interlock", "board-stopped", "emergency", "board-lost")
+        halted = Expected(codes("halted"), ("executor",), long + AT_ONCE, also=also)
+        return {
+            "executor stalls for a moment": Fault(lambda: executor.stall(short), nothing, NO_FAULT),
+            "executor stands still": Fault(lambda: executor.stall(long), nothing, halted),
+        }

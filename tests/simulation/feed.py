@@ -1,0 +1,109 @@
+"""Feeds the judge with what the executor's process takes and does."""
+
+from __future__ import annotations
+
+from controller.executor.core.events import ClientGone, ClientId, Event, ExecutorTick, FromClient
+from controller.host.process import Quit
+from controller.program import Goodbye, Hello, Up, Welcome
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import FrameEchoed
+from tests.simulation.agenda import Agenda
+from tests.simulation.executor.process import Witness
+from tests.simulation.judge.judge import Client, Judge
+
+
+class Feed(Witness):
+    """Translates events and actions of the executor into plain facts.
+
+    Args:
+        judge: takes the facts.
+        agenda: time.
+    """
+
+    def __init__(self, judge: Judge, agenda: Agenda) -> None:
+        self._judge, self._agenda = judge, agenda
+        self._instances = 0
+        self._planner: ClientId | None = None
+        self._greeted: tuple[ClientId, Hello] | None = None
+
+    def started(self) -> None:
+        """Tells the start of a process."""
+        self._instances += 1
+        self._judge.at(self._agenda.now)
+        self._judge.begins(self._instances)
+        self._planner = self._greeted = None
+
+    def killed(self) -> None:
+        """Tells the end of a process."""
+        self._judge.at(self._agenda.now)
+        self._judge.dies()
+        self._planner = None
+
+    def told(self, event: Event) -> None:
+        """Tells an event."""
+        judge = self._judge
+        judge.at(self._agenda.now)
+        match event:
+            case ExecutorTick():
+                judge.ticks()
+            case FromClient(client, message):
+                self._greeted = (client, message) if isinstance(message, Hello) else None
+                judge.hears(Client(client.number, client == self._planner), message)
+            case ClientGone(client):
+                judge.loses(Client(client.number, client == self._planner))
+                if client == self._planner:
+                    self._planner = None
+            case FrameEchoed():
+                judge.echoes(event.bus, event.frame.id)
+            case Quit():
+                judge.quits()
+            case _:
+                judge.other_event()
+
+    def sends(self, bus: str, frame: Frame) -> None:
+        """Tells a frame that is handed out."""
+        self._judge.hands_out(bus, frame.id)
+
+    def says(self, message: Up) -> None:
+        """Tells a message to a client."""
+        if isinstance(message, Welcome) and self._greeted is not None:
+            client, hello = self._greeted
+            if hello.role == "planner":
+                self._planner = client
+                self._judge.tells(message)
+                self._judge.requests.new_planner()
+                return
+        if isinstance(message, Goodbye):
+            self._judge.requests.answered()
+        self._judge.tells(message)
+
+
+class Witnesses(Witness):
+    """Several witnesses; the first one tells the commit of a frame."""
+
+    def __init__(self, *witnesses: Witness) -> None:
+        self._witnesses = witnesses
+
+    def started(self) -> None:
+        for witness in self._witnesses:
+            witness.started()
+
+    def killed(self) -> None:
+        for witness in self._witnesses:
+            witness.killed()
+
+    def told(self, event: Event) -> None:
+        for witness in self._witnesses:
+            witness.told(event)
+
+    def sends(self, bus: str, frame: Frame) -> object:
+        first, *_ = [witness.sends(bus, frame) for witness in self._witnesses]
+        return first
+
+    def says(self, message: Up) -> None:
+        for witness in self._witnesses:
+            witness.says(message)
+
+    def logs(self, level: int, text: str) -> None:
+        for witness in self._witnesses:
+            witness.logs(level, text)

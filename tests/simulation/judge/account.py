@@ -1,0 +1,174 @@
+"""The account of the executor's side: what it was asked, what it told last, and the frames that it handed out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from controller.program import Accepted, Program, Replacement, Setpoint, Snapshot, unpack
+from tests.simulation.judge.arm import JudgedArm, merged
+from tests.simulation.judge.ground import Ground
+
+EPSILON = 1e-6  # [s], rounding errors of sums of times
+
+
+@dataclass
+class Commit:
+    """RPDOs that were handed out together, and the SYNCs after them.
+
+    Attributes:
+        at: time of the RPDOs [s].
+        before: states to which the boards drove the actuators.
+        open: buses whose RPDOs were handed out, and not their SYNC yet.
+        awaited: buses whose SYNC was handed out and was not heard to have left.
+    """
+
+    at: float
+    before: int
+    open: set[str] = field(default_factory=set)
+    awaited: set[str] = field(default_factory=set)
+
+
+@dataclass
+class RunStage:
+    """One stage of a running program, with the locked states of locked actuators."""
+
+    states: int
+    at: float
+    mark: int
+    settled: float
+
+
+class Run:
+    """An accepted program.
+
+    Attributes:
+        number: of the program.
+        begin: its zero of time [s].
+        stages: all stages so far.
+        begun: the last stage whose commit has begun, so that it cannot be replaced.
+        generation: of the last accepted replacement.
+        taken: the last stage that was told as begun.
+        settled: the last stage whose mark was told as settled.
+        switches: actuators switched by SYNC since the acceptance.
+        counted: stages that switched something since the last mark.
+        planned: whether all stages since the last mark were carried out as planned.
+        mark: the last mark reached; `open_mark` until it was told as settled.
+        homes: mask of actuators that may be homed before the first stage.
+        taken_at: time of the last `Begun` [s].
+        question: number of the open question; None if none is open.
+        touched: whether the last answer said that the stage is not clear.
+        held_at: last time when something kept the next report from coming [s].
+    """
+
+    def __init__(self, message: Program, accepted: Accepted, locked: int, locked_states: int, homing: int) -> None:
+        self.number, self.begin, self.message = message.program, accepted.begin, message
+        self.strict, self.final = message.strict, message.final
+        self._locked, self._locked_states = locked, locked_states
+        self.start = self.aligned(unpack(message.start))
+        self.stages: list[RunStage] = []
+        self.append(0, message.stages)
+        self.taken = self.settled = -1
+        self.switches = self.counted = 0
+        self.homes = homing & (unpack(message.homed) if message.homed else -1)
+        self.taken_at = self.held_at = accepted.begin
+        self.mark = self.begun = self.generation = -1
+        self.planned, self.open_mark, self.touched = True, False, False
+        self.question: int | None = None
+
+    def aligned(self, states: int) -> int:
+        """Returns states with the locked actuators in their locked states."""
+        return merged(self._locked, self._locked_states, states)
+
+    def append(self, first: int, stages: tuple[object, ...]) -> None:
+        """Replaces the stages from `first` on."""
+        self.stages[first:] = [
+            RunStage(self.aligned(unpack(s.states)), s.at, s.mark, s.settled)  # type: ignore[attr-defined]
+            for s in stages
+        ]
+
+    def replace(self, message: Replacement) -> None:
+        """Records an accepted replacement."""
+        self.append(message.first, message.stages)
+        self.strict, self.final = self.strict or message.strict, message.final
+
+    def state(self, index: int) -> int:
+        """Returns the states after a stage; those before the first one for -1."""
+        return self.start if index < 0 else self.stages[index].states
+
+
+@dataclass
+class Stream:
+    """The followed set-points: the last one, and its stages that were not begun."""
+
+    message: Setpoint
+    until: float
+
+
+class Account:
+    """What the judge knows of one executor.
+
+    Attributes:
+        now: time [s].
+        clear_since: time since when nothing disturbs the world; infinity while something does [s].
+        shown: the last snapshot of the present process.
+        ready_at: time when the mode `ready` or `executing` was shown after others [s].
+        greatest: greatest number of an accepted program or stream.
+        run: the running program.
+        stream: number of the followed stream and its end; None if none is followed.
+        commit: the last commit.
+        mover: the last commit that switched an actuator.
+        ticked: time of the last tick [s].
+    """
+
+    def __init__(self, arm: JudgedArm, ground: Ground) -> None:
+        self.arm, self.ground = arm, ground
+        self.now = 0.0
+        self.clear_since = math.inf
+        self.instance = 0
+        self.begin()
+
+    def begin(self) -> None:
+        """Forgets the last process."""
+        self.shown: Snapshot | None = None
+        self.ready_at = math.inf
+        self.greatest = self.program_number = self.stream_number = 0
+        self.run: Run | None = None
+        self.stream: Stream | None = None
+        self.commit: Commit | None = None
+        self.mover: Commit | None = None
+        self.ticked = self.now
+        self.quitting = False
+        self.locked, self.locked_states = self.arm.declared
+        self.locks_changed_at = self.now
+
+    @property
+    def clear(self) -> bool:
+        """Whether nothing disturbs the world, and nothing has since the arm was ready."""
+        return self.now >= self.clear_since
+
+    @property
+    def mode(self) -> str:
+        """The mode that was shown last."""
+        return "starting" if self.shown is None else self.shown.mode
+
+    @property
+    def adopted_until(self) -> float:
+        """Time until which all actuators count as travelling or resting after a boot [s]."""
+        return self.ready_at + max(map(max, self.arm.travel)) + self.arm.rest
+
+    @property
+    def committing(self) -> bool:
+        """Whether frames of a commit may be under way; one that is given up tells nobody so."""
+        commit, longest = self.commit, self.arm.timing.heartbeat_timeout / 2 + 0.02
+        return commit is not None and bool(commit.open or commit.awaited) and self.now < commit.at + longest
+
+    @property
+    def switching(self) -> bool:
+        """Whether boards have switched, and the executor has not heard of it."""
+        return self.committing and self.commit is self.mover
+
+    @property
+    def homing(self) -> int:
+        """Mask of the actuators of unknown state."""
+        return 0 if self.shown is None else unpack(self.shown.homing)

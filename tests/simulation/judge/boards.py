@@ -1,0 +1,157 @@
+"""Boards: the objects that a boot must leave, and what the boards do at the end and the loss of the executor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from tests.simulation.judge.account import Account
+from tests.simulation.judge.arm import mask_of
+from tests.simulation.judge.verdict import require
+
+MASTER = 127
+LOST_LATE = 0.03  # [s] after `heartbeat_timeout` until a board acts on the loss of its master: its clock rounds
+
+
+class BoardObjects:
+    """What the drivers' page needs in the objects of the boards of an arm.
+
+    Args:
+        arm: the executor's arm.
+    """
+
+    def __init__(self, arm: Any) -> None:
+        self._timing = arm.timing
+        wiring = arm.wiring
+        self._used: dict[str, tuple[int, int]] = {}  # of each board, masks of the used output bits and input bits
+        self._loss: dict[str, tuple[int, int]] = {}  # of each board, output bits with a loss level, and these levels
+        for line, level in zip(wiring.output_lines, wiring.loss_levels, strict=True):
+            self._use(f"{line.bus}/{line.node}", 1 << line.bit, 0)
+            if level is not None:
+                taken, levels = self._loss.get(f"{line.bus}/{line.node}", (0, 0))
+                bit = 1 << line.bit
+                self._loss[f"{line.bus}/{line.node}"] = taken | bit, levels | bit * (level != line.inverted)
+        for line in wiring.input_lines:
+            if line is not None:
+                self._use(f"{line.bus}/{line.node}", 0, 1 << line.bit)
+
+    def _use(self, board: str, outputs: int, inputs: int) -> None:
+        before = self._used.get(board, (0, 0))
+        self._used[board] = before[0] | outputs, before[1] | inputs
+
+    def judge(self, board: str, has: Callable[[int], bool], number: Callable[[int, int], int]) -> None:
+        """Judges the objects of a board that was booted.
+
+        Args:
+            board: its name.
+            has: returns whether it has an object.
+            number: returns the value of an index and sub-index.
+        """
+
+        def needs(index: int, sub: int, value: int, mask: int = -1) -> None:
+            found = number(index, sub)
+            text = f"board {board} has {found:X}h in {index:04X}h sub {sub}; {value:X}h is needed, mask {mask:X}h"
+            require(not has(index) or (found ^ value) & mask == 0, text)
+
+        (outputs, inputs), (taken, levels) = self._used[board], self._loss.get(board, (0, 0))
+        self._judge_supervision(board, has, number)
+        needs(0x1005, 0, 0x80, 0x7FFF_FFFF)
+        needs(0x1006, 0, 0)
+        needs(0x1007, 0, 0)
+        needs(0x1019, 0, 0)
+        needs(0x1014, 0, 0x80 + int(board.split("/")[1]))
+        needs(0x1029, 1, 2 if taken else 0)
+        for sub in range(1, 33):
+            shift = 8 * (sub - 1)
+            used, sensed = outputs >> shift & 0xFF, inputs >> shift & 0xFF
+            if used:
+                needs(0x6202, sub, 0, used)
+                needs(0x6206, sub, taken >> shift & 0xFF, used)
+                needs(0x6207, sub, levels >> shift & 0xFF, taken >> shift & 0xFF)
+                needs(0x6208, sub, used, used)
+            if sensed:
+                needs(0x6005, 0, 1)
+                needs(0x6006, sub, sensed, sensed)
+
+    def _judge_supervision(self, board: str, has: Callable[[int], bool], number: Callable[[int, int], int]) -> None:
+        timeout = round(1000 * self._timing.heartbeat_timeout)
+        if has(0x1016) and number(0x1017, 0):
+            entries = [number(0x1016, sub) for sub in range(1, number(0x1016, 0) + 1)]
+            watched = [entry & 0xFFFF for entry in entries if entry >> 16 & 0xFF == MASTER]
+            right = len(watched) == 1 and timeout - 10 <= watched[0] <= timeout
+            require(right, f"board {board} watches node 127 for {watched} ms, of {entries}")
+            period = round(1000 * self._timing.heartbeat)
+            require(
+                period - 10 < number(0x1017, 0) <= period, f"board {board} has a heartbeat of {number(0x1017, 0)} ms"
+            )
+        else:
+            life = number(0x100C, 0) * number(0x100D, 0)
+            require(
+                timeout - 10 < life <= timeout + 1000 * self._timing.heartbeat, f"board {board} is guarded {life} ms"
+            )
+
+
+class Endings:
+    """Judges what becomes of the actuators when an executor ends.
+
+    Args:
+        account: of the executor.
+        arm: the executor's arm.
+    """
+
+    def __init__(self, account: Account, arm: Any) -> None:
+        self._a = account
+        wiring, on_loss = arm.wiring, arm.wiring.on_loss
+        self._lets_go = mask_of(
+            k for k, c in enumerate(wiring.channels) if c.pulse is None and (c.on_loss or on_loss) == "contract"
+        )
+        self._contracts = False
+        self._ended: tuple[float, int] | None = None
+        self._quit_at = 0.0
+        self._longest = arm.ending
+
+    def quits(self) -> None:
+        """The executor is asked to end."""
+        a = self._a
+        if a.quitting:
+            self._contracts = False  # a second call ends it at once
+            return
+        ready = a.clear and a.mode in ("ready", "executing")
+        self._contracts = a.arm.contracts_at_end and ready
+        self._quit_at = a.now
+
+    def interferes(self) -> None:
+        """A stop came, which ends a contraction."""
+        self._contracts = False
+
+    def tick(self) -> None:
+        """Finds an executor that does not end."""
+        a = self._a
+        if a.quitting and a.clear:
+            longest = (self._longest if a.arm.contracts_at_end else 0.0) + 1.0 + max(a.arm.pulse.values(), default=0.0)
+            require(a.now - self._quit_at <= longest, f"the executor does not end within {longest:g} s")
+
+    def dies(self) -> None:
+        """The executor has ended, in order or by a kill."""
+        a = self._a
+        states = a.ground.states
+        if a.clear and a.quitting and self._contracts:
+            left = states & ~a.locked & ~a.homing
+            require(not left, f"on_stop is contract, and {left:b} are extended at the end")
+        self._ended = (a.now, states) if a.clear and not a.committing else None
+        self._contracts = False
+
+    def begins(self) -> None:
+        """The next executor starts: until now only the boards could switch anything."""
+        a, ended, self._ended = self._a, self._ended, None
+        if ended is None or not a.clear:
+            return
+        died_at, states = ended
+        timing = a.arm.timing
+        if a.now - died_at > timing.heartbeat_timeout + timing.heartbeat + LOST_LATE:
+            states &= ~self._lets_go
+            wrong = a.ground.states ^ states
+            require(not wrong, f"the boards lost the executor and drive {a.ground.states:b}; on_loss wants {states:b}")
+        else:
+            moved = (a.ground.states ^ states) & ~self._lets_go
+            require(not moved, f"{moved:b} switched between two executors")

@@ -1,0 +1,71 @@
+"""Counts: the journal has each switch of the bus once, and all messages tell the journal's counts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from controller.program import Diagnostics
+from tests.simulation.judge.account import Account
+from tests.simulation.judge.programs import READ_BACK, TICK
+from tests.simulation.judge.verdict import require
+
+EVERY = 1.0 + 3 * TICK  # [s], longest time between two diagnostics
+
+
+class Counts:
+    """Judges counts of switches, and diagnostics.
+
+    Args:
+        account: of the executor.
+    """
+
+    def __init__(self, account: Account) -> None:
+        self._a = account
+        self._base: dict[int, int] = {}  # by actuator, count less switches of the bus
+        self._clear_since = 0.0  # since when the base holds
+        self._told_at = 0.0
+
+    def begin(self) -> None:
+        """Forgets the last process. Nobody can tell whether a pulse of its last commit has switched."""
+        self._told_at = self._a.now
+        if self._a.committing:
+            self._base = {}
+
+    def tick(self, connected: bool) -> None:
+        """Finds missing diagnostics."""
+        a = self._a
+        if not a.clear or not connected:
+            self._told_at = a.now
+        require(a.now - self._told_at <= EVERY, f"no diagnostics for {a.now - self._told_at:g} s")
+
+    def told(self, counts: Sequence[int]) -> None:
+        """Judges counts in a message. Switches count when they were read back."""
+        a = self._a
+        if not a.clear or a.homing or self._clear_since != a.clear_since:
+            self._base, self._clear_since = {}, a.clear_since
+        if not a.clear or a.homing or a.committing:
+            return
+        for k, (count, seen) in enumerate(zip(counts, a.ground.counts, strict=True)):
+            steady = a.now > a.ground.switched_at[k] + READ_BACK
+            if not steady and k not in self._base:
+                continue
+            before = self._base.setdefault(k, count - seen)
+            missing = seen + before - count
+            text = f"actuator {k}: {count} switches are told, the bus had {seen + before}"
+            require(missing == 0 or (missing == 1 and not steady), text)
+
+    def diagnosed(self, message: Diagnostics) -> None:
+        """Judges diagnostics."""
+        a = self._a
+        self.told(message.counts)
+        self._told_at = a.now
+        if not a.clear or a.mode not in ("ready", "executing") or a.now < a.ready_at + 0.2:
+            return
+        for bus in message.buses:
+            require(bus["state"] in ("active", "warning"), f"{bus['name']} is told as {bus['state']}")
+            require(bus["tx_frames"] and bus["rx_frames"], f"no frames are told: {bus}")
+        oldest = 2 * a.arm.timing.heartbeat + 0.05
+        for board in message.boards:
+            require(board["state"] == "operational", f"{board} is operational")
+            age = board["heartbeat_age"]
+            require(isinstance(age, float) and 0 <= age <= oldest, f"{board}: its heartbeat is younger")

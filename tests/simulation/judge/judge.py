@@ -1,0 +1,249 @@
+"""The judge of the executor's side: takes plain facts in the order in which they happen, and judges each one."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from controller.program import (
+    Accepted,
+    Acknowledge,
+    Answer,
+    Begun,
+    Cancel,
+    Clearance,
+    Counted,
+    Declined,
+    Diagnostics,
+    Ended,
+    Lock,
+    Program,
+    Question,
+    Replaced,
+    Replacement,
+    Reset,
+    Setpoint,
+    Settled,
+    Snapshot,
+    Stop,
+    Welcome,
+)
+from tests.simulation.judge.account import Account, Commit
+from tests.simulation.judge.arm import JudgedArm
+from tests.simulation.judge.boards import BoardObjects, Endings
+from tests.simulation.judge.counts import Counts
+from tests.simulation.judge.ground import Ground
+from tests.simulation.judge.programs import Programs
+from tests.simulation.judge.pulses import Pulses
+from tests.simulation.judge.requests import Requests
+from tests.simulation.judge.snapshots import Snapshots
+from tests.simulation.judge.streams import Streams
+
+SYNC = 0x80
+RPDOS = range(0x200, 0x580, 0x100)
+
+
+class Client(NamedTuple):
+    """A connection to the executor's socket."""
+
+    number: int
+    planner: bool
+
+
+class Judge:
+    """Judges one executor, its boards and its clients.
+
+    The world calls the methods below as things happen. `quiet_from` and `disturb` tell whether the world works as it
+    should: then each fact must be exact. In a disturbed world only what must hold at all times is judged.
+
+    Args:
+        arm: the executor's arm; its wiring, times and limits are read.
+    """
+
+    def __init__(self, arm: Any) -> None:
+        self.arm = JudgedArm(arm)
+        self.ground = Ground(self.arm)
+        self.account = Account(self.arm, self.ground)
+        self.snapshots = Snapshots(self.account)
+        self.programs = Programs(self.account, self.snapshots)
+        self.pulses = Pulses(self.account)
+        self.streams = Streams(self.account, self.programs)
+        self.requests = Requests(self.account, self.programs, self.snapshots)
+        self.counts = Counts(self.account)
+        self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
+
+    # --- the world
+
+    def at(self, now: float) -> None:
+        """Sets the time of the next facts [s]."""
+        self.account.now = now
+
+    def quiet_from(self, now: float) -> None:
+        """Begins a time in which nothing disturbs the world."""
+        self.account.clear_since = now
+
+    def disturb(self) -> None:
+        """Ends the time in which nothing disturbs the world."""
+        self.account.clear_since = math.inf
+
+    # --- the executor's process
+
+    def begins(self, instance: int) -> None:
+        """A process of the executor has started."""
+        self.account.instance = instance
+        self.endings.begins()
+        self._forget()
+
+    def _forget(self) -> None:
+        self.counts.begin()
+        self.account.begin()
+        for part in (self.snapshots, self.programs, self.streams, self.requests):
+            part.begin()
+
+    def dies(self) -> None:
+        """The process has ended."""
+        self.endings.dies()
+        self._forget()
+
+    def quits(self) -> None:
+        """The process is asked to end."""
+        self.requests.close_step()
+        self.endings.quits()
+        self.account.quitting = True
+        self.programs.end("quit", "aborted")
+
+    def ticks(self) -> None:
+        """A period of the process begins."""
+        self.requests.close_step()
+        self.account.ticked = self.account.now
+        self.snapshots.tick()
+        self.programs.tick()
+        self.streams.tick()
+        self.requests.tick()
+        self.endings.tick()
+        self.counts.tick(self.snapshots.connected)
+
+    def other_event(self) -> None:
+        """The process takes an event of another kind."""
+        self.requests.close_step()
+
+    def echoes(self, bus: str, frame_id: int) -> None:
+        """The process hears that a frame of its own was sent."""
+        self.requests.close_step()
+        if frame_id == SYNC and self.account.commit is not None:
+            self.account.commit.awaited.discard(bus)
+
+    # --- its clients
+
+    def loses(self, client: Client) -> None:
+        """The connection of a client was closed."""
+        self.requests.close_step()
+        if client.planner:
+            self.lose_planner()
+            self.snapshots.connected = False
+
+    def lose_planner(self) -> None:
+        """The planner is gone or silent: what it asked for ends."""
+        self.snapshots.epoch_causes += 1
+        self.programs.end("planner", "aborted")
+        self.account.stream = None
+
+    def hears(self, client: Client, message: object) -> None:
+        """The process takes a message of a client."""
+        self.requests.close_step()
+        self.requests.receive(client, message)
+        match message:
+            case Program() | Replacement() if client.planner:
+                self.programs.receive(message)
+            case Setpoint() if client.planner:
+                self.streams.receive(message)
+            case Clearance() if client.planner:
+                run = self.account.run
+                if run is not None and run.question == message.question:
+                    run.question, run.touched = None, message.touched is not None
+                    run.held_at = self.account.now
+            case Acknowledge() if client.planner:
+                self.programs.unacknowledged.pop(message.result, None)
+            case Cancel() if client.planner:
+                self._cancel(message)
+            case Stop():
+                self.endings.interferes()
+                self.snapshots.epoch_causes += 1
+                self.programs.end("stop", "aborted")
+                self.account.stream = None
+            case Lock() | Reset() if client.planner:
+                pass
+
+    def _cancel(self, message: Cancel) -> None:
+        run = self.account.run
+        if message.program is None:
+            self.snapshots.epoch_causes += 1
+            self.account.stream = None
+        if run is not None and message.program in (None, run.number):
+            self.programs.end("cancel", "canceled")
+
+    def tells(self, message: object) -> None:
+        """The process sends a message to a client."""
+        match message:
+            case Welcome():
+                self.requests.welcome(message)
+            case Accepted():
+                self.programs.accepted(message)
+                self.requests.answered()
+            case Declined():
+                self.programs.declined(message)
+                self.requests.answered()
+            case Replaced():
+                self.programs.replaced(message)
+                self.requests.answered()
+            case Begun():
+                self.programs.begun(message)
+            case Settled():
+                self.programs.settled(message)
+            case Ended():
+                self.programs.ended(message)
+                self.requests.result(message)
+            case Question():
+                self.requests.question(message)
+            case Answer():
+                self.requests.answer(message)
+            case Counted(counts):
+                self.counts.told(counts)
+            case Diagnostics():
+                self.counts.diagnosed(message)
+            case Snapshot():
+                self.streams.shown(message)
+                self.snapshots.show(message)
+                if message.mode == "fault":
+                    self.programs.end("fault", "aborted")
+                    self.account.stream = None
+
+    def hands_out(self, bus: str, frame_id: int) -> None:
+        """The process hands a frame to a bus."""
+        a = self.account
+        if frame_id & 0x780 in RPDOS:
+            if a.commit is None or a.commit.at != a.now:
+                a.commit = Commit(a.now, self.ground.states)
+                self.programs.committed_for(a.run)
+            a.commit.open.add(bus)
+        elif frame_id == SYNC and a.commit is not None:
+            a.commit.open.discard(bus)
+            a.commit.awaited.add(bus)
+
+    # --- the boards
+
+    def drives(self, states: int, mask: int, cause: str) -> None:
+        """The boards drive actuators of a mask to other ends than before; all states are given."""
+        self.ground.drive(self.account.now, states, mask, cause == "SYNC")
+        if cause == "SYNC":
+            self.account.mover = self.account.commit
+            self.programs.switched(mask)
+
+    def energises(self, on: int, came: int, cause: str) -> None:
+        """The actuators of mask `on` have one of two outputs on; those of `came` since this cause."""
+        self.ground.energise(self.account.now, came)
+        self.pulses.energises(on, came, cause)
+
+    def reads(self, extended: int, contracted: int) -> None:
+        """The end-stops read 1 where these masks say so."""
+        self.ground.read(self.account.now, extended, contracted)

@@ -1,0 +1,315 @@
+"""Programs: accepted exactly if the contract allows it, begun when due, settled and ended once, with true numbers."""
+
+from __future__ import annotations
+
+from controller.program import Accepted, Begun, Declined, Ended, Program, Replaced, Replacement, Settled, unpack
+from tests.simulation.judge.acceptance import MODE_REASONS, misfits, must_decline
+from tests.simulation.judge.account import EPSILON, Account, Run
+from tests.simulation.judge.snapshots import Snapshots
+from tests.simulation.judge.verdict import require
+
+TICK = 0.01  # [s], period of the executor's loop
+PROMPT = 6 * TICK  # [s] from the moment at which nothing stands in its way to a stage, mark or result
+READ_BACK = 1.0  # [s] within which boards without end-stops are read back after a switch, see the drivers' page
+ENDED_WITHIN = 1.0 + PROMPT  # [s] from its cause to a result: the running commit ends first, and is read back
+STARVES_AFTER = 10.0  # [s] without further stages, after which a program is aborted
+WORDS = {  # of the message of a result, by its cause
+    "stop": "stopped",
+    "quit": "shutting down",
+    "planner": "the planner is",
+    "starved": "no further stages",
+    "touched": "cannot begin",
+    "far": "too far",
+    "replaced": "replaced by",
+}
+
+
+class Ending:
+    """A program that something ends: its result is owed."""
+
+    def __init__(self, run: Run, at: float) -> None:
+        self.run, self.at = run, at
+        self.causes: dict[str, str] = {}  # permitted status by cause
+
+
+class Programs:
+    """Judges the programs of one executor.
+
+    Args:
+        account: of the executor.
+        snapshots: judges measured states.
+    """
+
+    def __init__(self, account: Account, snapshots: Snapshots) -> None:
+        self._a, self._snapshots = account, snapshots
+        self.begin()
+
+    def begin(self) -> None:
+        """Forgets the last process."""
+        self._message: Program | Replacement | None = None
+        self._endings: dict[int, Ending] = {}
+        self.unacknowledged: dict[int, Ended] = {}
+        self._switched_in: Run | None = None
+        self.unfed_since: float | None = None
+
+    # --- the request
+
+    def receive(self, message: Program | Replacement) -> None:
+        """Records a request that must be answered in this step."""
+        self._message = message
+
+    def declined(self, message: Declined) -> None:
+        """Judges a decline."""
+        asked, self._message = self._message, None
+        require(isinstance(asked, Program) and asked.program == message.program, f"{message} was not asked for")
+        assert isinstance(asked, Program)
+        a, reason = self._a, str(message.refused.reason.value)
+        if not a.clear:
+            return
+        may = must_decline(self._a, asked)
+        if a.commit is not None and a.now < a.commit.at + READ_BACK:
+            may.add("switch-not-confirmed")  # nobody outside sees whether the boards were read back
+        if reason in may:
+            return
+        changed = {*MODE_REASONS.values(), "overtaken"}
+        require(reason in changed, f"program {asked.program} is declined as {reason}; what holds is {sorted(may)}")
+        self._snapshots.expect_changed(asked.epoch, f"program {asked.program} is declined as {reason}")
+
+    def accepted(self, message: Accepted) -> None:
+        """Judges an acceptance, and begins the account of the program."""
+        asked, self._message, a = self._message, None, self._a
+        require(isinstance(asked, Program) and asked.program == message.program, f"{message} was not asked for")
+        assert isinstance(asked, Program)
+        if a.clear:
+            reasons = must_decline(self._a, asked)
+            require(not reasons, f"program {asked.program} is accepted, but {sorted(reasons)}")
+        begin = asked.begin or a.now
+        require(abs(message.begin - begin) < EPSILON, f"program {asked.program} begins at {message.begin:g}")
+        self.end("replaced", "replaced")
+        a.run = Run(asked, message, a.locked, a.locked_states, a.homing)
+        a.run.held_at = a.run.taken_at = a.now
+        a.stream = None
+        a.program_number = asked.program
+        a.greatest = max(a.greatest, asked.program)
+
+    def replaced(self, message: Replaced) -> None:
+        """Judges the answer to a replacement."""
+        asked, self._message, a = self._message, None, self._a
+        require(isinstance(asked, Replacement), f"{message} was not asked for")
+        assert isinstance(asked, Replacement)
+        require((message.program, message.generation) == (asked.program, asked.generation), f"{message} is of another")
+        run = a.run if a.run is not None and a.run.number == asked.program else None
+        if a.clear:
+            fits = run is not None and self._may_replace(run, asked)
+            commit = a.commit
+            begun = run is not None and commit is not None and commit.at >= run.taken_at
+            begun = begun and a.now < commit.at + READ_BACK and asked.first == run.taken + 1  # type: ignore[union-attr]
+            require(message.accepted == fits or (fits and begun), f"{asked} is answered by {message.accepted}")
+        if message.accepted and run is not None:
+            run.replace(asked)
+            run.generation = asked.generation
+            run.held_at = a.now
+            run.question = None
+
+    def _may_replace(self, run: Run, asked: Replacement) -> bool:
+        a = self._a
+        if asked.generation <= run.generation or not run.begun < asked.first <= len(run.stages):
+            return False
+        earliest = run.stages[asked.first - 1].at if asked.first else -1e12
+        if misfits(a, asked.stages, asked.start, earliest):
+            return False
+        return run.aligned(unpack(asked.start)) == run.state(asked.first - 1)
+
+    # --- progress
+
+    def begun(self, message: Begun) -> None:
+        """Judges the report of a stage."""
+        a, run = self._a, self._a.run
+        require(run is not None and run.number == message.program, f"{message}, but this program does not run")
+        assert run is not None
+        k = message.stage
+        require(run.taken < k < len(run.stages), f"stage {k} of program {run.number} comes after {run.taken}")
+        commit = a.mover if a.mover is not None and a.mover.at >= run.taken_at else None
+        at, before = (a.now, a.ground.states) if commit is None else (commit.at, commit.before)
+        states = run.stages[k].states
+        if a.clear and not run.homes:
+            self._judge_begun(run, k, at, before)
+        skipped = range(run.taken + 1, k)
+        if run.taken >= 0 and run.stages[run.taken].mark >= 0:
+            run.counted, run.planned = 0, True
+        as_planned = before == run.state(run.taken) and all(run.stages[i].states == before for i in skipped)
+        run.planned = run.planned and as_planned
+        run.counted += before != states
+        run.taken, run.taken_at, run.begun = k, a.now, max(k, run.begun)
+        run.held_at = a.now
+        if run.stages[k].mark >= 0:
+            run.mark, run.open_mark = run.stages[k].mark, True
+        else:
+            run.open_mark = False
+        run.question, self.unfed_since = None, None
+
+    def _judge_begun(self, run: Run, k: int, at: float, before: int) -> None:
+        a, stage = self._a, run.stages[k]
+        text = f"stage {k} of program {run.number}"
+        early = run.begin + stage.at - at
+        require(early <= EPSILON, f"{text} began {early:g} s early")
+        away = (a.ground.states ^ stage.states) & ~a.homing
+        require(not away, f"{text} is told as begun, and the boards drive {a.ground.states:b}, not {stage.states:b}")
+        following, best = run.taken + 1, self._best(run, at, before)
+        if run.strict:
+            require(k == following, f"{text} is strict and comes after {run.taken}")
+        due = run.begin + stage.at <= at + EPSILON
+        require(k == following or due, f"{text} skips stages, and is not due")
+        surely = best == following or best > k  # times that are equal but for rounding decide nothing
+        require(not (surely and k < best), f"{text} began although stage {best} was due at {at:.6f}")
+
+    def _best(self, run: Run, at: float, before: int) -> int:
+        """Returns the stage that is to begin: the last one that is due and near enough, else the next one."""
+        following = run.taken + 1
+        if run.strict:
+            return following
+        due = [i for i in range(following, len(run.stages)) if run.begin + run.stages[i].at <= at - EPSILON]
+        return max(
+            (i for i in due if (run.stages[i].states ^ before).bit_count() <= self._a.arm.most), default=following
+        )
+
+    def settled(self, message: Settled) -> None:
+        """Judges the report of a mark."""
+        a, run = self._a, self._a.run
+        require(run is not None and run.number == message.program, f"{message}, but this program does not run")
+        assert run is not None
+        text = f"mark {message.mark} of program {run.number}"
+        require(run.open_mark and run.mark == message.mark, f"{text} is told after stage {run.taken}")
+        run.open_mark, run.settled, run.held_at = False, run.taken, a.now
+        if not a.clear:
+            return
+        early = run.begin + run.stages[run.taken].settled - a.now
+        require(early <= EPSILON or run.homes, f"{text} settled {early:g} s early")
+        moving = a.ground.surely_moving(a.now)
+        require(not moving, f"{text} settled while {moving:b} travel")
+        self._snapshots.judge_states(message.measured, message.known, text)
+        self._judge_switches(run, message.switches, text)
+        if not run.homes:
+            require(message.stages == run.counted, f"{text} tells {message.stages} stages, {run.counted} switched")
+            require(message.planned == run.planned, f"{text} tells planned as {message.planned}")
+
+    def _judge_switches(self, run: Run, told: int, text: str) -> None:
+        most = run.switches + run.homes.bit_count()  # a pair of unknown state switches also where its valve stays
+        require(run.switches <= told <= most, f"{text} tells {told} switches, the bus had {run.switches}")
+
+    def committed_for(self, run: Run | None) -> None:
+        """Records for which program RPDOs were handed out."""
+        self._switched_in = run
+
+    def switched(self, mask: int) -> None:
+        """Counts actuators that a SYNC switched."""
+        if self._switched_in is not None:
+            self._switched_in.switches += mask.bit_count()
+
+    # --- the end
+
+    def end(self, cause: str, status: str) -> None:
+        """Records that something ends the running program; its result is owed from now on."""
+        a, run = self._a, self._a.run
+        a.run = None
+        if run is not None:
+            ending = self._endings.setdefault(run.number, Ending(run, a.now))
+            ending.causes[cause] = status
+
+    def ended(self, message: Ended) -> None:
+        """Judges a result."""
+        a = self._a
+        if (known := self.unacknowledged.get(message.result)) is not None:
+            require(known == message, f"result {message.result} is told again, and differs")
+            return
+        self.unacknowledged[message.result] = message
+        ending = self._endings.pop(message.program, None)
+        run = a.run if a.run is not None and a.run.number == message.program else None
+        if ending is not None:
+            run, causes = ending.run, ending.causes
+        elif run is not None:
+            causes = self._own_end(run)
+            if isinstance(self._message, Program):  # its acceptance follows
+                causes["replaced"] = "replaced"
+            a.run = None
+        else:
+            require(False, f"{message} is of no running program")
+            return
+        text = f"result {message.result} of program {run.number}"
+        require(message.context == run.message.context, f"{text} has another context")
+        require(message.mark == run.mark, f"{text} tells mark {message.mark}, not {run.mark}")
+        if not a.clear:
+            return
+        fits = [cause for cause, status in causes.items() if status == message.status]
+        require(fits, f"{text} is {message.status}: {message.message}; causes are {causes}")
+        words = [WORDS[cause] for cause in fits if cause in WORDS]
+        told = len(words) < len(fits) or any(word in message.message for word in words)
+        require(told, f"{text} says {message.message!r}; causes are {causes}")
+        if message.status == "done":
+            moving = a.ground.surely_moving(a.now)
+            require(not moving, f"{text} is done while {moving:b} travel")
+        self._snapshots.judge_states(message.measured, message.known, text)
+        self._judge_switches(run, message.switches, text)
+        for travel in message.travels:
+            longest = a.arm.travel[travel.actuator][travel.state] + PROMPT
+            has = (a.arm.contracted_ends, a.arm.extended_ends)[travel.state] >> travel.actuator & 1
+            require(has and 0 <= travel.seconds <= longest, f"{text} tells {travel}")
+
+    def _own_end(self, run: Run) -> dict[str, str]:
+        """Returns the causes for which a program may end by itself now."""
+        a, causes = self._a, dict[str, str]()
+        done = run.final and run.taken == len(run.stages) - 1 and not run.open_mark
+        if done:
+            causes["done"] = "done"
+        if run.touched:
+            causes["touched"] = "aborted"
+        following = run.taken + 1
+        if following < len(run.stages):
+            away = run.stages[following].states ^ a.ground.states
+            if away.bit_count() > a.arm.most:
+                causes["far"] = "aborted"
+        if self.unfed_since is not None and a.now - self.unfed_since > STARVES_AFTER - PROMPT:
+            causes["starved"] = "aborted"
+        return causes
+
+    # --- time
+
+    def tick(self) -> None:
+        """Finds stages, marks and results that do not come although nothing keeps them."""
+        a = self._a
+        for number, ending in self._endings.items():
+            if a.clear and a.clear_since <= ending.at:
+                require(a.now - ending.at < ENDED_WITHIN, f"program {number} has no result {ending.causes}")
+        run = a.run
+        if run is None:
+            return
+        idle = run.taken == len(run.stages) - 1 and not run.final and not run.open_mark
+        self.unfed_since = (self.unfed_since or a.now) if idle else None
+        if not a.clear or self._kept(run):
+            run.held_at = a.now
+            return
+        late = a.now - run.held_at
+        require(late <= PROMPT, f"program {run.number}: nothing keeps stage {run.taken + 1}, its mark or its end")
+
+    def _kept(self, run: Run) -> bool:
+        """Returns whether something keeps the next stage, mark or result of a program from coming."""
+        a, now = self._a, self._a.now
+        ground, mover = a.ground, a.mover
+        if a.mode != "executing" or run.question is not None:
+            return True
+        if a.committing or (mover is not None and mover.at >= run.taken_at and now < mover.at + READ_BACK):
+            return True
+        if now < a.adopted_until or not ground.surely_at_rest(now, 2 * TICK):
+            return True
+        following = run.taken + 1
+        if run.taken < 0 and (run.homes or (a.locked and ground.states != run.start)):
+            return now < run.taken_at + READ_BACK
+        if following < len(run.stages):
+            stage = run.stages[following]
+            if now < run.begin + stage.at:
+                return not run.open_mark or now < run.begin + run.stages[run.taken].settled
+            differ = ground.states ^ run.stages[self._best(run, now, ground.states)].states
+            return any(now < ground.due(k) + a.arm.rest for k in range(a.arm.count) if differ >> k & 1)
+        if run.open_mark:
+            return now < run.begin + run.stages[run.taken].settled
+        return not run.final

@@ -1,0 +1,203 @@
+"""Requests: each one is answered once, in time, as the contract says, and in the order of arrival."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from controller.program import (
+    Answer,
+    Cancel,
+    Ended,
+    Hello,
+    Lock,
+    Program,
+    Question,
+    Replacement,
+    Reset,
+    Stop,
+    Welcome,
+    unpack,
+)
+from tests.simulation.judge.account import Account
+from tests.simulation.judge.arm import bits_of
+from tests.simulation.judge.programs import READ_BACK, TICK, Programs
+from tests.simulation.judge.snapshots import SEEN_WITHIN, Snapshots
+from tests.simulation.judge.verdict import require
+
+if TYPE_CHECKING:
+    from tests.simulation.judge.judge import Client
+
+
+class Waiting:
+    """A stop or cancel that was heard and not answered."""
+
+    def __init__(self, message: Stop | Cancel, at: float, running: bool) -> None:
+        self.message, self.at, self.running = message, at, running
+
+
+class Requests:
+    """Judges the answers of one executor.
+
+    Args:
+        account: of the executor.
+        programs: has the results.
+        snapshots: shows locks and epochs.
+    """
+
+    def __init__(self, account: Account, programs: Programs, snapshots: Snapshots) -> None:
+        self._a, self._programs, self._snapshots = account, programs, snapshots
+        self.begin()
+
+    def begin(self) -> None:
+        """Forgets the last process."""
+        self._due: object = None  # the message that must be answered in this step
+        self._again: set[int] | None = None  # results that the new planner must get in this step
+        self._held: list[Waiting] = []
+        self._lock_moving = False
+        self._question = 0
+
+    def receive(self, client: Client, message: object) -> None:
+        """Takes a message of a client."""
+        a = self._a
+        self._due = None
+        if isinstance(message, Hello):
+            self._due = message
+        elif isinstance(message, Stop) or (isinstance(message, Cancel) and client.planner):
+            if isinstance(message, Cancel) and message.program is not None:
+                self._due = message if a.run is None or a.run.number != message.program else None
+            if self._due is None and client.planner:
+                running = a.run is not None or a.stream is not None
+                self._held.append(Waiting(message, a.now, running))
+        elif client.planner and isinstance(message, Program | Replacement | Reset | Lock):
+            self._due = message
+            self._lock_moving = not a.ground.surely_at_rest(a.now, SEEN_WITHIN + TICK)
+
+    def answered(self) -> None:
+        """Records the answer of a program or a replacement."""
+        self._due = None
+
+    def close_step(self) -> None:
+        """Requires that what must be answered at once was answered."""
+        due, self._due = self._due, None
+        require(due is None, f"{due} was not answered at once")
+        again, self._again = self._again, None
+        require(not again, f"results {again} were not told to the new planner")
+
+    def welcome(self, message: Welcome) -> None:
+        """Judges the answer to a Hello."""
+        self._due = None
+        a = self._a
+        require(message.instance == a.instance, f"instance {message.instance} is told, it is {a.instance}")
+        if a.clear:
+            require(message.program == a.greatest, f"number {message.program} is told, the greatest is {a.greatest}")
+
+    def new_planner(self) -> None:
+        """Requires that a new planner gets all results that were not acknowledged."""
+        self._again = set(self._programs.unacknowledged)
+        self._snapshots.connected = True
+        self._due = None
+
+    def result(self, message: Ended) -> None:
+        """Records a result that was told."""
+        if self._again is not None:
+            self._again.discard(message.result)
+
+    def question(self, message: Question) -> None:
+        """Judges a question about the next stage of a strict program."""
+        a, run = self._a, self._a.run
+        require(message.question > self._question, f"question {message.question} comes after {self._question}")
+        self._question = message.question
+        if run is None:
+            require(a.stream is not None or not a.clear, f"{message}, and nothing runs")
+            return
+        run.question = message.question
+        if not a.clear or run.homes:
+            return
+        require(run.strict, f"{message} of program {run.number}, which is not strict")
+        following = run.taken + 1
+        require(following < len(run.stages), f"{message}, and program {run.number} has no further stage")
+        stage = run.stages[following].states
+        require(unpack(message.stage) == stage, f"{message}, the next stage is {stage:b}")
+        require(unpack(message.start) not in (run.state(run.taken), stage), f"{message} is of a planned stage")
+
+    def answer(self, message: Answer) -> None:
+        """Judges the answer to a reset, lock, stop or cancel."""
+        a, due = self._a, self._due
+        if isinstance(due, Reset | Lock | Cancel) and due.request == message.request:
+            self._due = None
+            if isinstance(due, Reset):
+                self._judge_reset(message)
+            elif isinstance(due, Lock):
+                self._judge_lock(due, message)
+            else:
+                require(not a.clear or "not running" in message.message, f"{due} is answered by {message}")
+            return
+        held = next((held for held in self._held if held.message.request == message.request), None)
+        if held is None:
+            return  # to an operator, or to a request of the process before
+        self._held.remove(held)
+        require(message.refused is None, f"{held.message} is refused: {message}")
+        if not a.clear:
+            return
+        if isinstance(held.message, Stop):
+            require("stopped" in message.message and "until reset" in message.message, f"a stop is told as {message}")
+        elif held.running or (isinstance(held.message, Cancel) and held.message.program is not None):
+            require(message.message.startswith("canceled"), f"{held.message} is answered by {message}")
+        else:
+            require("no goal" in message.message, f"{held.message} is answered by {message}, and nothing ran")
+
+    def _judge_reset(self, message: Answer) -> None:
+        a, mode = self._a, self._a.mode
+        if message.refused is None and message.message.startswith("resetting"):
+            self._snapshots.epoch_causes += 1
+            require(not a.clear or mode in ("fault", "stopped"), f"the arm is reset in mode {mode}")
+        else:
+            if a.clear and mode in ("fault", "stopped"):
+                self._snapshots.expect_mode(("starting", "ready", "executing"), f"a reset is answered by {message}")
+
+    def _judge_lock(self, asked: Lock, message: Answer) -> None:
+        a = self._a
+        bit = 1 << asked.actuator
+        if message.refused is None:
+            self._snapshots.epoch_causes += 1
+            self._snapshots.locks_asked += 1
+        if not a.clear:
+            return
+        reading = a.ground.readings[-1]
+        tells = a.arm.definite(reading.extended, reading.contracted) & bit
+        level = a.arm.measured(reading.extended, reading.contracted, 0) >> asked.actuator & 1
+        reasons = set[str]()
+        if asked.actuator >= a.arm.count:
+            reasons.add("no-such-actuator")
+        if a.mode == "executing" or a.committing:
+            reasons.add("lock-while-moving")
+        elif asked.state >= 0 and tells and level != asked.state and not self._lock_moving and a.mode == "ready":
+            reasons.add("end-stop-contradicts")
+        if message.refused is None:
+            require(not reasons, f"{asked} is carried out, but {sorted(reasons)}")
+            self._expect_lock(asked)
+            return
+        reason = message.refused.reason.value
+        recent = self._lock_moving or (a.commit is not None and a.now < a.commit.at + READ_BACK)
+        if recent or a.now < a.adopted_until + 2 * TICK:
+            reasons |= {"lock-while-moving", "end-stop-contradicts"}
+        require(reason in reasons or a.mode not in ("ready", "executing"), f"{asked} is refused as {reason}")
+
+    def _expect_lock(self, asked: Lock) -> None:
+        a = self._a
+        bit = 1 << asked.actuator
+        expected = a.locked | bit if asked.state >= 0 else a.locked & ~bit
+
+        def holds(snapshot: object) -> None:
+            told = unpack(snapshot.locked)  # type: ignore[attr-defined]
+            require(told == expected or not a.clear, f"after {asked} locked are {bits_of(told)}")
+
+        self._snapshots._claims.append(holds)
+
+    def tick(self) -> None:
+        """Finds stops and cancels without an answer."""
+        a = self._a
+        longest = a.arm.timing.heartbeat_timeout / 2 + 2 * TICK
+        for held in self._held:
+            if a.clear and held.at >= a.clear_since:
+                require(a.now - held.at <= longest, f"{held.message} has no answer after {a.now - held.at:g} s")

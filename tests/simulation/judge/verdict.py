@@ -1,0 +1,11 @@
+"""The judge's verdict: an exception with the sentence that is violated."""
+
+
+class Violation(AssertionError):
+    """The daemon did or told what it must not, or not what it must."""
+
+
+def require(holds: object, text: str) -> None:
+    """Raises `Violation` unless `holds` is true."""
+    if not holds:
+        raise Violation(text)

@@ -1,0 +1,110 @@
+"""One fault at a time in an otherwise undisturbed world, with what the executor must tell of it."""
+
+from __future__ import annotations
+
+from random import Random
+from typing import TYPE_CHECKING
+
+from tests.simulation.fault_kinds import Fault, FaultKinds
+from tests.simulation.judge.expected import told
+from tests.simulation.judge.verdict import require
+from tests.simulation.planner import ScriptedPlanner
+
+if TYPE_CHECKING:
+    from tests.simulation.judge.expected import Expected
+    from tests.simulation.world import World
+
+NOTHING = 1.0  # [s] for which it is watched that nothing is told
+SUPERVISED = 0.6  # [s] until the last motion is supervised, and all outputs are read back after a pulse
+KEPT = 1.5  # [s] for which a fault must wait for its reset; faults that clear are tried once a second
+ANSWERED = 0.1  # [s] until a reset is answered
+RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
+
+
+class SingleFaults:
+    """Draws single faults, and judges what the executor tells of them.
+
+    Args:
+        world: with a scripted planner.
+        random: draws.
+    """
+
+    def __init__(self, world: World, random: Random) -> None:
+        self._world, self._random = world, random
+        self._kinds = FaultKinds(world, random)
+
+    def happen(self) -> None:
+        """Causes one fault, mends it, and brings the arm back.
+
+        Raises:
+            Violation: it is not told in time, or something else is told, or the arm does not become ready.
+        """
+        world, planner = self._world, self._world.planner
+        assert isinstance(planner, ScriptedPlanner)
+        planner.be_calm(True)
+        planner.patient = True
+        self._rest()
+        if self._random.random() < 0.2:
+            self._end_executor()
+        else:
+            world.judge.disturb()
+            name, fault = self._kinds.draw()
+            world.trouble.made[f"only: {name}"] += 1
+            world.note(f"only fault: {name}")
+            self._judge(name, fault, planner)
+        planner.patient = False
+
+    def _rest(self) -> None:
+        world = self._world
+        world.wait(world.settled, "ready", world.ready_within)
+        world.wait(lambda: not world.boards.coils() & world.kinds.pulsed, "without pulses", world.ready_within)
+        world.pass_time(SUPERVISED)
+
+    def _end_executor(self) -> None:
+        """Ends the executor, in order or by a kill; the judge goes on to judge each fact exactly."""
+        world = self._world
+        in_order = self._random.random() < 0.6
+        world.trouble.made["only: executor ends" if in_order else "only: executor is killed"] += 1
+        world.note("only fault: the executor ends")
+        instance = world.executor.instances
+        if in_order:
+            world.executor.quit()
+        else:
+            world.executor.kill()
+        world.wait(lambda: world.executor.instances > instance, "started again", RESTARTED)
+        world.wait(world.settled, "ready", world.ready_within)
+
+    def _judge(self, name: str, fault: Fault, planner: ScriptedPlanner) -> None:
+        world, expected = self._world, fault.expected
+        fault.cause()
+        if not expected.codes:
+            self._watch(expected, NOTHING)
+            fault.mend()
+            self._watch(expected, NOTHING / 5)
+            self._require_mode("ready", name)
+            return
+        world.wait(lambda: told(expected, planner.snapshot), f"told: {name}", expected.within)
+        self._watch(expected, self._random.uniform(0.0, 0.5))
+        if expected.refused:
+            planner.ask_to_reset()
+            world.wait(lambda: planner.last_answer is not None, "answered", ANSWERED)
+            refused = planner.last_answer and planner.last_answer.refused
+            right = refused and refused.reason.value == expected.refused
+            require(right, f"a reset is answered by {planner.last_answer} while {name}")
+        fault.mend()
+        if not expected.cleared:
+            self._watch(expected, KEPT)
+            self._require_mode("fault", name)
+            planner.patient = False
+        world.wait(world.settled, f"ready after {name}", world.ready_within)
+
+    def _require_mode(self, mode: str, name: str) -> None:
+        snapshot = self._world.planner.snapshot
+        shown = None if snapshot is None else (snapshot.mode, snapshot.reason, snapshot.faults)
+        require(snapshot is not None and snapshot.mode == mode, f"{name} ends in {shown}, not {mode}")
+
+    def _watch(self, expected: Expected, seconds: float) -> None:
+        until = self._world.agenda.now + seconds
+        while self._world.agenda.now < until:
+            self._world.one_step()
+            told(expected, self._world.planner.snapshot)
