@@ -20,7 +20,7 @@ Message = dict[str, Any]
 
 # Attempts until a reply comes, and the first pause between them [s]; the last attempt uses a new session.
 TRIES, PAUSE = 4, 0.1
-ANSWER_TIMEOUT = 10.0  # [s] for an answer, beside the time of planning that its payload allows
+ANSWER_TIMEOUT, REPLY = 10.0, 2.0  # [s] for an answer; longest time between the acceptance of a goal and its answer
 
 
 class Unanswered(RuntimeError):
@@ -63,12 +63,10 @@ class Client:
         """Returns the daemon's answer on `key`, such as goal, stop, plan or arm.
 
         Raises:
-            no answer came within `timeout` seconds, or the daemon does not accept this client's requests. Without a
-                `timeout`, ANSWER_TIMEOUT and the payload's deadline count together.
+            Unanswered: no answer came within `timeout` seconds, or the daemon does not accept this client's requests.
+                Without a `timeout`, the payload's time to its acceptance counts, and 2 s more.
         """
-        if timeout is None:
-            deadline = (payload or {}).get("deadline")
-            timeout = ANSWER_TIMEOUT + (deadline if isinstance(deadline, int | float) else 0.0)
+        timeout = answer_timeout(payload or {}) if timeout is None else timeout
         data, number = msgspec.json.encode(payload or {}), uuid.uuid4().hex.encode()
         until = time.monotonic() + timeout
         for attempt in range(TRIES):
@@ -199,6 +197,14 @@ class Client:
             self._opened.append(self._session)
             for move in self._on_renewal:
                 move()
+
+
+def answer_timeout(payload: Mapping[str, Any]) -> float:
+    """Returns how long to wait for an answer [s]: a goal that moves the arm later must not count as unanswered."""
+    deadline, begin_within = (
+        value if isinstance(value := payload.get(name), int | float) else None for name in ("deadline", "begin_within")
+    )
+    return ANSWER_TIMEOUT + (deadline or 0.0) if begin_within is None else begin_within + REPLY
 
 
 def decoded(sample: zenoh.Sample) -> Message:

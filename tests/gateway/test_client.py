@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from controller.motion.decoding.goal import GoalMessage
-from controller.network.client import TRIES, Client, Unanswered
+from controller.network.client import TRIES, Client, Unanswered, answer_timeout
 from controller.planning.core.events import Identity, PublishResult
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually
@@ -114,3 +114,17 @@ def test_messages_are_heard(gateway: Gateway) -> None:
 
     eventually(published)
     assert heard[0] == {"n": 1}
+
+
+@pytest.mark.parametrize(
+    ("payload", "timeout"),
+    [
+        ({}, 10.0),
+        ({"deadline": 50.0}, 60.0),
+        ({"begin_within": 30.0}, 32.0),
+        ({"begin_within": 1.0, "deadline": 50.0}, 3.0),
+        ({"begin_within": "a", "deadline": None}, 10.0),
+    ],
+)
+def test_a_client_waits_until_the_arm_can_no_longer_begin(payload: dict[str, Any], timeout: float) -> None:
+    assert answer_timeout(payload) == timeout
