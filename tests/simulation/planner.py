@@ -198,8 +198,9 @@ class ScriptedPlanner:
 
     def ask_to_reset(self) -> None:
         """Sends a reset."""
+        assert self.snapshot is not None
         self.last_answer = None
-        self.connection.send(Reset(self._next()))
+        self.connection.send(Reset(self._next(), self.snapshot.epoch))
 
     def _perform(self, snapshot: Snapshot) -> None:
         random, now = self._random, self._agenda.now

@@ -17,6 +17,8 @@ def must_decline(a: Account, message: Program) -> set[str]:
         reasons.add(MODE_REASONS[a.mode])
     if shown is None or message.epoch != shown.epoch:
         reasons.add("overtaken")
+    if a.now > message.until:
+        reasons.add("too-late-to-begin")
     if message.program <= a.program_number:
         reasons.add("program-malformed")
     reasons |= misfits(a, message.stages, message.start, -1e12)

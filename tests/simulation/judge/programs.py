@@ -134,6 +134,8 @@ class Programs:
         states = run.stages[k].states
         if a.clear and not run.homes:
             self._judge_begun(run, k, at, before)
+        if a.clear:
+            self._judge_switches(run, message.switches, f"stage {k} of program {run.number}")
         skipped = range(run.taken + 1, k)
         if run.taken >= 0 and run.stages[run.taken].mark >= 0:
             run.counted, run.planned = 0, True

@@ -126,7 +126,7 @@ class Requests:
         if isinstance(due, Reset | Lock | Cancel) and due.request == message.request:
             self._due = None
             if isinstance(due, Reset):
-                self._judge_reset(message)
+                self._judge_reset(due, message)
             elif isinstance(due, Lock):
                 self._judge_lock(due, message)
             else:
@@ -146,11 +146,15 @@ class Requests:
         else:
             require("no goal" in message.message, f"{held.message} is answered by {message}, and nothing ran")
 
-    def _judge_reset(self, message: Answer) -> None:
+    def _judge_reset(self, asked: Reset, message: Answer) -> None:
         a, mode = self._a, self._a.mode
         if message.refused is None and message.message.startswith("resetting"):
             self._snapshots.epoch_causes += 1
             require(not a.clear or mode in ("fault", "stopped"), f"the arm is reset in mode {mode}")
+            shown = 0 if a.shown is None else a.shown.epoch
+            require(asked.epoch >= shown, f"a reset of epoch {asked.epoch} is carried out in epoch {shown}")
+        elif message.refused is not None and message.refused.reason.value == "overtaken":
+            self._snapshots.expect_changed(asked.epoch, f"{asked} is refused as overtaken")
         else:
             if a.clear and mode in ("fault", "stopped"):
                 self._snapshots.expect_mode(("starting", "ready", "executing"), f"a reset is answered by {message}")
