@@ -58,11 +58,10 @@ class Seen:
             set_mailbox(self, kind, watched(key, receive))
 
         def watched(key: str, receive: Receive) -> Receive:
-            def look() -> bytes | None:
-                payload = receive()
-                if payload is not None:
-                    seen.append((key, payload))
-                return payload
+            def look() -> list[SetpointArrived | TipArrived]:
+                latest = list(receive())
+                seen.extend((key, arrived.payload) for arrived in latest)
+                return latest
 
             return look
 
