@@ -59,8 +59,20 @@ class Client:
             session.close()  # type: ignore[no-untyped-call]
         self._opened.clear()
 
-    def request(self, key: str, payload: Mapping[str, Any] | None = None, timeout: float | None = None) -> Message:
+    def request(
+        self,
+        key: str,
+        payload: Mapping[str, Any] | None = None,
+        timeout: float | None = None,
+        sending: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
+    ) -> Message:
         """Returns the daemon's answer on `key`, such as goal, stop, plan or arm.
+
+        Args:
+            key: of the request.
+            payload: of the request.
+            timeout: longest time to wait [s].
+            sending: entered while an attempt is sent; an exception from it ends the request.
 
         Raises:
             Unanswered: no answer came within `timeout` seconds, or the daemon does not accept this client's requests.
@@ -76,14 +88,15 @@ class Client:
                 time.sleep(pause)
             if attempt == TRIES - 1:
                 self._renew()
-            replies = self._session.get(
-                f"{self._prefix}/{key}",
-                payload=data,
-                encoding=zenoh.Encoding.APPLICATION_JSON,
-                attachment=number,
-                target=zenoh.QueryTarget.ALL,
-                timeout=max(until - time.monotonic(), PAUSE),
-            )
+            with sending():
+                replies = self._session.get(
+                    f"{self._prefix}/{key}",
+                    payload=data,
+                    encoding=zenoh.Encoding.APPLICATION_JSON,
+                    attachment=number,
+                    target=zenoh.QueryTarget.ALL,
+                    timeout=max(until - time.monotonic(), PAUSE),
+                )
             late = False
             for reply in replies:
                 if reply.ok is not None:

@@ -1,6 +1,7 @@
 """What the daemon sends, strictly decoded: whoever is on its keys may send anything."""
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, TypeVar
 
 import msgspec
@@ -121,10 +122,18 @@ class LedgerAnswer(msgspec.Struct, frozen=True):
     reason: str | None = None
 
 
+Sending = Callable[[], contextlib.AbstractContextManager[None]]
 Form = TypeVar("Form", Answer, PlanAnswer, ArmAnswer, LedgerAnswer)
 
 
-def request(client: Client, form: type[Form], key: str, payload: Mapping[str, Any] | None = None) -> Form:
+def request(
+    client: Client,
+    form: type[Form],
+    key: str,
+    payload: Mapping[str, Any] | None = None,
+    sending: Sending = contextlib.nullcontext,
+    timeout: float = TIMEOUT,
+) -> Form:
     """Sends a request to the daemon and returns its answer.
 
     Args:
@@ -132,11 +141,13 @@ def request(client: Client, form: type[Form], key: str, payload: Mapping[str, An
         form: of the answer.
         key: such as goal.
         payload: of the request.
+        sending: entered while the request is sent.
+        timeout: longest time to wait [s].
 
     Raises:
         Unanswered: no answer came in time, or it has another form.
     """
     try:
-        return msgspec.convert(client.request(key, payload, TIMEOUT), form)
+        return msgspec.convert(client.request(key, payload, timeout, sending), form)
     except (msgspec.ValidationError, zenoh.ZError, ValueError, RecursionError) as error:
         raise Unanswered(f"the answer to {key} cannot be read: {error}") from None

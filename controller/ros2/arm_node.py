@@ -17,6 +17,7 @@ from controller.ros2 import messages
 from controller.ros2.answers import GoalResult, SetpointCounts
 from controller.ros2.goal_book import GoalBook
 from controller.ros2.goals import ActionGoals, Kind
+from controller.ros2.jobs import Jobs
 from controller.ros2.messages import ERROR, INFO, WARN
 from controller.ros2.poses import Fields, Place
 from controller.ros2.requests import Requests
@@ -102,8 +103,8 @@ class ArmNode:
             self._node = Node(self._session, self._node_name, self._namespace, settings.domain, settings.distro)
             undoing.callback(self._node.close)
             self._declare_publishers()
-            self._requests = Requests(self._node, self._client, self._place, self.say, oriented=settings.oriented)
-            undoing.callback(self._requests.close)
+            self._jobs = Jobs(self.say)
+            undoing.callback(self._jobs.close)
             kinds = {
                 "tip": Kind(
                     "tip_controller/follow_joint_trajectory",
@@ -114,8 +115,10 @@ class ArmNode:
                     "actuator_controller/follow_joint_trajectory", self._actuator_goal, self._actuator_feedback
                 ),
             }
-            submit = self._requests.submit
-            self._goals = ActionGoals(self._node, kinds, self._book, self._client, submit, self.say)
+            self._goals = ActionGoals(self._node, kinds, self._book, self._client, self._jobs, self.say)
+            self._requests = Requests(
+                self._node, self._client, self._place, self._jobs, self._goals, self.say, oriented=settings.oriented
+            )
             self._node.watch(lambda text: self.say(WARN, text))
             undoing.pop_all()
         self._robot.publish({"data": self._urdf})
@@ -124,6 +127,7 @@ class ArmNode:
 
     def close(self) -> None:
         """Ends the node; its goals are aborted, those that are accepted in this moment as well."""
+        self._jobs.close()
         self._requests.close()
         self._goals.close()
         self._node.close()

@@ -4,7 +4,7 @@ The daemon's ledger knows how a goal ended. So the bridge asks for the result of
 of the message with the result: lost with the network, or sent while the daemon or the bridge was away.
 """
 
-import contextlib
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -15,7 +15,8 @@ import msgspec
 
 from controller.network.client import Client, Unanswered
 from controller.ros2.answers import Answer, GoalResult, LedgerAnswer, request
-from controller.ros2.goal_book import KEPT, BookedGoal, GoalBook
+from controller.ros2.goal_book import KEPT, MOST_OWED, BookedGoal, GoalBook
+from controller.ros2.jobs import Jobs, Passage, Say, Task, Withdrawn
 from controller.ros2.messages import ERROR, INFO, WARN
 from controller.ros2.poses import BadGoal, Fields
 from controller.ros2.wire.action_core import IllegalTransition
@@ -24,12 +25,12 @@ from controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
 from controller.ros2.wire.node import Node
 
 ACTION = "control_msgs/action/FollowJointTrajectory"
-ASK_EVERY = 2.0  # [s] for the result of a running goal
-KNOWN_WITHIN = 15.0  # [s] after which a goal that the ledger does not have is lost
+ASK_EVERY = 2.0  # [s] for the result of an open goal
+CANCEL_EVERY = 1.0  # [s] until the daemon tells that a canceled goal has ended
+ENDING_TIMEOUT = 2.0  # [s] for the answer to one cancel or question; the next goals wait meanwhile
+KNOWN_WITHIN = 15.0  # [s] after which a goal that the ledger does not have is lost; a request is on its way for 10 s
 GONE_AFTER = 60.0  # [s] without a daemon, after which its goals are lost
 LOST = -4  # code: the end of the goal is not known
-
-Say = Callable[[int, str], None]
 
 
 class Kind(NamedTuple):
@@ -47,49 +48,50 @@ class Kind(NamedTuple):
 
 
 @dataclass
-class RunningGoal:
-    """A goal without a result.
+class OpenGoal:
+    """A goal whose end the daemon has not told.
 
     Attributes:
         booked: the goal.
-        handle: for the action's client.
+        handle: for the action's client; None: no client waits, but a cancel is owed.
         since: when the bridge began to know it [s].
+        decided: whether it is accepted.
+        early: result that came before that.
         asked: when its result was asked for [s].
+        canceled: when its cancel was sent [s].
     """
 
     booked: BookedGoal
-    handle: GoalHandle
+    handle: GoalHandle | None
     since: float
-    asked: float
+    decided: bool = True
+    early: GoalResult | None = None
+    asked: float = -math.inf
+    canceled: float = -math.inf
 
 
 class ActionGoals:
-    """The goals of all actions. For any thread.
+    """The goals of all actions, and the cancels that are owed to the daemon. For any thread.
 
     Args:
         node: whose actions they are.
         kinds: the actions by kind.
         book: file of the goals.
         client: of the daemon.
-        submit: runs a function in a thread of the bridge's; returns False if too many wait.
+        jobs: threads for new goals.
         say: tells a sentence on /rosout.
     """
 
     def __init__(
-        self,
-        node: Node,
-        kinds: Mapping[str, Kind],
-        book: GoalBook,
-        client: Client,
-        submit: Callable[[Callable[[], None]], bool],
-        say: Say,
+        self, node: Node, kinds: Mapping[str, Kind], book: GoalBook, client: Client, jobs: Jobs, say: Say
     ) -> None:
-        self._kinds, self._book, self._client, self._submit, self._say = kinds, book, client, submit, say
-        self._running: dict[str, RunningGoal] = {}
-        self._early: dict[str, GoalResult | None] = {}  # results that came before the goal's client knew of it
+        self._kinds, self._book, self._client, self._jobs, self._say = kinds, book, client, jobs, say
+        self._open: dict[str, OpenGoal] = {}
         self._lock = threading.Lock()
         self._gone: float | None = None  # since when the daemon is gone [s]
-        policy = Policy(on_cancel=self._on_cancel, result_timeout=KEPT)
+        self._cancels = Task("cancels", self._send_cancels, say)
+        self._ledger = Task("ledger", self._ask_results, say)
+        policy = Policy(self._may_cancel, self._on_cancel, KEPT)
         self._servers = {
             name: node.action_server(kind.name, ACTION, self._on_goal(name), policy) for name, kind in kinds.items()
         }
@@ -107,155 +109,222 @@ class ActionGoals:
     def publish_feedback(self, state: Mapping[str, Any]) -> None:
         """Publishes the feedback of the goal that a `state` names."""
         with self._lock:
-            goal = self._running.get(str(state.get("goal")))
-        if goal is not None:
-            kind = self._kinds[goal.booked.kind]
-            goal.handle.feedback(kind.feedback(state, goal.booked.joints))
+            goal = self._open.get(str(state.get("goal")))
+            handle = goal.handle if goal is not None else None
+        if goal is not None and handle is not None:
+            handle.feedback(self._kinds[goal.booked.kind].feedback(state, goal.booked.joints))
 
     def poll(self, now: float) -> None:
-        """Asks for the results that are due; ends goals of a daemon that does not come back. `now` [s]."""
+        """Sends the cancels and questions that are due; ends goals of a daemon that does not come back. `now` [s]."""
+        if self._gone is None:
+            for task, due in ((self._cancels, self._due_cancel), (self._ledger, self._due_question)):
+                if due(now) is not None:
+                    task.ask()
+            return
         with self._lock:
-            due = [goal for goal in self._running.values() if now >= goal.asked + ASK_EVERY]
-        for goal in due:
-            goal.asked = now
-            if self._gone is not None and now > max(self._gone, goal.since) + GONE_AFTER:
-                self._lose(goal, f"the daemon is gone for {GONE_AFTER:g} s; how the goal ended is not known")
-            elif self._gone is None:
-                self._submit(lambda goal=goal: self._ask(goal))  # type: ignore[misc]
+            lost = [it for it in self._open.values() if it.handle and now > max(self._gone, it.since) + GONE_AFTER]
+        for goal in lost:
+            self._lose(goal, f"the daemon is gone for {GONE_AFTER:g} s; how the goal ended is not known")
+
+    def check_room(self) -> None:
+        """Raises BadGoal if so many cancels are owed that no goal may begin."""
+        with self._lock:
+            owed = sum(it.booked.owed and it.handle is None for it in self._open.values())
+        if owed >= MOST_OWED:
+            raise BadGoal(f"{owed} goals are not canceled yet, expected less than {MOST_OWED}")
+
+    def owe_cancel(self, booked: BookedGoal) -> None:
+        """Cancels a goal of which no client knows, until the daemon tells its end."""
+        self._owe(OpenGoal(booked, None, time.monotonic()))
+        self._cancels.ask()
 
     def close(self) -> None:
-        """Ends all goals: their clients cannot wait for a bridge that has ended. The arm goes on."""
+        """Sends the cancels that are due, and ends all goals: no client can wait for a bridge that has ended."""
+        self._cancels.close()
+        self._ledger.close()
         with self._lock:
-            running = list(self._running.values())
+            running = [goal for goal in self._open.values() if goal.handle]
         for goal in running:
-            self._lose(goal, "the bridge to ROS 2 has ended; the arm carries the goal on")
+            rest = "the next one goes on to cancel it" if goal.booked.owed else "the arm carries the goal on"
+            self._lose(goal, f"the bridge to ROS 2 has ended; {rest}")
 
     def _on_goal(self, kind: str) -> Callable[[GoalHandle], None]:
         """Returns what accepts the goals of an action."""
 
         def on_goal(handle: GoalHandle) -> None:
-            if not self._submit(lambda: start(handle)):
+            passage = Passage(self._jobs.order)
+            if not self._jobs.submit(lambda: start(handle, passage)):
                 self._reject(kind, handle, "too many requests wait")
 
-        def start(handle: GoalHandle) -> None:
+        def start(handle: GoalHandle, passage: Passage) -> None:
+            code, why, may_run = LOST, "the request failed", True
             try:
-                self._start(kind, handle)
+                self._start(kind, handle, passage)
+                why = ""
+            except BadGoal as error:
+                code, why, may_run = error.code, str(error), False
+            except (Unanswered, Withdrawn) as error:
+                why = str(error)
             finally:  # whatever has failed, the client gets an answer
-                with self._lock:
-                    self._early.pop(daemon_id(handle), None)
-                if handle.status is Status.UNKNOWN:
-                    with contextlib.suppress(IllegalTransition):  # it is rejected already
-                        handle.reject()
+                if why:
+                    self._withdraw(daemon_id(handle), may_run=may_run and passage.sent)
+                    self._reject(kind, handle, why, code)
 
         return on_goal
 
-    def _start(self, kind: str, handle: GoalHandle) -> None:
-        """Sends a goal to the daemon; accepts or rejects it by the daemon's answer."""
-        try:
-            goal = {**self._kinds[kind].convert(handle.goal), "id": daemon_id(handle)}
-        except BadGoal as error:
-            self._reject(kind, handle, str(error), error.code)
-            return
+    def _start(self, kind: str, handle: GoalHandle, passage: Passage) -> None:
+        """Sends a goal to the daemon, and accepts it if the daemon does.
+
+        Raises:
+            BadGoal: the goal does not run.
+            Unanswered, Withdrawn: the goal may run, if it was sent.
+        """
+        self.check_room()
+        goal = {**self._kinds[kind].convert(handle.goal), "id": daemon_id(handle)}
         booked = BookedGoal(handle.uuid.hex(), kind, tuple(handle.goal.trajectory.joint_names), time.time_ns())
-        if not self._book.add(booked):
-            self._reject(kind, handle, f"a goal of the other action has the id {booked.uuid}; another one is needed")
-            return
+        if why := self._book.add(booked):
+            raise BadGoal(why)
+        begun = OpenGoal(booked, handle, time.monotonic(), decided=False)
         with self._lock:
-            self._early[booked.id] = None
-        try:
-            answer = request(self._client, Answer, "goal", goal)
-        except Unanswered as error:
-            answer = Answer(accepted=False, code=LOST, message=str(error))
-            if not self._submit(lambda: self._cancel(booked)):  # it may have arrived
-                self._say(ERROR, f"goal {booked.id} is rejected, but the arm may carry it out: too many requests wait")
+            self._open[booked.id] = begun
+        answer = request(self._client, Answer, "goal", goal, passage)
         if not answer.accepted:
-            self._book.remove(booked)
-            self._reject(kind, handle, answer.text, answer.code)
-            return
+            raise BadGoal(answer.text or "no reason is given", answer.code)
         handle.accept()
         handle.execute()
-        now = time.monotonic()
         with self._lock:
-            self._running[booked.id] = RunningGoal(booked, handle, now, now)
-            early = self._early.pop(booked.id)
-        if handle.status is Status.CANCELING:  # since a moment ago, when the goal was not among those that run
-            self._on_cancel(handle)
-        if early is not None:
-            self._end(booked.id, early)
+            begun.decided = True
+        if begun.early is not None:
+            self._end(booked.id, begun.early)
         self._say(INFO, f"goal {booked.id} of {self._kinds[kind].name} is accepted")
+
+    def _withdraw(self, name: str, *, may_run: bool) -> None:
+        """Forgets a goal that is not accepted; cancels it if the daemon may have it."""
+        with self._lock:
+            goal = self._open.pop(name, None) if name in self._open and not self._open[name].decided else None
+        if goal is None:
+            return
+        if may_run:
+            self.owe_cancel(msgspec.structs.replace(goal.booked, client=False))
+        else:
+            self._book.remove(goal.booked)
 
     def _reject(self, kind: str, handle: GoalHandle, why: str, code: int = -1) -> None:
         self._say(WARN, f"a goal of {self._kinds[kind].name} is rejected (code {code}): {why}")
-        handle.reject()
+        if handle.status is Status.UNKNOWN:
+            handle.reject()
 
     def _restore(self, booked: BookedGoal) -> None:
         """Continues a goal of the bridge before this one."""
-        server: ActionServer | None = self._servers.get(booked.kind)
-        if server is None:
+        server: ActionServer | None = self._servers.get(booked.kind) if booked.client else None
+        handle = None
+        if server is not None:
+            status, fields = Status.CANCELING if booked.canceling else Status.EXECUTING, None
+            if booked.result is not None:
+                status, fields = ending(booked.result, canceling=booked.canceling)
+            try:
+                handle = server.restore(bytes.fromhex(booked.uuid), booked.stamp, status, fields)
+            except IllegalTransition:  # its client has just sent it again, and the daemon knows it
+                if not booked.owed:
+                    return
+        if booked.owed or (handle and booked.result is None):
+            with self._lock:
+                self._open[booked.id] = OpenGoal(
+                    booked, None if booked.result is not None else handle, time.monotonic()
+                )
+        elif handle is None:
             self._book.remove(booked)
-            return
-        try:
-            handle = server.restore(bytes.fromhex(booked.uuid), booked.stamp, canceling=booked.canceling)
-        except IllegalTransition:  # its client has just sent it again, and the daemon knows it
-            return
+
+    def _owe(self, goal: OpenGoal) -> None:
+        """Writes down that a cancel is owed."""
         with self._lock:
-            self._running[booked.id] = RunningGoal(booked, handle, time.monotonic(), 0.0)
-        if booked.result is not None:
-            self._end(booked.id, booked.result)
+            goal.booked = msgspec.structs.replace(goal.booked, canceling=True, owed=True)
+            self._open[goal.booked.id] = goal
+            self._book.put(goal.booked)
 
-    def _on_cancel(self, handle: GoalHandle) -> None:
+    def _may_cancel(self, handle: GoalHandle) -> bool:
+        """Writes down that a cancel is owed before its client hears that it is accepted: a kill may come between."""
         with self._lock:
-            goal = self._running.get(daemon_id(handle))
-            if goal is not None:
-                goal.booked = msgspec.structs.replace(goal.booked, canceling=True)
-                self._book.put(goal.booked)
-        if goal is not None:
-            self._submit(lambda: self._cancel(goal.booked))
+            goal = self._open.get(daemon_id(handle))
+        if goal is not None and goal.handle is handle:
+            self._owe(goal)
+        return True
 
-    def _cancel(self, booked: BookedGoal) -> None:
-        try:
-            answer = request(self._client, Answer, "cancel", {"id": booked.id})
-        except Unanswered as error:
-            self._say(ERROR, f"goal {booked.id} is not canceled: {error}")
-            return
-        if not answer.accepted:
-            self._say(INFO, f"goal {booked.id} is not canceled: {answer.text}")
+    def _on_cancel(self, _: GoalHandle) -> None:
+        self._cancels.ask()
 
-    def _ask(self, goal: RunningGoal) -> None:
-        """Asks the daemon's ledger for the result of a goal."""
-        try:
-            answer = request(self._client, LedgerAnswer, "result", {"id": goal.booked.id})
-        except Unanswered:
-            return
-        if answer.result is not None:
-            self._end(goal.booked.id, answer.result)
-        elif answer.reason == "unknown-goal" and time.monotonic() > goal.since + KNOWN_WITHIN:
-            self._lose(goal, "the daemon does not know the goal; how it ended is not known")
-
-    def _lose(self, goal: RunningGoal, why: str) -> None:
-        self._end(goal.booked.id, GoalResult("lost", LOST, why))
-
-    def _end(self, name: str, result: GoalResult) -> None:
-        """Ends a goal, once."""
+    def _due_cancel(self, now: float) -> OpenGoal | None:
+        """Returns the goal whose cancel is due for the longest time, if there is one."""
         with self._lock:
-            goal = self._running.pop(name, None)
-            if name in self._early:
-                self._early[name] = result
-        if goal is None:
-            return
-        booked, handle = goal.booked, goal.handle
-        canceling = handle.status is Status.CANCELING  # a cancel that is accepted after this comes too late
-        ended = booked.ended or time.time()
-        self._book.put(msgspec.structs.replace(booked, result=result, ended=ended, canceling=canceling))
-        code, sentence = LOST if result.code is None else result.code, f"{result.status}: {result.message}"
-        fields = {"error_code": code, "error_string": sentence}
-        if result.status == "succeeded":
-            handle.succeed(fields)
-        elif result.status == "canceled" and canceling:
-            handle.canceled(fields)
-        else:
-            handle.abort(fields)
-        self._say(INFO if result.status == "succeeded" else WARN, f"goal {name} {sentence}")
+            due = [it for it in self._open.values() if it.booked.owed and now >= it.canceled + CANCEL_EVERY]
+        return min(due, key=lambda it: it.canceled, default=None)
+
+    def _due_question(self, now: float) -> OpenGoal | None:
+        """Returns the goal whose result is to be asked for first, if there is one."""
+        with self._lock:
+            due = [it for it in self._open.values() if it.decided and now >= it.asked + ASK_EVERY]
+        return min(due, key=lambda it: it.asked, default=None)
+
+    def _send_cancels(self) -> None:
+        """Sends the cancels that are due, until the daemon does not answer."""
+        while (goal := self._due_cancel(time.monotonic())) is not None:
+            first, goal.canceled = goal.canceled < 0, time.monotonic()
+            try:
+                request(self._client, Answer, "cancel", {"id": goal.booked.id}, timeout=ENDING_TIMEOUT)
+            except Unanswered as error:
+                if first:
+                    self._say(ERROR, f"goal {goal.booked.id} is not canceled yet: {error}")
+                return
+
+    def _ask_results(self) -> None:
+        """Asks the daemon's ledger for the results that are due, until it does not answer."""
+        while (goal := self._due_question(time.monotonic())) is not None:
+            goal.asked = time.monotonic()
+            try:
+                answer = request(self._client, LedgerAnswer, "result", {"id": goal.booked.id}, timeout=ENDING_TIMEOUT)
+            except Unanswered:
+                return
+            if answer.result is not None:
+                self._end(goal.booked.id, answer.result)
+            elif answer.reason == "unknown-goal" and time.monotonic() > goal.since + KNOWN_WITHIN:
+                why = "the daemon does not know the goal; how it ended is not known"
+                self._end(goal.booked.id, GoalResult("lost", LOST, why))
+
+    def _lose(self, goal: OpenGoal, why: str) -> None:
+        """Tells a client that the end of its goal is not known; a cancel that is owed stays."""
+        self._end(goal.booked.id, GoalResult("lost", LOST, why), known=False)
+
+    def _end(self, name: str, result: GoalResult, *, known: bool = True) -> None:
+        """Ends a goal, once; `known`: the daemon has no more of it, so that no cancel is owed."""
+        with self._lock:
+            goal = self._open.get(name)
+            if goal is None:
+                return
+            if not goal.decided:
+                goal.early = result
+                return
+            handle, goal.handle = goal.handle, None
+            booked = msgspec.structs.replace(goal.booked, owed=goal.booked.owed and not known)
+            # A cancel that is accepted after this comes too late.
+            canceling = handle is not None and handle.status is Status.CANCELING
+            if handle is not None:
+                booked = msgspec.structs.replace(booked, result=result, ended=time.time(), canceling=canceling)
+            goal.booked = booked
+            if not booked.owed:
+                del self._open[name]
+            (self._book.put if booked.owed or booked.client else self._book.remove)(booked)
+        if handle is not None:
+            status, fields = ending(result, canceling=canceling)
+            handle.end(status, fields)
+        self._say(INFO if result.status == "succeeded" else WARN, f"goal {name} {result.status}: {result.message}")
+
+
+def ending(result: GoalResult, *, canceling: bool) -> tuple[Status, Fields]:
+    """Returns status and fields of an action's result."""
+    status = Status.CANCELED if result.status == "canceled" and canceling else Status.ABORTED
+    code, sentence = LOST if result.code is None else result.code, f"{result.status}: {result.message}"
+    fields = {"error_code": code, "error_string": sentence}
+    return Status.SUCCEEDED if result.status == "succeeded" else status, fields
 
 
 def daemon_id(handle: GoalHandle) -> str:

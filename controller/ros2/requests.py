@@ -4,9 +4,9 @@ import itertools
 import json
 import math
 import threading
+import time
 import uuid
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import msgspec
@@ -14,18 +14,57 @@ import zenoh
 
 from controller.network.client import Client, Unanswered
 from controller.ros2.answers import Answer, ArmAnswer, GoalResult, PlanAnswer, request
-from controller.ros2.goals import Say
+from controller.ros2.goal_book import BookedGoal
+from controller.ros2.goals import ActionGoals
+from controller.ros2.jobs import CANCEL, MOST_WAITING, STOP, Jobs, Order, Passage, Say, Task, Withdrawn
 from controller.ros2.messages import INFO, WARN, header
 from controller.ros2.poses import BadGoal, Fields, Place, check_stamp, pose, seconds, waypoint
 from controller.ros2.wire.node import Node
 from controller.ros2.wire.services import Request
 from controller.ros2.wire.topics import Received
 
-MOST_WAITING = 64  # requests that wait for the daemon
-WORKERS = 4
 LEAST_STEP = 0.1  # [s] between two poses of a path without times
 MOST_POSES = 10_000
-STOPPING = ("stop", "cancel")
+MOST_ENDINGS = 24  # stops, or cancels, that wait for an answer; the services let 64 requests be open
+FAILED: Fields = {"success": False, "message": "the request failed, or too many wait; /rosout says which"}
+
+
+class Ending:
+    """The service `stop` or `cancel`. Each request is followed by one to the daemon; those that wait share it."""
+
+    def __init__(self, key: str, order: Order, client: Client, say: Say) -> None:
+        self._key, self._order, self._client = key, order, client
+        self._task = Task(key, self._run, say)
+        self._lock, self._waiting, self._number = threading.Lock(), list[Request](), 0
+        self.close = self._task.close
+
+    def receive(self, asked: Request) -> None:
+        """Accepts a request."""
+        with self._lock:
+            self._number = self._order.arrive(self._key)
+            waits = len(self._waiting) < MOST_ENDINGS
+            if waits:
+                self._waiting.append(asked)
+        asks = self._task.ask()
+        if not (waits and asks):
+            why = f"a {self._key} is sent, but too many wait for its answer" if asks else "the bridge to ROS 2 ends"
+            asked.reply({"success": False, "message": why})
+
+    def _run(self) -> None:
+        with self._lock:
+            waiting, self._waiting, number = self._waiting, [], self._number
+        fields = FAILED
+        try:
+            with self._order.sending(self._key, number):  # also if nothing is sent
+                answer = request(
+                    self._client, Answer, self._key, sending=lambda: self._order.sending(self._key, number)
+                )
+            fields = {"success": answer.accepted, "message": answer.text}
+        except Unanswered as error:
+            fields = {"success": False, "message": str(error)}
+        finally:
+            for asked in waiting:
+                asked.reply(fields)
 
 
 class Requests:
@@ -35,48 +74,32 @@ class Requests:
         node: the arm's node.
         client: of the daemon.
         place: where the arm stands.
+        jobs: threads for what asks for motion.
+        goals: of the actions; they cancel goals of topics that the daemon may have.
         say: tells a sentence on /rosout.
         oriented: whether the orientation of goals counts.
     """
 
-    def __init__(self, node: Node, client: Client, place: Place, say: Say, *, oriented: bool) -> None:
-        self._client, self._place, self._say, self._oriented = client, place, say, oriented
-        self._pool = ThreadPoolExecutor(WORKERS, "ros2")
-        self._stops = ThreadPoolExecutor(1, "ros2-stop")  # a stop waits for no plan
-        self._free = threading.BoundedSemaphore(MOST_WAITING)
+    def __init__(
+        self, node: Node, client: Client, place: Place, jobs: Jobs, goals: ActionGoals, say: Say, *, oriented: bool
+    ) -> None:
+        self._client, self._place, self._jobs, self._goals, self._say = client, place, jobs, goals, say
+        self._oriented, self._order = oriented, jobs.order
         self._sent: dict[str, None] = {}  # ids of goals from topics, the oldest first
         self._lock = threading.Lock()
-        for key in ("stop", "reset", "cancel"):
-            node.service(key, "std_srvs/srv/Trigger", self._trigger(key))
+        self._endings = [Ending(key, self._order, client, say) for key in (STOP, CANCEL)]
+        for key, ending in zip((STOP, CANCEL), self._endings, strict=True):
+            node.service(key, "std_srvs/srv/Trigger", ending.receive)
+        node.service("reset", "std_srvs/srv/Trigger", self._reset)
         node.service("plan", "nav_msgs/srv/GetPlan", self._plan)
         node.subscriber("goal_pose", "geometry_msgs/msg/PoseStamped", self._later("goal_pose", self._pose_goal))
         node.subscriber("goal_path", "nav_msgs/msg/Path", self._later("goal_path", self._path_goal))
         node.subscriber("setpoint", "geometry_msgs/msg/PoseStamped", self._setpoint)
 
     def close(self) -> None:
-        """Waits for the requests that are under way."""
-        for pool in (self._stops, self._pool):
-            pool.shutdown(cancel_futures=True)
-
-    def submit(self, job: Callable[[], None], pool: ThreadPoolExecutor | None = None) -> bool:
-        """Runs a job in a thread; returns False if too many wait."""
-        if not self._free.acquire(blocking=False):
-            return False
-
-        def run() -> None:
-            try:
-                job()
-            except Exception as error:  # one request harms no other
-                self._say(WARN, f"a request failed: {error!r}")
-            finally:
-                self._free.release()
-
-        try:
-            (pool or self._pool).submit(run)
-        except RuntimeError:  # the bridge ends
-            self._free.release()
-            return False
-        return True
+        """Sends the stops and cancels that wait, and waits for their answers."""
+        for ending in self._endings:
+            ending.close()
 
     def receive_result(self, result: GoalResult) -> None:
         """Tells how a goal of a topic ended."""
@@ -96,7 +119,7 @@ class Requests:
         with self._lock:
             return identity in self._sent and self._sent.pop(identity) is None
 
-    def _answer(self, asked: Request, job: Callable[[], Fields], empty: Fields, pool: ThreadPoolExecutor) -> None:
+    def _answer(self, asked: Request, job: Callable[[], Fields], empty: Fields) -> None:
         """Replies with what a job returns; with `empty` if too many requests wait, or if the job fails."""
 
         def run() -> None:
@@ -106,23 +129,21 @@ class Requests:
             finally:
                 asked.reply(fields)
 
-        if not self.submit(run, pool):
+        if not self._jobs.submit(run):
             self._say(WARN, f"a request is refused: {MOST_WAITING} wait already")
             asked.reply(empty)
 
-    def _trigger(self, key: str) -> Callable[[Request], None]:
-        """Returns the handler of a Trigger service."""
-        pool = self._stops if key in STOPPING else self._pool
+    def _reset(self, asked: Request) -> None:
+        passage = Passage(self._order, (STOP,))
 
         def run() -> Fields:
             try:
-                answer = request(self._client, Answer, key)
-            except Unanswered as error:
-                return {"success": False, "message": str(error)}
+                answer = request(self._client, Answer, "reset", sending=passage)
+            except (Unanswered, Withdrawn) as error:
+                answer = Answer(accepted=False, message=str(error))
             return {"success": answer.accepted, "message": answer.text}
 
-        failed: Fields = {"success": False, "message": "the request failed, or too many wait; /rosout says which"}
-        return lambda asked: self._answer(asked, run, failed, pool)
+        self._answer(asked, run, FAILED)
 
     def _plan(self, asked: Request) -> None:
         """Answers GetPlan: the tip now, and at each point of the plan."""
@@ -142,25 +163,29 @@ class Requests:
             poses = [{"header": head, "pose": pose(msgspec.structs.asdict(it))} for it in answer.waypoints]
             return {"plan": {"header": head, "poses": poses}}
 
-        self._answer(asked, run, {"plan": {"header": head}}, self._pool)
+        self._answer(asked, run, {"plan": {"header": head}})
 
     def _later(self, name: str, convert: Callable[[Any], Fields]) -> Callable[[Received], None]:
         """Returns the callback of a topic of goals."""
 
-        def send(message: Any) -> None:
-            identity = f"ros2-{name}-{uuid.uuid4().hex[:8]}"
-            self._remember(identity)
+        def send(message: Any, passage: Passage) -> None:
+            booked = BookedGoal(uuid.uuid4().hex, name, (), time.time_ns(), client=False)
+            self._remember(booked.id)
             try:
-                answer = request(self._client, Answer, "goal", {**convert(message), "id": identity})
-            except (BadGoal, Unanswered) as error:
+                self._goals.check_room()
+                answer = request(self._client, Answer, "goal", {**convert(message), "id": booked.id}, passage)
+            except (BadGoal, Unanswered, Withdrawn) as error:
                 answer = Answer(accepted=False, message=str(error))
+                if passage.sent:  # it may have arrived
+                    self._goals.owe_cancel(booked)
             if not answer.accepted:
-                self._forget(identity)
+                self._forget(booked.id)
             verb, level = ("accepted", INFO) if answer.accepted else ("refused", WARN)
-            self._say(level, f"goal {identity} is {verb}: {answer.text}")
+            self._say(level, f"goal {booked.id} is {verb}: {answer.text}")
 
         def receive(received: Received) -> None:
-            if not self.submit(lambda: send(received.message)):
+            passage = Passage(self._order)
+            if not self._jobs.submit(lambda: send(received.message, passage)):
                 self._say(WARN, f"a message on {name} is dropped: {MOST_WAITING} requests wait already")
 
         return receive
@@ -197,6 +222,7 @@ class Requests:
             return
         payload = {**point, "stamp": seconds(message.header.stamp)}
         try:
-            self._client.put("setpoint", json.dumps(payload).encode())
-        except zenoh.ZError as error:
+            with Passage(self._order, wait=0.0)():
+                self._client.put("setpoint", json.dumps(payload).encode())
+        except (zenoh.ZError, Withdrawn) as error:
             self._say(WARN, f"a set-point is not sent: {error}")

@@ -12,13 +12,12 @@ from controller.ros2 import goal_book
 from controller.ros2.answers import GoalResult
 from controller.ros2.arm_node import MOST_LETTERS
 from controller.ros2.goal_book import BookedGoal, GoalBook
-from controller.ros2.goals import ActionGoals
 from controller.ros2.poses import BadGoal, waypoint
 from controller.ros2.trajectories import actuator_goal, tip_goal
 from controller.ros2.wire.cdr import serialize
 from tests.ros2.client import CANCELED, SUCCEEDED
 from tests.ros2.fuzz.inputs import ACTUATORS, TIP, Input, Inputs, payloads
-from tests.ros2.fuzz.network import Query
+from tests.ros2.fuzz.places import entries
 from tests.ros2.fuzz.world import World
 from tests.ros2.samples import ACTION, TYPES, chain, place, pose_stamped, state, trajectory_goal
 
@@ -36,8 +35,7 @@ def world(tmp_path: Path) -> World:
 
 def call(world: World, name: str, type_name: str, fields: dict[str, Any]) -> list[bytes]:
     """Calls a service; returns the list that receives the reply."""
-    replies: list[bytes] = []
-    world.network.handlers[name](Query(serialize(fields, type_name, TYPES), ATTACHMENT, replies.append))
+    replies = world.deliver(Input(name, serialize(fields, type_name, TYPES), ATTACHMENT))
     world.run_jobs()
     return replies
 
@@ -51,7 +49,7 @@ def describe_again(world: World) -> None:
     world.bridge.close()
     world.bridge._description = b""
     world.ask()
-    world.hear(*world._waiting.popleft())
+    world.hear(*world._waiting.popleft()[:2])
 
 
 def send_goal(world: World) -> list[bytes]:
@@ -63,7 +61,7 @@ def send_goal(world: World) -> list[bytes]:
     "answer", [None, [], {}, {"accepted": "yes"}, {"accepted": True, "code": "x"}, {"accepted": 1}]
 )
 def test_an_answer_of_another_form_rejects_a_goal(world: World, monkeypatch: pytest.MonkeyPatch, answer: Any) -> None:
-    monkeypatch.setattr(world, "request", lambda *_: answer)
+    monkeypatch.setattr(world.daemon, "request", lambda *_: answer)
     with world.in_place():
         for _ in range(70):  # more than can be open at once
             ((*_, accepted),) = (reply[:5] for reply in send_goal(world))
@@ -75,7 +73,7 @@ def test_an_answer_of_another_form_rejects_a_goal(world: World, monkeypatch: pyt
 
 
 def test_a_result_of_another_form_ends_no_goal_and_harms_none(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(world, "request", lambda *_: {"accepted": True})
+    monkeypatch.setattr(world.daemon, "request", lambda *_: {"accepted": True})
     with world.in_place():
         (reply,) = send_goal(world)
         assert reply[4]
@@ -133,7 +131,7 @@ def test_a_sentence_quotes_little(world: World, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_goals_of_topics_whose_results_are_lost_are_forgotten(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(world, "request", lambda *_: {"accepted": True})
+    monkeypatch.setattr(world.daemon, "request", lambda *_: {"accepted": True})
     message = Input("goal_pose", serialize(pose_stamped(0.4, 2.9), "geometry_msgs/msg/PoseStamped", TYPES), ATTACHMENT)
     with world.in_place():
         sizes = []
@@ -142,7 +140,7 @@ def test_goals_of_topics_whose_results_are_lost_are_forgotten(world: World, monk
                 world.clock.sleep(1.0)
                 world.deliver(message)
                 world.run_jobs()
-            sizes.append(world.entries())
+            sizes.append(entries(world.bridge))
     assert sizes[1] == sizes[2]
 
 
@@ -170,15 +168,16 @@ def test_a_book_is_bounded_and_its_numbers_are_those_of_messages(tmp_path: Path)
 def test_a_canceled_goal_stays_canceled_after_a_restart(
     world: World, monkeypatch: pytest.MonkeyPatch, restarted_before_its_end: bool
 ) -> None:
-    monkeypatch.setattr(world, "request", lambda *_: {"accepted": True})
+    monkeypatch.setattr(world.daemon, "request", lambda *_: {"accepted": True})
     cancel = {"goal_info": {"goal_id": {"uuid": UUID}}}
     end = json.dumps({"id": ID, "status": "canceled", "code": -1, "message": "canceled"}).encode()
     with world.in_place():
         send_goal(world)
         call(world, f"{TIP}/cancel_goal", "action_msgs/srv/CancelGoal_Request", cancel)
         if restarted_before_its_end:
-            monkeypatch.setattr(ActionGoals, "close", lambda _: None)  # a kill
-            describe_again(world)
+            world.kill()
+            world.restart()
+            world.hear(*world._waiting.popleft()[:2])
         world.hear("result", end)
         (first,) = get_result(world)
         assert first[4] == CANCELED
@@ -187,7 +186,7 @@ def test_a_canceled_goal_stays_canceled_after_a_restart(
 
 
 def test_an_id_of_the_other_action_is_rejected_and_harms_no_goal(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(world, "request", lambda *_: {"accepted": True})
+    monkeypatch.setattr(world.daemon, "request", lambda *_: {"accepted": True})
     switch = {"goal_id": {"uuid": UUID}, "goal": trajectory_goal(["1.left"], [[1.0]])}
     end = json.dumps({"id": ID, "status": "succeeded", "code": 0, "message": "reached"}).encode()
     with world.in_place():

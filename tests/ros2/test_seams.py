@@ -14,7 +14,6 @@ from controller.ros2.messages import STALE
 from controller.ros2.wire.cdr import deserialize, serialize
 from tests.ros2.client import ABORTED, SUCCEEDED
 from tests.ros2.fuzz.inputs import TIP, Input, Inputs, payloads
-from tests.ros2.fuzz.network import Query
 from tests.ros2.fuzz.stand_ins import Pool
 from tests.ros2.fuzz.world import World
 from tests.ros2.samples import ACTION, TYPES, pose_stamped, state
@@ -26,7 +25,7 @@ BOOKED = BookedGoal(UUID.hex(), "tip", ("tip_x", "tip_y"), 1)
 @pytest.fixture
 def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
     world = World(Inputs(random.Random(0)), tmp_path)
-    monkeypatch.setattr(world, "request", lambda *_: {"accepted": True})
+    monkeypatch.setattr(world.daemon, "request", lambda *_: {"accepted": True})
     return world
 
 
@@ -46,13 +45,15 @@ def error_code(reply: bytes) -> int:
     return code
 
 
+def book_earlier(world: World) -> None:
+    """Lets a bridge before this one have a goal."""
+    world.bridge._book.put(BOOKED)
+    world.judge.actions[TIP].orphans[UUID] = list(BOOKED.joints)
+
+
 def goal_fields() -> dict[str, Any]:
     points = [{"positions": [0.4, 2.9]}]
     return {"trajectory": {"joint_names": ["tip_x", "tip_y"], "points": points}}
-
-
-def query_of(data: bytes, replies: list[bytes]) -> Any:
-    return Query(data, ATTACHMENT, replies.append)
 
 
 def test_a_goal_that_is_accepted_while_the_bridge_ends_has_one_result(
@@ -68,10 +69,9 @@ def test_a_goal_that_is_accepted_while_the_bridge_ends_has_one_result(
 
     monkeypatch.setattr(Pool, "shutdown", finish)
     goal = {"goal_id": {"uuid": UUID}, "goal": goal_fields()}
-    replies: list[bytes] = []
     with world.in_place():
         query = serialize(goal, f"{ACTION}_SendGoal_Request", TYPES)
-        world.network.handlers[f"{TIP}/send_goal"](query_of(query, replies))
+        replies = world.deliver(Input(f"{TIP}/send_goal", query, ATTACHMENT))
         describe_again(world)
         assert [it[4] for it in replies] == [1]
         (result,) = get_result(world)
@@ -82,27 +82,27 @@ def test_a_goal_that_its_client_sends_again_while_the_bridge_begins_is_accepted(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The bridge before this one was killed before it answered; the daemon knows the goal."""
-    world.bridge._book.put(BOOKED)
-    booked, replies = GoalBook.goals, list[bytes]()
+    book_earlier(world)
+    booked, replies = GoalBook.goals, list[list[bytes]]()
 
     def come_first(book: GoalBook) -> list[BookedGoal]:
         if not replies:
             data = serialize({"goal_id": {"uuid": UUID}, "goal": goal_fields()}, f"{ACTION}_SendGoal_Request", TYPES)
-            world.network.handlers[f"{TIP}/send_goal"](query_of(data, replies))
+            replies.append(world.deliver(Input(f"{TIP}/send_goal", data, ATTACHMENT)))
         return booked(book)
 
     monkeypatch.setattr(GoalBook, "goals", come_first)
     world.reopen()
     with world.in_place():
         world.run_jobs()
-        assert [it[4] for it in replies] == [1]
+        assert [it[4] for it in replies[0]] == [1]
         end = {"id": ID, "status": "succeeded", "code": 0, "message": "reached"}
         world.hear("result", json.dumps(end).encode())
         assert [it[4] for it in get_result(world)] == [SUCCEEDED]
 
 
 def test_a_goal_of_a_daemon_that_dies_before_its_first_state_is_lost(world: World) -> None:
-    world.bridge._book.put(BOOKED)
+    book_earlier(world)
     world.reopen()
     with world.in_place():
         results = get_result(world)
@@ -163,7 +163,9 @@ def test_set_points_that_the_daemon_refuses_are_told(world: World, monkeypatch: 
 
 @pytest.mark.parametrize(("sec", "verb"), [(0, "accepted"), (1_000_000_000, "refused")])
 def test_a_path_of_old_poses_is_refused(world: World, monkeypatch: pytest.MonkeyPatch, sec: int, verb: str) -> None:
-    monkeypatch.setattr(world, "request", lambda key, *_: {"travel_time": 0.5} if key == "arm" else {"accepted": True})
+    monkeypatch.setattr(
+        world.daemon, "request", lambda key, *_: {"travel_time": 0.5} if key == "arm" else {"accepted": True}
+    )
     world.reopen()
     sentences = said(world, monkeypatch)
     poses = [pose_stamped(0.4, 2.9, stamp={"sec": sec + k}) for k in range(2)]

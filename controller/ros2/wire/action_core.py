@@ -107,8 +107,7 @@ class ActionCore:
             case GoalRestored():
                 if event.uuid in self.goals:
                     raise IllegalTransition(f"goal {event.uuid.hex()} is known already")
-                status = Status.CANCELING if event.canceling else Status.EXECUTING
-                self.goals[event.uuid] = Goal(RESTORED, event.goal, status, event.stamp)
+                self.goals[event.uuid] = Goal(RESTORED, event.goal, event.status, event.stamp, now, event.result)
                 return [PublishStatus(self.infos())]
             case GoalDecided():
                 return list(self._decide(event))

@@ -34,12 +34,13 @@ class GoalRequested(NamedTuple):
 
 
 class GoalRestored(NamedTuple):
-    """A server before this one had accepted this goal, at `stamp` [ns since 1970]; it is executing, or canceling."""
+    """A server before this one had accepted this goal, at `stamp` [ns since 1970]; `result`: of an ended goal."""
 
     uuid: bytes
     goal: Any
     stamp: int
-    canceling: bool = False
+    status: Status
+    result: Any = None
 
 
 class GoalDecided(NamedTuple):

@@ -63,15 +63,19 @@ class GoalHandle:
 
     def succeed(self, result: Any) -> None:
         """Ends the goal with success; `result` is a message, or its fields by name."""
-        self._server.end(self.uuid, Status.SUCCEEDED, result)
+        self.end(Status.SUCCEEDED, result)
 
     def abort(self, result: Any) -> None:
         """Ends the goal with a failure."""
-        self._server.end(self.uuid, Status.ABORTED, result)
+        self.end(Status.ABORTED, result)
 
     def canceled(self, result: Any) -> None:
         """Ends a goal that is canceling."""
-        self._server.end(self.uuid, Status.CANCELED, result)
+        self.end(Status.CANCELED, result)
+
+    def end(self, status: Status, result: Any) -> None:
+        """Ends the goal with one of these states."""
+        self._server.end(self.uuid, status, result)
 
 
 class Policy(NamedTuple):
@@ -126,19 +130,20 @@ class ActionServer:
         with self._lock:
             return self._core.status(uuid)
 
-    def restore(self, uuid: bytes, stamp: int, *, canceling: bool = False) -> GoalHandle:
+    def restore(self, uuid: bytes, stamp: int, status: Status, result: Any = None) -> GoalHandle:
         """Returns a goal that a server before this one had accepted; its message is not known.
 
         Args:
             uuid: id of the goal, 16 bytes.
             stamp: when it was accepted [ns since 1970].
-            canceling: whether that server had accepted to cancel it; otherwise it is executing.
+            status: of the goal.
+            result: of an ended goal.
 
         Raises:
             IllegalTransition: the goal is known already.
         """
         handle = GoalHandle(uuid, None, self)
-        self.step(events.GoalRestored(uuid, handle, stamp, canceling))
+        self.step(events.GoalRestored(uuid, handle, stamp, status, self._result({} if result is None else result)))
         return handle
 
     def close(self, result: Any = None) -> None:

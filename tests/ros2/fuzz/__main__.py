@@ -1,6 +1,7 @@
 """Fuzzes the bridge to ROS 2: python -m tests.ros2.fuzz [--messages 1000000] [--seed 0].
 
-No input may raise, move the arm without being a goal, be lost without a word, or let a table grow.
+Requests and answers of the daemon get lost, and the bridge is killed. A judge sees what clients and daemon see. No
+input may raise, move the arm without being a goal, be lost without a word, or let a table grow.
 """
 
 import argparse
@@ -24,10 +25,10 @@ def main() -> None:
         began = time.monotonic()
         world.run(options.messages)
         seconds = time.monotonic() - began
-    goals = world.network.goals
+    accepted = sum(it.accepted for it in world.judge.actions.values())
     print(f"{options.messages:,} messages in {seconds:.0f} s, {options.messages / seconds:,.0f} a second")
     print(", ".join(f"{name} {count:,}" for name, count in world.counts.most_common()))
-    print(f"goals: {goals.accepted:,} accepted, {goals.ended:,} ended; sentences {world.network.words:,}")
+    print(f"goals: {accepted:,} accepted and ended; sentences {world.network.words:,}; kills {world.kills:,}")
     print(f"at most {world.largest:,} entries in all tables of the bridge")
 
 

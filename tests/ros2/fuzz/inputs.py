@@ -29,6 +29,7 @@ KINDS = {
     **{f"{it}/get_result": ("get_result", f"{ACTION}_GetResult_Request") for it in (TIP, ACTUATORS)},
 }
 NAMES = tuple(KINDS)
+ENDINGS = ("stop", "cancel", f"{TIP}/cancel_goal", f"{ACTUATORS}/cancel_goal")
 TEXTS = ("", "world", "planar16/0", "map", "planar16/1", "\0", "ä" * 3, "w" * 5000, "tip_x", "\x1b[2J\n", "%s{}")
 NUMBERS = (0.0, 0.4, -0.5, 1.0, 2.9, 1e308, -1e308, 5e-324, 1e6, math.nan, math.inf, -math.inf)
 LENGTHS = (0, 1, 2, 255, 2**16, 2**20, 2**31 - 1, 2**31, 2**32 - 4, 2**32 - 1)
@@ -109,15 +110,15 @@ class Inputs:
             parts[int(chance.random() * len(parts))] = chance.choice((*TEXTS, "99999999999", "::,,:"))
         return "/".join(parts)
 
-    def daemon_message(self) -> tuple[str, bytes]:
-        """Returns key and payload of a message of the daemon, or of whoever sends on its keys."""
+    def daemon_message(self) -> tuple[str, bytes, bool]:
+        """Returns key and payload of a message on the daemon's keys, and whether it may be the daemon's."""
         key, kind = self.chance.choice(tuple(self._daemon)), self.chance.random()
         data = self._daemon[key]
         if kind < 0.4:
-            return key, data
+            return key, data, True
         if kind < 0.8:
-            return key, json.dumps(self.spoiled(json.loads(data))).encode("utf-8", "replace")
-        return key, bytes(self._mutated(bytearray(data))) if kind < 0.95 else self._random()
+            return key, json.dumps(self.spoiled(json.loads(data))).encode("utf-8", "replace"), False
+        return key, bytes(self._mutated(bytearray(data))) if kind < 0.95 else self._random(), False
 
     def spoiled(self, value: Any) -> Any:
         """Returns a JSON value with something in it replaced, removed or doubled."""

@@ -2,21 +2,16 @@
 
 import itertools
 import json
-import struct
 from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import zenoh
 
-LONGEST_WORDS = 10_000  # bytes of a sentence on /rosout
+from tests.ros2.judge.actions import Wrong
+from tests.ros2.judge.judge import Judge
+
 TOKENS = "tokens"  # in place of a name: what hears of all nodes and endpoints
-TERMINAL = (4, 5, 6)  # succeeded, canceled, aborted
-FIRST, NEXT = struct.Struct("<16siIb"), struct.Struct("<16s3xiIb")  # goals of a GoalStatusArray, the first is aligned
-
-
-class Wrong(AssertionError):
-    """The bridge has broken a rule."""
 
 
 class Sample(NamedTuple):
@@ -60,10 +55,7 @@ class Declared:
     """A declaration that can be undone, and a publisher."""
 
     def __init__(self, undo: Callable[[], object], put: Callable[[bytes], None] = lambda data: None) -> None:
-        self._undo, self._put = undo, put
-
-    def undeclare(self) -> None:
-        self._undo()
+        self.undeclare, self._put = undo, put
 
     def put(self, data: bytes, attachment: bytes) -> None:
         if len(attachment) != 33:
@@ -71,49 +63,20 @@ class Declared:
         self._put(data)
 
 
-class GoalRecord:
-    """Accepted goals of the actions by name of the server and id: each ends once, and has one result."""
-
-    def __init__(self) -> None:
-        self.accepted = self.ended = 0
-        self.open: set[tuple[str, bytes]] = set()
-        self._results: dict[tuple[str, bytes], bytes] = {}
-
-    def receive_acceptance(self, server: str, uuid: bytes) -> None:
-        if (server, uuid) in self.open:
-            raise Wrong(f"goal {uuid.hex()} is accepted twice")
-        self.accepted += 1
-        self.open.add((server, uuid))
-        self._results.pop((server, uuid), None)
-
-    def receive_result(self, server: str, uuid: bytes, reply: bytes) -> None:
-        if reply[4] not in TERMINAL:
-            if (server, uuid) in self.open:
-                raise Wrong(f"goal {uuid.hex()} is active, and its result has status {reply[4]}")
-        elif self._results.setdefault((server, uuid), reply) != reply:
-            raise Wrong(f"goal {uuid.hex()} has two results")
-
-    def receive_status(self, server: str, data: bytes) -> None:
-        body = data[8:]
-        goals = [*FIRST.iter_unpack(body[: FIRST.size]), *NEXT.iter_unpack(body[FIRST.size :])]
-        states = {uuid: status for uuid, _, _, status in goals}
-        for key in [it for it in self.open if it[0] == server]:
-            if key[1] not in states:
-                raise Wrong(f"goal {key[1].hex()} has gone without a result")
-            if states[key[1]] in TERMINAL:
-                self.open.discard(key)
-                self.ended += 1
-
-
 class Network:
-    """The session of the wire and that of Zenoh in one: everything that is declared, by name below the namespace."""
+    """The session of the wire and that of Zenoh in one: everything that is declared, by name below the namespace.
+
+    Args:
+        judge: sees what is published, and the node's end.
+    """
 
     zid = "f00d"
 
-    def __init__(self) -> None:
+    def __init__(self, judge: Judge) -> None:
+        self._judge = judge
         self.handlers: dict[str, Callable[[Any], None]] = {}
         self.tokens: set[str] = set()
-        self.goals = GoalRecord()
+        self.life = 0  # number of kills; what is left of a killed bridge does nothing
         self.words = 0
         self.published = deque[str](maxlen=100)  # names of topics
         self._numbers = itertools.count()
@@ -128,9 +91,22 @@ class Network:
     def next_number(self) -> str:
         return str(next(self._numbers))
 
+    def kill(self) -> None:
+        """Forgets what a killed bridge has declared."""
+        self.life += 1
+        self.handlers.clear()
+        self.tokens.clear()
+
     def declare_token(self, text: str) -> Declared:
+        life = self.life
         self.tokens.add(text)
-        return Declared(lambda: self.tokens.discard(text))
+
+        def undo() -> None:
+            self.tokens.discard(text)
+            if "/NN/" in text and life == self.life:
+                self._judge.receive_close()
+
+        return Declared(undo)
 
     def declare_queryable(self, key: str, handler: Callable[[Any], None], complete: bool) -> Declared:
         return self.declare_subscriber(key, handler)
@@ -143,24 +119,26 @@ class Network:
         return Declared(lambda: self.handlers.pop(name) if self.handlers.get(name) == handler else None)
 
     def declare_publisher(self, key: str, **_: Any) -> Declared:
-        name = below(key)
-        if name.endswith("_action/status"):
-            server = name.removesuffix("status")
-            return Declared(lambda: None, lambda data: self.goals.receive_status(server, data))
-        if "/rosout/" in key:
-            return Declared(lambda: None, lambda data: self.receive_words(data))
-        return Declared(lambda: None, lambda data: self.published.append(name))
+        name, life = below(key), self.life
+
+        def put(data: bytes) -> None:
+            if life != self.life:
+                return
+            self.published.append(name)
+            self._judge.receive_message(name, data)
+            if name == "rosout":
+                self.receive_words(data)
+
+        return Declared(lambda: None, put)
 
     def receive_words(self, data: bytes) -> None:
-        """Checks a sentence."""
+        """Counts a sentence."""
         self.words += 1
-        if len(data) > LONGEST_WORDS:
-            raise Wrong(f"a sentence of {len(data)} bytes on /rosout")
 
 
 def below(key: str) -> str:
     """Returns the name below domain and namespace in a key."""
-    return "/".join(key.split("/")[2:-2])
+    return "/".join(key.split("/")[2:-2]) or key.split("/")[1]
 
 
 def strict_json(payload: object) -> bytes:

@@ -1,39 +1,44 @@
-"""The bridge in one thread with a clock of its own, its daemon and its network; each input is judged."""
+"""The bridge in one thread with a clock of its own, its daemon and its network; a judge sees everything."""
 
-import contextlib
 import json
-import logging
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, cast
-from unittest import mock
 
 import zenoh
-import zenoh.ext
 
 from controller.network.client import Client, Unanswered
 from controller.network.listener import Listener, ReceivedMessage
-from controller.ros2 import arm_node, bridge, goal_book, goals, poses, requests
-from controller.ros2.arm_node import ArmNode, Settings
+from controller.ros2.answers import Sending
+from controller.ros2.arm_node import Settings
 from controller.ros2.bridge import Bridge
 from controller.ros2.goal_book import GoalBook
-from controller.ros2.wire import action_server, services, topics
 from controller.ros2.wire.session import Session
-from tests.ros2.fuzz import judge
-from tests.ros2.fuzz.inputs import KINDS, Input, Inputs, payloads
-from tests.ros2.fuzz.network import TOKENS, Network, Query, Sample, TokenSample, Wrong, strict_json
-from tests.ros2.fuzz.stand_ins import Clock, Pool, Trial
+from tests.ros2.fuzz import places
+from tests.ros2.fuzz.daemon import Daemon
+from tests.ros2.fuzz.inputs import ENDINGS, KINDS, Input, Inputs, payloads
+from tests.ros2.fuzz.network import TOKENS, Network, Query, Sample, TokenSample, strict_json
+from tests.ros2.fuzz.stand_ins import Clock, Killed, Pool, Trial
+from tests.ros2.judge.actions import Wrong
+from tests.ros2.judge.asks import Ask
+from tests.ros2.judge.judge import Judge
+from tests.ros2.judge.reader import Arm
 from tests.ros2.samples import chain
 
-TIMED = (arm_node, bridge, goals, goal_book, poses, action_server, services, topics)
 BATCH = 40  # messages of ROS 2 between two turns of the bridge's loop
 STEP = 0.01  # [s] between two messages, on average
 ZERO_ID = b"ros2-" + b"00" * 16
-KEPT_RESULTS = 100
 TOKENS_SEEN = 0.3  # share of the turns in which a stranger's token comes or goes
 LOOKS = 0.03  # share of the turns after which the bridge's tables are counted
+KILLS = 0.0005  # share of the requests and replies at which the bridge is killed
+RESTS = 0.01  # share of the turns after which nobody asks for anything, and the daemon answers all, for REST [s]
+REST = 40.0
+CROWDED = 0.02  # share of the turns after which the threads for motion hang, for CROWD [s]
+CROWD = 6.0
+MOTION = "ros2"  # name of the threads for motion
 
 
 class World:
@@ -49,201 +54,241 @@ class World:
     """
 
     def __init__(self, inputs: Inputs, folder: Path) -> None:
-        self.inputs, self.chance, self.clock, self.network = inputs, inputs.chance, Clock(), Network()
+        self.inputs, self.chance, self.clock = inputs, inputs.chance, Clock()
+        oriented = bool(self.chance.random() < 0.5)
+        arm = Arm(("world", "planar16/0"), ("tip_x", "tip_y"), tuple(chain().actuators), oriented)
+        kinds = {name: kind for name, (kind, _) in KINDS.items()}
+        self.judge = Judge(arm, kinds, self.clock.monotonic, self.clock.time)
+        self.network = Network(self.judge)
+        self._waiting = deque[tuple[str, bytes, bool]]()
+        self.daemon = Daemon(self.chance, self.clock, lambda key, data: self._waiting.append((key, data, True)))
         self.pools: list[Pool] = []
         self.trial: Trial | None = None
         self.counts: Counter[str] = Counter()
-        self.largest = 0
-        self._waiting = deque[tuple[str, bytes]]()
-        self._goal: str | None = None
-        self._results: dict[str, dict[str, Any]] = {}
-        self._left = 0
+        self.largest, self.kills = 0, 0
+        self._left, self._rests_until, self._crowded_until = 0, -math.inf, -math.inf
+        self._at_rest = self.faulty = False
         self._heard: list[tuple[str, bytes]] = []
-        self._arm = judge.Arm(
-            ("world", "planar16/0"), ("tip_x", "tip_y"), tuple(chain().actuators), bool(self.chance.random() < 0.5)
-        )
-        settings = Settings("", 0, "jazzy", "world", self._arm.oriented)
+        self._folder, self._settings = folder, Settings("", 0, "jazzy", "world", oriented)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Starts a bridge."""
         session, client, listener = cast("Session", self.network), cast("Client", self), cast("Listener", self)
-        self.bridge = Bridge(listener, client, session, GoalBook(folder / "goals.json"), settings)
+        self.book = GoalBook(self._folder / "goals.json")
+        self.bridge = Bridge(listener, client, session, self.book, self._settings)
 
     def run(self, messages: int) -> None:
         """Feeds the bridge this many messages of ROS 2, and others of the daemon; raises Wrong."""
         with self.in_place():
-            self._left = messages
-            self.bridge.run(lambda: self._left <= 0, lambda: None)
-            self.run_jobs()
+            self._left, self.faulty = messages, True
+            while self._left > 0:
+                try:
+                    self.bridge.run(lambda: self._left <= 0, lambda: None)
+                except Killed:
+                    self.restart()
+            self.rest()
             self.bridge.close()
-        record = self.network.goals
-        if record.open or record.accepted != record.ended:
-            raise Wrong(f"{record.accepted} goals are accepted, {record.ended} ended")
+        if any(it.accepted != it.ended for it in self.judge.actions.values()):
+            raise Wrong("not each accepted goal has ended")
         if self.network.tokens:
             raise Wrong(f"tokens of an ended bridge are there: {self.network.tokens}")
+
+    def rest(self) -> None:
+        """Lets everything come to its end."""
+        self.faulty = False
+        self._rests_until = self.clock.now + REST
+        self.hear("alive", b"")
+        self.bridge.run(lambda: self.clock.now > self._rests_until, lambda: None)
+        self.judge.check_rest()
+
+    def in_place(self) -> AbstractContextManager[None]:
+        """Puts clock, threads and network in the place of the true ones."""
+        pool = lambda _, name: Pool(name, self.pools, lambda: self.trial)  # noqa: E731
+        return places.in_place(self.clock, pool, lambda: self.run_jobs(but=MOTION), lambda _: self._note("said"))
+
+    def kill(self) -> None:
+        """Kills the bridge: nothing that it does from now on has an effect."""
+        self.kills += 1
+        self.book._path = self._folder / "dead.json"
+        self.network.kill()
+        self.pools.clear()
+        self.judge.receive_kill()
+
+    def restart(self) -> None:
+        """Starts the bridge again after a kill."""
+        self.trial = None
+        self._begin()
+        self._waiting.clear()
+        self.ask()
 
     def reopen(self) -> None:
         """Lets the bridge show the arm again."""
         with self.in_place():
             self.ask()
-            self.hear(*self._waiting.popleft())
+            self.hear(*self._waiting.popleft()[:2])
 
     def hear(self, key: str, data: bytes) -> None:
         """Hands the bridge a message of the daemon, and lets it publish."""
         self._heard.append((key, data))
         self.bridge.run(lambda: not self._heard, lambda: None)
 
-    def entries(self) -> int:
-        """Returns the number of entries in all tables of the bridge."""
-        return entries(self.bridge)
-
     def ask(self) -> None:
         """Lets the daemon describe the arm."""
-        self._waiting.append(("arm", json.dumps(payloads()["arm"]).encode()))
+        self._waiting.append(("arm", json.dumps(payloads()["arm"]).encode(), True))
 
     def receive_messages(self, timeout: float) -> list[ReceivedMessage]:
         """Delivers messages of ROS 2; returns those of the daemon."""
         if self._heard:
-            return [ReceivedMessage(0, *self._heard.pop())]
+            key, data = self._heard.pop()
+            self.judge.receive_told(key, data, sure=False)
+            return [ReceivedMessage(0, key, data)]
+        self.judge.end_turn(there=bool(self.network.handlers))
+        if self.clock.now < self._rests_until:
+            self.clock.sleep(0.2)
+            self.run_jobs()
+        else:
+            self._pass_turn()
+        self.daemon.pass_time()
+        taken = list(self._waiting)
+        self._waiting.clear()
+        for key, data, sure in taken:
+            self.judge.receive_told(key, data, sure=sure)
+        self.counts["daemon's"] += len(taken)
+        if self.chance.random() < LOOKS:
+            self.largest = max(self.largest, places.entries(self.bridge))
+        return [ReceivedMessage(0, key, data) for key, data, _ in taken]
+
+    def _pass_turn(self) -> None:
+        """Delivers the messages of a turn, and runs jobs meanwhile."""
+        if self._at_rest:
+            self.judge.check_rest()
+            self._at_rest, self.faulty = False, True
         for _ in range(BATCH if self.network.handlers else 0):
             self.clock.sleep(self.chance.random() * 2 * STEP)
             self.deliver(self.inputs.message(self.clock.time()))
-            while any(pool.jobs for pool in self.pools) and self.chance.random() < 0.7:
-                self._run_job()
+            but = MOTION if self.clock.now < self._crowded_until else ""
+            while any(pool.jobs for pool in self.pools if pool.name != but) and self.chance.random() < 0.7:
+                self._run_job(but)
+        self.run_jobs(but=MOTION)
         if self.network.handlers and self.chance.random() < TOKENS_SEEN:
             token = self.inputs.token(sorted(self.network.tokens))
             kind = self.chance.choice((zenoh.SampleKind.PUT, zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE))
             self.network.handlers[TOKENS](cast("Any", TokenSample(token, kind)))
             self.counts["tokens"] += 1
-        for _ in range(int(self.chance.random() * 4)):
-            key, data = self.inputs.daemon_message()
+        for _ in range(int(self.chance.random() * 3)):
+            key, data, sure = self.inputs.daemon_message()
             if key == "arm" and self.chance.random() < 0.9:
                 continue
-            self._waiting.append((key, data.replace(ZERO_ID, (self._goal or "").encode())))
+            self._waiting.append((key, data.replace(ZERO_ID, (self.daemon.goal or "").encode()), sure))
             if key == "arm":
                 self.ask()
-        taken = [ReceivedMessage(0, key, data) for key, data in self._waiting]
-        self._waiting.clear()
-        self.counts["daemon's"] += len(taken)
-        if self.chance.random() < LOOKS:
-            self.largest = max(self.largest, self.entries())
-        return taken
+        if self.chance.random() < CROWDED:
+            self._crowded_until = self.clock.now + CROWD
+        if self.chance.random() < RESTS:
+            self._rests_until, self._at_rest, self.faulty = self.clock.now + REST, True, False
+            self._waiting.append(("alive", b"", True))
+            self.ask()
 
-    def request(self, key: str, payload: Mapping[str, Any] | None = None, timeout: float | None = None) -> Any:
-        """Answers a request to the daemon, which must be one that the present input may cause."""
-        self._note(key)
+    def request(self, key: str, payload: Mapping[str, Any] | None, timeout: float, sending: Sending) -> Any:
+        """Answers a request to the daemon; answers and requests may get lost, others come meanwhile."""
+        payload, chance = payload or {}, self.chance
         strict_json(payload)
-        if key in ("goal", "plan"):
-            assert payload is not None
-            self._check(payload["waypoints"])
-        answer = self._answer(key, payload or {})
-        kind = self.chance.random()
-        if kind < 0.03:
-            raise self.chance.choice(
-                (Unanswered("no daemon"), zenoh.ZError("closed"), json.JSONDecodeError("bad", "x", 0))
-            )
-        return self.inputs.spoiled(json.loads(json.dumps(answer))) if kind < 0.1 else answer
+        self._interrupt()
+        with sending():
+            ask = self.judge.receive_request(key, payload)
+            self._note(key)
+        answer, sure, fate = None, True, chance.random() if self.faulty else 1.0
+        if fate > 0.02:
+            try:
+                answer = json.loads(json.dumps(self.daemon.request(key, payload)))
+            except Unanswered:
+                fate = 0.0
+        elif key == "goal" and chance.random() < 0.7:
+            self.daemon.receive_late(payload)
+        if 0.04 < fate < 0.08:
+            answer, sure = self.inputs.spoiled(answer), False
+        self._interrupt()
+        if fate < 0.04:
+            self.clock.sleep(0.2)
+            answer = None
+        self.judge.receive_answer(key, payload, ask, answer, sure=sure)
+        if fate < 0.04:
+            raise chance.choice((Unanswered("no daemon"), zenoh.ZError("closed"), json.JSONDecodeError("bad", "x", 0)))
+        return answer
 
     def put(self, key: str, payload: bytes) -> None:
         """Accepts a set-point."""
         self._note(key)
-        self._check([json.loads(payload, parse_constant=lambda text: math.nan)])
+        self.judge.receive_setpoint(json.loads(payload, parse_constant=lambda text: math.nan))
 
-    def _check(self, waypoints: list[dict[str, Any]]) -> None:
-        """Checks that the present input is a goal, by an independent reader, and that these are its waypoints."""
-        assert self.trial
-        name, payload, attachment = self.trial.input
-        try:
-            judge.check_attachment(attachment)
-            wanted = judge.goal_of(KINDS[name][0], payload, self._arm, self.clock.time())
-        except judge.Invalid as error:
-            raise Wrong(f"a message on {name} is a goal, though invalid ({error}): {payload.hex()[:2000]}") from None
-        if len(wanted) != len(waypoints):
-            raise Wrong(f"{name}: {len(waypoints)} waypoints of {len(wanted)}")
-        for point, waypoint in zip(wanted, waypoints, strict=True):
-            if "position" in waypoint and not all(map(math.isclose, point, waypoint["position"])):
-                raise Wrong(f"{name}: {waypoint['position']} of {point}")
+    def _interrupt(self) -> None:
+        """Kills the bridge, or delivers a request that ends motion, while another request is under way."""
+        if self.faulty and self.chance.random() < KILLS:
+            self.kill()
+            raise Killed
+        if self.faulty and self.network.handlers and self.chance.random() < 0.05:
+            trial, given = self.trial, self.inputs.message(self.clock.time())
+            if given.name in ENDINGS:
+                self.deliver(given)
+            self.trial = trial
 
-    def _answer(self, key: str, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns the answer of a daemon."""
-        if key == "arm":
-            return payloads()["arm"]
-        if key == "result":
-            found = self._results.get(payload["id"])
-            return {"accepted": True, "result": found} if found else {"accepted": False, "reason": "unknown-goal"}
-        if self.chance.random() < 0.1:
-            return {"accepted": False, "code": -5, "message": "out of reach", "reason": "out-of-reach"}
-        if key == "plan":
-            return {
-                "accepted": True,
-                "code": 0,
-                "message": "",
-                "waypoints": [{"position": [0.1, 0.2], "orientation": 0.1}],
-            }
-        if key in ("goal", "stop", "cancel") and self._goal:
-            self._end(self._goal, {"goal": "replaced", "cancel": "canceled"}.get(key, "stopped"))
-        if key == "goal":
-            self._goal = payload["id"]
-            if self.chance.random() < 0.3:
-                self._end(payload["id"], "succeeded")
-        return {"accepted": True, "code": 0, "message": "yes"}
-
-    def _end(self, name: str, status: str) -> None:
-        """Ends a goal; some results get lost."""
-        result = {"id": name, "status": status, "code": 0 if status == "succeeded" else -1, "message": "so it is"}
-        self._goal, self._results[name] = None, result
-        if len(self._results) > KEPT_RESULTS:
-            del self._results[next(iter(self._results))]
-        if self.chance.random() < 0.8:
-            self._waiting.append(("result", json.dumps(result).encode()))
-
-    def deliver(self, given: Input) -> None:
-        """Delivers a message of ROS 2; raises Wrong if it is lost without a word."""
+    def deliver(self, given: Input) -> list[bytes]:
+        """Delivers a message of ROS 2; returns the list that receives the reply. Raises Wrong if it is lost."""
         handler = self.network.handlers.get(given.name)
         if handler is None:
             raise Wrong(f"nobody listens on {given.name}")
         self._left -= 1
-        trial = self.trial = Trial(given)
         counts: Counter[str] = handler.__self__.dropped  # type: ignore[attr-defined]
-        before = counts.total()
-        if "/" in given.name or KINDS[given.name][0] in ("stop", "reset", "cancel", "plan"):
-            query = Query(given.payload, given.attachment, lambda data: self._on_reply(trial, data))
-            handler(query)
-            if given.name.endswith("get_result") and counts.total() == before and not query.replied:
-                trial.outcomes.append("waits")
+        before, replies = counts.total(), list[bytes]()
+        ask = self.judge.receive(given.name, given.payload, given.attachment)
+        if ask.service:
+            life = self.network.life
+            handler(Query(given.payload, given.attachment, lambda data: self._on_reply(life, ask, replies, data)))
+            trial = None
         else:
+            trial = self.trial = Trial(given)
             attachment = None if given.attachment is None else zenoh.ZBytes(given.attachment)
             handler(Sample(zenoh.ZBytes(given.payload), attachment))
+        self.trial = None
         if counts.total() > before:
-            trial.outcomes.append("dropped")
+            self.judge.receive_drop(ask, given.attachment)
+            self.counts["dropped"] += 1
+        elif trial:
+            self._judge(trial)
         if counts["callback"]:
             raise Wrong(f"the callback of {given.name} failed")
-        self.trial = None
-        self._judge(trial)
+        return replies
 
-    def _on_reply(self, trial: Trial, data: bytes) -> None:
-        trial.outcomes.append("replied")
-        server, _, service = trial.input.name.rpartition("/")
-        uuid = trial.input.payload[4:20]
-        if service == "send_goal" and data[4]:
-            self.network.goals.receive_acceptance(f"{server}/", uuid)
-        elif service == "get_result":
-            self.network.goals.receive_result(f"{server}/", uuid, data)
+    def _on_reply(self, life: int, ask: Ask, replies: list[bytes], data: bytes) -> None:
+        if life != self.network.life:
+            return
+        kill = self.chance.random() if self.faulty else 1.0
+        if kill > KILLS:
+            self.counts["replied"] += 1
+            replies.append(data)
+            self.judge.receive_reply(ask, data)
+        if kill < 2 * KILLS:
+            self.kill()
+            raise Killed
 
-    def run_jobs(self) -> None:
-        """Runs the jobs that wait."""
-        while any(pool.jobs for pool in self.pools):
-            self._run_job()
+    def run_jobs(self, but: str = "") -> None:
+        """Runs the jobs that wait, but for those of the threads of this name."""
+        while any(pool.jobs for pool in self.pools if pool.name != but):
+            self._run_job(but)
 
-    def _run_job(self) -> None:
-        pool = self.chance.choice([pool for pool in self.pools if pool.jobs])
+    def _run_job(self, but: str = "") -> None:
+        pool = self.chance.choice([pool for pool in self.pools if pool.jobs and pool.name != but])
         job, trial = pool.jobs.popleft()
-        self.trial = trial
+        before, self.trial = self.trial, trial
         job()
-        self.trial = None
+        self.trial = before
         if trial:
             trial.jobs -= 1
             self._judge(trial)
 
     def _judge(self, trial: Trial) -> None:
-        """Checks that an input that has no effect is counted or told."""
+        """Checks that a message that has no effect is told."""
         if trial.jobs:
             return
         if not trial.outcomes:
@@ -253,74 +298,3 @@ class World:
     def _note(self, outcome: str) -> None:
         if self.trial:
             self.trial.outcomes.append(outcome)
-
-    @contextlib.contextmanager
-    def in_place(self) -> Iterator[None]:
-        """Puts clock, pools and network in the place of the true ones; logged exceptions are failures."""
-        say = ArmNode.say
-
-        def noted(node: ArmNode, level: int, text: str) -> None:
-            if text.startswith("a request failed"):
-                raise Wrong(text)
-            self._note("said")
-            say(node, level, text)
-
-        def pool(*_: object) -> Pool:
-            return Pool(self.pools, lambda: self.trial)
-
-        def publisher(session: Network, key: str, **options: Any) -> Any:
-            return session.declare_publisher(key, **options)
-
-        def subscriber(session: Network, key: str, handler: Callable[[Any], None], **_: Any) -> Any:
-            return session.declare_subscriber(key, handler)
-
-        with contextlib.ExitStack() as closing:
-            for module in TIMED:
-                closing.enter_context(mock.patch.object(module, "time", self.clock))
-            closing.enter_context(mock.patch.object(requests, "ThreadPoolExecutor", pool))
-            closing.enter_context(mock.patch.object(ArmNode, "say", noted))
-            closing.enter_context(mock.patch.object(zenoh.ext, "declare_advanced_publisher", publisher))
-            closing.enter_context(mock.patch.object(zenoh.ext, "declare_advanced_subscriber", subscriber))
-            closing.enter_context(logged_exceptions())
-            yield
-
-
-@contextlib.contextmanager
-def logged_exceptions() -> Iterator[None]:
-    """Raises Wrong at the end if the bridge has logged an exception; other lines of its log are not printed."""
-    found: list[str] = []
-
-    class Handler(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            if record.exc_info and len(found) < 3:
-                found.append(logging.Formatter().format(record))
-
-    logger, handler = logging.getLogger("controller.ros2"), Handler()
-    propagate, logger.propagate = logger.propagate, False
-    logger.addHandler(handler)
-    try:
-        yield
-    except Wrong as error:
-        raise Wrong("\n".join((str(error), *found))) from None
-    finally:
-        logger.removeHandler(handler)
-        logger.propagate = propagate
-    if found:
-        raise Wrong("\n".join(found))
-
-
-def entries(whole: object) -> int:
-    """Returns the number of entries in all tables that are reached from an object of the bridge."""
-    seen: set[int] = set()
-    waiting, total = [whole], 0
-    while waiting:
-        it = waiting.pop()
-        if id(it) in seen:
-            continue
-        seen.add(id(it))
-        if isinstance(it, dict | list | set | deque | tuple):
-            total += len(it)
-            waiting.extend(it.values() if isinstance(it, dict) else it)
-        elif type(it).__module__.startswith("controller.ros2") and type(it).__name__ != "Types":
-            waiting.extend(vars(it).values() if hasattr(it, "__dict__") else ())
-    return total

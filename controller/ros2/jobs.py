@@ -1,0 +1,163 @@
+"""Threads for requests to the daemon, and their order: what ends motion waits for nothing that asks for it."""
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+from controller.ros2.answers import TIMEOUT
+from controller.ros2.messages import WARN
+
+MOST_WAITING = 64  # requests that ask for motion or plans, and wait for the daemon
+WORKERS = 4
+STOP, CANCEL = "stop", "cancel"
+
+Say = Callable[[int, str], None]
+
+
+class Withdrawn(RuntimeError):
+    """A stop or cancel overtakes a request that asks for motion."""
+
+
+class Order:
+    """The order of arrival: a stop or cancel is sent before what came later, and bars what came earlier."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self.arrived = 0  # stops and cancels so far
+        self._last = {STOP: 0, CANCEL: 0}  # number of the last one of each
+        self._unsent: dict[int, str] = {}
+
+    def arrive(self, key: str) -> int:
+        """Notes that a stop or cancel has arrived; returns its number."""
+        with self._changed:
+            self.arrived += 1
+            self._last[key] = self.arrived
+            self._unsent[self.arrived] = key
+            return self.arrived
+
+    @contextlib.contextmanager
+    def sending(self, key: str, number: int) -> Iterator[None]:
+        """Notes that the stops or cancels up to this number are sent, or cannot be."""
+        try:
+            yield
+        finally:
+            with self._changed:
+                for it in [it for it, kind in self._unsent.items() if kind == key and it <= number]:
+                    del self._unsent[it]
+                self._changed.notify_all()
+
+    @contextlib.contextmanager
+    def passing(self, ticket: int, barring: tuple[str, ...], wait: float) -> Iterator[None]:
+        """Holds stops and cancels back while a request that asks for motion is sent.
+
+        Args:
+            ticket: value of `arrived` when the request came.
+            barring: the kinds that bar the request if they come after it.
+            wait: longest time until those that came before it are sent [s].
+
+        Raises:
+            Withdrawn: the request may not be sent.
+        """
+        with self._changed:
+            if not self._changed.wait_for(lambda: all(it > ticket for it in self._unsent), wait):
+                raise Withdrawn("a stop or cancel that came before it is not sent yet")
+            for key in barring:
+                if self._last[key] > ticket:
+                    raise Withdrawn(f"a {key} came after it")
+            yield
+
+
+class Passage:
+    """The way of one request that asks for motion, from its arrival on.
+
+    Attributes:
+        sent: whether it was sent at least once.
+
+    Args:
+        order: of arrival.
+        barring: the kinds that bar it.
+        wait: longest time until earlier stops and cancels are sent [s].
+    """
+
+    def __init__(self, order: Order, barring: tuple[str, ...] = (STOP, CANCEL), wait: float = TIMEOUT) -> None:
+        self._order, self._ticket, self._barring, self._wait = order, order.arrived, barring, wait
+        self.sent = False
+
+    @contextlib.contextmanager
+    def __call__(self) -> Iterator[None]:
+        """Sends, or raises Withdrawn."""
+        with self._order.passing(self._ticket, self._barring, self._wait):
+            self.sent = True
+            yield
+
+
+class Task:
+    """Runs a function in a thread of its own whenever it is asked for; demands that wait are met by one run."""
+
+    def __init__(self, name: str, function: Callable[[], None], say: Say) -> None:
+        self._pool, self._function, self._say = ThreadPoolExecutor(1, f"ros2-{name}"), function, say
+        self._lock, self._waiting = threading.Lock(), False
+
+    def ask(self) -> bool:
+        """Asks for a run that begins after now; returns False after `close`."""
+        with self._lock:
+            if not self._waiting:
+                try:
+                    self._pool.submit(self._run)
+                except RuntimeError:
+                    return False
+                self._waiting = True
+            return True
+
+    def close(self) -> None:
+        """Waits for the runs that were asked for."""
+        self._pool.shutdown()
+
+    def _run(self) -> None:
+        with self._lock:
+            self._waiting = False
+        guarded(self._function, self._say)
+
+
+class Jobs:
+    """A few threads for requests that ask for motion or plans, with a limited number of places.
+
+    Attributes:
+        order: of arrival of these requests, stops and cancels.
+    """
+
+    def __init__(self, say: Say) -> None:
+        self._say, self._pool = say, ThreadPoolExecutor(WORKERS, "ros2")
+        self.order = Order()
+        self._free = threading.BoundedSemaphore(MOST_WAITING)
+
+    def submit(self, job: Callable[[], None]) -> bool:
+        """Runs a job in a thread; returns False if too many wait."""
+        if not self._free.acquire(blocking=False):
+            return False
+
+        def run() -> None:
+            try:
+                guarded(job, self._say)
+            finally:
+                self._free.release()
+
+        try:
+            self._pool.submit(run)
+        except RuntimeError:  # the bridge ends
+            self._free.release()
+            return False
+        return True
+
+    def close(self) -> None:
+        """Waits for the jobs that are under way; drops those that wait."""
+        self._pool.shutdown(cancel_futures=True)
+
+
+def guarded(job: Callable[[], None], say: Say) -> None:
+    """Runs a job; its failure is told, and harms no other job."""
+    try:
+        job()
+    except Exception as error:
+        say(WARN, f"a request failed: {error!r}")
