@@ -7,7 +7,7 @@ import pytest
 
 from controller.motion.stages.feed import PlanProof
 from controller.planning.core.events import Identity, OpenGoal, ResultEntry
-from controller.planning.core.results import why_not_as_planned
+from controller.planning.core.outcomes import why_not_as_planned
 from controller.program import Acknowledge, Cancel, Program, Replacement
 from controller.workspace.densities import Densities
 from tests.planning.rig.desk import Desk

@@ -12,10 +12,9 @@ import msgspec
 
 from controller.host.journal import fields_of_result
 from controller.host.process import Log
-from controller.manipulator.locked import STATES
 from controller.motion.stages.feed import PlanProof
-from controller.motion.targets import GoalTarget, measured_pose
-from controller.planning.core.arm import Measured, measured_states
+from controller.motion.targets import GoalTarget
+from controller.planning.core.arm import measured_states
 from controller.planning.core.events import (
     AcceptanceEntry,
     Identity,
@@ -26,22 +25,16 @@ from controller.planning.core.events import (
     ResultEntry,
     ToExecutor,
 )
+from controller.planning.core.outcomes import STATUS_CODES, outcome_of, result_of, why_not_as_planned
 from controller.planning.core.parts import Parts
 from controller.planning.core.reports import Context, GoalOutcome, decode_context
 from controller.program import Acknowledge, Ended
-from controller.refusals import codes
 
 if TYPE_CHECKING:
-    from controller.manipulator.manipulator import Manipulator
+    pass
 
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
 SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting, the executor has sent the results that it stores
-STATUS_CODES = {
-    "canceled": codes.INVALID_GOAL,
-    "replaced": codes.INVALID_GOAL,
-    "aborted": codes.PATH_TOLERANCE_VIOLATED,
-    "lost": codes.PATH_TOLERANCE_VIOLATED,
-}
 
 
 class KnownProgram(NamedTuple):
@@ -240,113 +233,3 @@ class Results:
 def accepted_of(context: Context) -> AcceptanceEntry:
     """Returns the acceptance of a goal, for a ledger that may not have it."""
     return AcceptanceEntry(context.id, context.sent, context.waypoints)
-
-
-def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, context: Context) -> GoalOutcome:
-    """Returns the outcome of a program as the executor ended it, judged by the measured states (A,)."""
-    if ended.status != "done":
-        return GoalOutcome(ended.status, STATUS_CODES[ended.status], ended.message)
-    if context.target is None:
-        return jog_outcome(manipulator, measured, context)
-    where = measured_pose(manipulator, measured, context.target)
-    return last_waypoint_outcome(context.id, context.target, where)
-
-
-def last_waypoint_outcome(goal: str, target: GoalTarget, where: Payload) -> GoalOutcome:
-    """Returns the outcome of a goal whose last waypoint has settled; `where` is its measured_pose."""
-    error, angle = where["error"], where["orientation_error"]
-    if target.configuration is not None:
-        reached = where["configuration"] == target.configuration
-        measured = where["configuration"] or "unknown"
-        message = f"the measured configuration is {measured}, not {target.configuration}"
-    else:
-        reached = error is not None and error <= target.tolerance
-        reached = reached and (angle is None or angle <= target.angle_tolerance)
-        away = "unknown" if error is None else f"{error:.4f} from the last waypoint"
-        message = f"the measured tip is {away}, tolerance {target.tolerance:g}"
-        if angle is not None:
-            tolerances = f"tolerances {target.tolerance:g} and {target.angle_tolerance:g}"
-            message = f"the measured tip is {away} and turned {angle:.4f} rad, {tolerances}"
-    if reached:
-        return GoalOutcome("succeeded", codes.SUCCESSFUL, "reached", f"holding; goal {goal} was reached")
-    return GoalOutcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; goal {goal} was missed: {message}")
-
-
-def why_not_as_planned(planned: PlanProof | None, improved: PlanProof | None, switches: int) -> str:
-    """Returns why a goal needed more or fewer switches than its answer said; "" if it needed as many.
-
-    Args:
-        planned: the plan when the goal was accepted; None for a jog.
-        improved: the plan as it was improved; None: nothing is known of it.
-        switches: number of switches that were done.
-    """
-    if planned is None or planned.switches == switches:
-        return ""
-    if improved != planned:
-        why = "the plan was improved while the arm moved"
-    elif switches < planned.switches:
-        why = "stages that were late were joined"
-    else:
-        why = "actuators that were not in their expected states were switched, too"
-    return f"{switches} switches instead of {planned.switches}: {why}"
-
-
-def jog_outcome(manipulator: Manipulator, measured: Measured, context: Context) -> GoalOutcome:
-    """Returns whether the actuators of a jog are measured in their new states, as an outcome."""
-    apart = [manipulator.actuators[k] for k, state in sorted(context.jogged.items()) if measured[k] != state]
-    if not apart:
-        return GoalOutcome("succeeded", codes.SUCCESSFUL, "switched", "holding; the actuators were switched")
-    message = f"not measured in the requested state: {', '.join(apart)}"
-    return GoalOutcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {message}")
-
-
-def result_of(
-    manipulator: Manipulator,
-    ended: Ended,
-    measured: Measured,
-    context: Context,
-    outcome: GoalOutcome,
-    target: GoalTarget | None,
-) -> Payload:
-    """Returns the payload of a result.
-
-    The certificate is that of the plan from where the goal began. It stands there only if the arm did exactly the
-    switches that it speaks of; otherwise `certificate` is "unknown".
-
-    Args:
-        manipulator: the whole arm.
-        ended: the executor's message.
-        measured: actuator states, shape (A,).
-        context: of the program.
-        outcome: of the goal.
-        target: from which the errors are given; None: they are not given.
-    """
-    proof, bias = context.proof, {} if context.bias is None else {"bias": context.bias}
-    shown: Payload = {}
-    if context.jogged or not context.position:
-        labels = manipulator.actuators
-        travels = [
-            {"actuator": labels[travel.actuator], "state": STATES[travel.state], "seconds": travel.seconds}
-            for travel in ended.travels
-        ]
-        shown = {"travels": travels}
-    elif proof is not None:
-        as_planned = outcome.status == "succeeded" and proof.switches == ended.switches
-        kind = proof.certificate if as_planned else "unknown"
-        known = kind in ("optimal", "bound")
-        shown = {
-            "planned_switches": proof.switches,
-            "optimal": kind == "optimal" if known else None,
-            "lower_bound": proof.bound if known else None,
-            "certificate": kind,
-        }
-    return {
-        "id": context.id,
-        "status": outcome.status,
-        "code": outcome.code,
-        "message": outcome.message,
-        "switches": ended.switches,
-        **measured_pose(manipulator, measured, target),
-        **bias,
-        **shown,
-    }
