@@ -9,10 +9,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from controller.ros2 import goals, jobs, messages, poses, requests
+from controller.ros2 import goals, jobs, messages, requests
 from controller.ros2.goal_book import GoalBook
 from controller.ros2.goals import ActionGoals
-from controller.ros2.jobs import CANCEL, STOP, Order, Task
+from controller.ros2.jobs import Order, Task
 from controller.ros2.requests import Ending, Requests
 from controller.ros2.wire.action_events import Status
 from controller.ros2.wire.action_server import ActionServer, GoalHandle
@@ -27,8 +27,7 @@ Patch = tuple[Any, str, Any]
 
 _task, _put, _restore, _ending = Task.__init__, GoalBook.put, ActionServer.restore, goals.ending
 _end, _passing, _reply = ActionGoals._end, Order.passing, Requests._answer
-_joint_state, _cancel_request = messages.joint_state, ActionServer._on_cancel_request
-_receive = Ending.receive
+_joint_state, _receive = messages.joint_state, Ending.receive
 
 
 def _share_places(self: Task, name: str, function: Callable[[], None], say: Any) -> None:
@@ -108,12 +107,6 @@ def _answer_at_once(self: Ending, asked: Any) -> None:
     asked.reply({"success": True, "message": "it will be done"})
 
 
-def _cancel_another(self: ActionServer, request: Any) -> None:
-    if self._core.goals:
-        request.message.goal_info.goal_id.uuid[:] = list(next(iter(self._core.goals)))
-    _cancel_request(self, request)
-
-
 def _show_commanded(state: Any, actuators: Any) -> Any:
     return _joint_state({**state, "measured": state.get("commanded")}, actuators)
 
@@ -122,12 +115,10 @@ DEFECTS: dict[str, list[Patch]] = {
     "stops wait behind what asks for motion": [(Task, "__init__", _share_places)],
     "a stop bars nothing": [(Order, "passing", _bar_nothing)],
     "what comes later overtakes a stop": [(Order, "passing", _wait_for_nothing)],
-    "a cancel does not bar goals": [(requests, "CANCEL", STOP), (jobs, "CANCEL", CANCEL)],
     "a stop is answered before it is sent": [(Ending, "receive", _answer_at_once)],
     "a cancel is sent once": [(ActionGoals, "_due_cancel", _send_cancels_once)],
     "a cancel is forgotten by a restart": [(GoalBook, "put", _forget_cancels)],
     "a cancel is given up with its client": [(ActionGoals, "_end", _lose_debts), (goals, "GONE_AFTER", 0.0)],
-    "a cancel takes another goal": [(ActionServer, "_on_cancel_request", _cancel_another)],
     "a goal without an answer is not canceled": [(ActionGoals, "_withdraw", _remove_withdrawn)],
     "a topic's goal without an answer is not canceled": [(ActionGoals, "owe_cancel", lambda *_: None)],
     "a goal is accepted whatever the daemon says": [(goals.Answer, "accepted", True)],
@@ -142,7 +133,6 @@ DEFECTS: dict[str, list[Patch]] = {
     "a goal that the ledger may learn of is lost": [(goals, "KNOWN_WITHIN", 0.0)],
     "there is no feedback": [(GoalHandle, "feedback", lambda *_: None)],
     "old poses move the arm": [(requests, "check_stamp", lambda *_: None)],
-    "poses of other frames move the arm": [(poses.Place, "frame", lambda *_: None)],
     "a request has no reply": [(Requests, "_answer", _no_reply)],
     "joints are shown as commanded": [(messages, "joint_state", _show_commanded)],
 }

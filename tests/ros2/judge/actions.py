@@ -16,7 +16,7 @@ LEGAL = {
     (CANCELING, CANCELED),
 }
 KEPT = 50.0  # [s] for which a result is kept at least
-MOST_KNOWN = 40  # goals after which an earlier result may be forgotten; two actions share 64
+MOST_KNOWN = 30  # requests of goals after which an earlier result may be forgotten; two actions share 64
 NO_UUID = bytes(16)
 NONE, UNKNOWN_GOAL, TERMINATED = 0, 2, 3
 
@@ -44,6 +44,8 @@ class Goal:
         canceled: whether a cancel was accepted.
         ended: when it ended [s].
         result: first one that a client received.
+        told: what the daemon had told of it when it ended: code and sentence.
+        later: requests of goals that came after its acceptance.
     """
 
     uuid: bytes
@@ -52,6 +54,8 @@ class Goal:
     canceled: bool = False
     ended: float = 0.0
     result: Result | None = None
+    told: tuple[tuple[int, str], ...] = ()
+    later: int = 0
 
     @property
     def id(self) -> str:
@@ -86,6 +90,11 @@ class Actions:
         self.doubtful: set[bytes] = set()
         self.opening = False
         self.accepted = self.ended = 0
+
+    def receive_request(self) -> None:
+        """Accepts that a client sends a goal, which the bridge may reject."""
+        for goal in self.goals.values():
+            goal.later += 1
 
     def receive_acceptance(self, uuid: bytes, joints: list[str]) -> None:
         """Accepts that a client is told that its goal is accepted."""
@@ -179,5 +188,4 @@ class Actions:
 
     def _is_kept(self, goal: Goal) -> bool:
         """Returns whether the result of an ended goal must be known still."""
-        later = list(self.goals).index(goal.uuid)
-        return self._clock() < goal.ended + KEPT and len(self.goals) - later < MOST_KNOWN
+        return self._clock() < goal.ended + KEPT and goal.later < MOST_KNOWN

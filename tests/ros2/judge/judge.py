@@ -75,6 +75,8 @@ class Judge:
                 points = goal_of(kind, payload, self._arm, self._epoch())
             except Invalid:
                 points = None
+        if name.endswith(SEND):
+            self.actions[name.rpartition("/")[0]].receive_request()
         service = "/" in name or kind in ("stop", "reset", "cancel", "plan")
         return self.asks.receive(name, key, payload, points, service)
 
@@ -294,12 +296,16 @@ class Judge:
 
     def _receive_end(self, goal: Goal) -> None:
         """Accepts a goal's last status; only the daemon, or its absence, can end a goal."""
+        goal.told = self._told(goal)
         allowed = {
             SUCCEEDED if status == "succeeded" else CANCELED if status == "canceled" and goal.canceled else ABORTED
             for status, *_ in self._ends.get(goal.id, ())
         }
         if goal.status not in allowed and not (goal.status == ABORTED and self._may_be_lost(goal)):
             self._unexplained.append(goal)
+
+    def _told(self, goal: Goal) -> tuple[tuple[int, str], ...]:
+        return tuple((code, f"{status}: {message}") for status, code, message, _ in self._ends.get(goal.id, ()))
 
     def _may_be_lost(self, goal: Goal) -> bool:
         since = self._since.get(goal.id, -math.inf)
@@ -308,7 +314,7 @@ class Judge:
 
     def _check_result(self, goal: Goal, result: Result) -> None:
         """Checks that a result is what the daemon has told."""
-        told = [(code, f"{status}: {message}") for status, code, message, _ in self._ends.get(goal.id, ())]
+        told = goal.told or self._told(goal)  # a later goal may have the id by now
         lost = result.code == LOST and result.text.startswith("lost: ") and result.status == ABORTED
         if (result.code, result.text) not in told and not lost:
             raise Wrong(f"{goal.id} is told to be {result}, the daemon said {told}")
