@@ -91,14 +91,16 @@ def find(layout: BoardLayout, timeout: float, board: Board | None) -> Generator[
     def stopped() -> bool:  # a stopped board answers no SDO
         return board is not None and board.state is State.STOPPED and not ordered
 
-    for _ in range(1 + math.ceil(timeout / SDO_TIMEOUT)):
+    tries = 1 + math.ceil(timeout / SDO_TIMEOUT)
+    while kind is None and tries:
+        tries -= 1
         outcome = yield Ask(Transfer(0x1000, 0, tries=1), unless=stopped)
         if outcome.silence is None:
             kind = objects.number(name, 0x1000, 0, 4, outcome)
-            break
-        if stopped():
+        elif stopped():
             yield from _order(layout, Command.PRE_OPERATIONAL)
             ordered = True
+            tries += 1  # also after the time-out: now it can answer
         elif board is not None and board.frames == before and not board.guarded:
             board.guard()  # a stopped board without heartbeats answers only the remote frames of node guarding
     if kind is not None:
