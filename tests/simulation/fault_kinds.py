@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame
 from drivers.canopen.wire.events import BusOverrun, FrameReceived
+from tests.simulation.board_faults import BoardFaults
 from tests.simulation.judge.expected import Expected
 from tests.simulation.planner import ScriptedPlanner
 
@@ -62,14 +63,19 @@ class FaultKinds:
 
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
+        self._boards = BoardFaults(world, random)
 
     def draw(self) -> tuple[str, Fault]:
         """Returns the name of a fault, and the fault."""
         makers = [self._of_bus, self._of_board, self._of_frames, self._of_actuator, self._of_motion, self._of_executor]
+        makers += [self._of_running_boards] * 3
         while True:
             made = self._random.choice(makers)()
             if made:
                 return self._random.choice(list(made.items()))
+
+    def _of_running_boards(self) -> dict[str, Fault]:
+        return {name: Fault(*made) for name, made in self._boards.draw().items()}
 
     def _of_bus(self) -> dict[str, Fault]:
         world, timing = self._world, self._world.arm.timing

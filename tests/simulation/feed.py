@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from controller.executor.core.events import ClientGone, ClientId, Event, ExecutorTick, FromClient
+from controller.executor.core.events import ClientGone, ClientId, Event, ExecutorTick, FromClient, Health
 from controller.host.process import Quit
 from controller.program import Goodbye, Hello, Up, Welcome
 from drivers.canopen.wire.cia301 import Frame
@@ -55,6 +55,9 @@ class Feed(Witness):
                     self._planner = None
             case FrameEchoed():
                 judge.echoes(event.bus, event.frame.id)
+            case Health(loop, dropped):
+                judge.other_event()
+                judge.counts.process(loop, dropped)
             case Quit():
                 judge.quits()
             case _:
@@ -62,7 +65,16 @@ class Feed(Witness):
 
     def sends(self, bus: str, frame: Frame) -> None:
         """Tells a frame that is handed out."""
-        self._judge.hands_out(bus, frame.id)
+        self._judge.at(self._agenda.now)
+        self._judge.hands_out(bus, frame.id, frame.data)
+
+    def logs(self, level: int, text: str) -> None:
+        """Tells a line of the log."""
+        self._judge.log.logs(level, text)
+
+    def notifies(self, text: str) -> None:
+        """Tells a message for systemd."""
+        self._judge.log.notifies(text)
 
     def says(self, message: Up) -> None:
         """Tells a message to a client."""
@@ -107,3 +119,7 @@ class Witnesses(Witness):
     def logs(self, level: int, text: str) -> None:
         for witness in self._witnesses:
             witness.logs(level, text)
+
+    def notifies(self, text: str) -> None:
+        for witness in self._witnesses:
+            witness.notifies(text)

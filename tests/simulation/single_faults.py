@@ -5,6 +5,7 @@ from __future__ import annotations
 from random import Random
 from typing import TYPE_CHECKING
 
+from tests.simulation.boot_faults import BootFaults
 from tests.simulation.fault_kinds import Fault, FaultKinds
 from tests.simulation.judge.expected import told
 from tests.simulation.judge.verdict import require
@@ -31,7 +32,7 @@ class SingleFaults:
 
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
-        self._kinds = FaultKinds(world, random)
+        self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
 
     def happen(self) -> None:
         """Causes one fault, mends it, and brings the arm back.
@@ -44,8 +45,11 @@ class SingleFaults:
         planner.be_calm(True)
         planner.patient = True
         self._rest()
-        if self._random.random() < 0.2:
+        drawn = self._random.random()
+        if drawn < 0.15:
             self._end_executor()
+        elif drawn < 0.5:
+            self._boots.happen()
         else:
             world.judge.disturb()
             name, fault = self._kinds.draw()
@@ -53,6 +57,8 @@ class SingleFaults:
             world.note(f"only fault: {name}")
             self._judge(name, fault, planner)
         planner.patient = False
+        if not world.record.suspect:
+            world.judge.quiet_from(world.agenda.now)
 
     def _rest(self) -> None:
         world = self._world

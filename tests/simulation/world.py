@@ -21,6 +21,7 @@ from tests.simulation.facts import Step
 from tests.simulation.feed import Feed, Witnesses
 from tests.simulation.invariants import INVARIANTS
 from tests.simulation.judge.judge import Judge
+from tests.simulation.judge.traffic import Look
 from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.record import Record
@@ -85,6 +86,7 @@ class World:
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
         self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge)
+        judge.traffic.look = {name: self._look(name) for name in self.boards.simulated.names}
         self.trouble = Trouble(self, drawn("trouble"))
         self.single_faults = SingleFaults(self, drawn("single faults"))
         self.epoch_before, self.mode_before = 0, "starting"
@@ -102,17 +104,19 @@ class World:
         """
         end = self.agenda.steps + steps
         self.calm()
-        while self.agenda.steps < end:
+        while True:
+            if self.daemon is None:
+                for _ in range(4):
+                    self.single_faults.happen()
             self.planner.be_calm(False)
             self.pass_time(self._random.uniform(1.0, 6.0))
-            if self.daemon is None:
-                for _ in range(3):
-                    self.single_faults.happen()
-                self.planner.be_calm(False)
-            self.judge.disturb()
-            self.trouble.begin()
-            self.pass_time(self._random.uniform(2.0, 15.0))
-            self.calm()
+            if self.daemon is not None or self.drawn_half():
+                self.judge.disturb()
+                self.trouble.begin()
+                self.pass_time(self._random.uniform(2.0, 15.0))
+                self.calm()
+            if self.agenda.steps >= end:
+                break
 
     def pass_time(self, seconds: float) -> None:
         """Runs all steps of a time [s]."""
@@ -198,6 +202,10 @@ class World:
         return self._random.random() < 0.5
 
     # --- its parts
+
+    def _look(self, name: str) -> Look:
+        board = self.boards.simulated.board(name)
+        return Look(board.objects.number, board.objects.has, lambda: board.state)
 
     def _to_executor(self, event: Event) -> None:
         self.executor.post(event)

@@ -17,12 +17,29 @@ ORDINARY = (
     *("standard", "one-supervision", "outputs-in-rpdo5", "many-outputs", "fixed-mapping", "saves-writes"),
     *("no-output-bit", "all-bits", "shows-error-state", "resets-outputs"),
     *("absent-unsupported", "absent-general", "logged-ends", "kept-loss", "no-emergencies", "sync-window"),
-    *("guarding-with-1029h", "rounded-heartbeats", "watched-already", "no-device-type", "many-profiles"),
+    *(
+        "guarding-with-1029h",
+        "guarding-with-1029h",
+        "guarding-with-1029h",
+        "rounded-heartbeats",
+        "watched-already",
+        "no-device-type",
+        "many-profiles",
+    ),
     "short-mapping",
     *("foreign-sync", "sync-counter", "sync-period", "masked-inputs"),
 )
 HOLDING = (
-    *("guarding-only", "no-error-behaviour", "canopennode", "no-error-mode", "no-error-mode-off", "maker-object"),
+    *(
+        "guarding-only",
+        "guarding-only",
+        "guarding-only",
+        "no-error-behaviour",
+        "canopennode",
+        "no-error-mode",
+        "no-error-mode-off",
+        "maker-object",
+    ),
     "off-in-preoperational",
 )
 # They cannot map 8 bytes with dummies, so that the arm has no shared RPDO.
@@ -107,9 +124,9 @@ def draw_interlocks(random: Random, buses: list[str]) -> tuple[Interlock, ...]:
 def draw_boards(random: Random, arm: ExecutedArm) -> tuple[ExecutedArm, dict[str, Variant]]:
     """Returns the arm with the settings that its boards need, and the variants of its boards.
 
-    Half of the arms have only standard boards.
+    A quarter of the arms have only standard boards.
     """
-    if random.random() < 0.5:
+    if random.random() < 0.25:
         return arm, {}
     wiring = arm.wiring
     names = ORDINARY if any(level is not None for level in wiring.loss_levels) else ORDINARY + HOLDING

@@ -20,7 +20,7 @@ from controller.executor.core.events import (
 )
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.flight_recorder import FlightRecorder
-from controller.host.process import Log, Quit
+from controller.host.process import Log, Notify, Quit
 from controller.program import TICK, Up
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import BusChanged, SendFailed
@@ -50,6 +50,9 @@ class Witness:
 
     def logs(self, level: int, text: str) -> None:
         """Is called with each line of the log."""
+
+    def notifies(self, text: str) -> None:
+        """Is called with each message for systemd."""
 
 
 class ExecutorProcess:
@@ -240,3 +243,5 @@ class ExecutorProcess:
                 self._to_client(client, message)
             case Log(level, text):
                 self._witness.logs(level, text)
+            case Notify(text):
+                self._witness.notifies(text)

@@ -23,6 +23,7 @@ class BoardObjects:
     def __init__(self, arm: Any) -> None:
         self._timing = arm.timing
         wiring = arm.wiring
+        self._bases = {f"{node.bus}/{node.node}": node.object for node in wiring.nodes}
         self._used: dict[str, tuple[int, int]] = {}  # of each board, masks of the used output bits and input bits
         self._loss: dict[str, tuple[int, int]] = {}  # of each board, output bits with a loss level, and these levels
         for line, level in zip(wiring.output_lines, wiring.loss_levels, strict=True):
@@ -34,6 +35,14 @@ class BoardObjects:
         for line in wiring.input_lines:
             if line is not None:
                 self._use(f"{line.bus}/{line.node}", 0, 1 << line.bit)
+
+    def used(self, board: str) -> tuple[int, int]:
+        """Returns the masks of the used output bits and input bits of a board."""
+        return self._used[board]
+
+    def base(self, board: str) -> int:
+        """Returns the index of the outputs of a board."""
+        return self._bases.get(board, 0x6200)
 
     def _use(self, board: str, outputs: int, inputs: int) -> None:
         before = self._used.get(board, (0, 0))

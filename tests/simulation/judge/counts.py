@@ -24,10 +24,11 @@ class Counts:
         self._base: dict[int, int] = {}  # by actuator, count less switches of the bus
         self._clear_since = 0.0  # since when the base holds
         self._told_at = 0.0
+        self._health: tuple[dict[str, float], int] = {}, 0
 
     def begin(self) -> None:
         """Forgets the last process. Nobody can tell whether a pulse of its last commit has switched."""
-        self._told_at = self._a.now
+        self._told_at, self._health = self._a.now, ({}, 0)
         if self._a.committing:
             self._base = {}
 
@@ -37,6 +38,10 @@ class Counts:
         if not a.clear or not connected:
             self._told_at = a.now
         require(a.now - self._told_at <= EVERY, f"no diagnostics for {a.now - self._told_at:g} s")
+
+    def process(self, loop: dict[str, float], dropped: int) -> None:
+        """Takes the figures of the process."""
+        self._health = loop, dropped
 
     def told(self, counts: Sequence[int]) -> None:
         """Judges counts in a message. Switches count when they were read back."""
@@ -59,6 +64,8 @@ class Counts:
         a = self._a
         self.told(message.counts)
         self._told_at = a.now
+        told = dict(message.loop), message.dropped
+        require(told == self._health, f"loop and dropped messages are told as {told}, the process says {self._health}")
         if not a.clear or a.mode not in ("ready", "executing") or a.now < a.ready_at + 0.2:
             return
         for bus in message.buses:

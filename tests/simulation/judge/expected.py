@@ -9,7 +9,7 @@ from tests.simulation.judge.snapshots import STANDING
 from tests.simulation.judge.verdict import require
 
 CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing", "pulse-overdue"})
-WARNINGS = STANDING | {"bus-passive"}
+WARNINGS = STANDING | {"bus-passive", "journal"}
 
 
 class Expected(NamedTuple):
@@ -21,6 +21,7 @@ class Expected(NamedTuple):
         within: time from the cause until it is told [s].
         also: codes that may be told as well.
         cleared: whether the arm becomes ready without a reset when the cause is gone.
+        words: words that the message of this fault must contain.
         refused: reason for which a reset is refused while the cause is there; "" if it is not.
     """
 
@@ -30,6 +31,7 @@ class Expected(NamedTuple):
     also: frozenset[str] = frozenset()
     cleared: bool = False
     refused: str = ""
+    words: tuple[str, ...] = ()
 
 
 def told(expected: Expected, snapshot: Snapshot | None) -> bool:
@@ -49,6 +51,8 @@ def told(expected: Expected, snapshot: Snapshot | None) -> bool:
         if ours:
             right = not expected.sources or any(word in fault.source for word in expected.sources)
             require(right or fault.code in expected.also, f"{fault} is told; its source is in {expected.sources}")
+            worded = not right or all(word in fault.message for word in expected.words)
+            require(worded, f"{fault} is told; its sentence has {expected.words}")
             found |= right
     stops = any(fault.code not in WARNINGS for fault in snapshot.faults)
     if stops:

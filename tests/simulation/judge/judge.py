@@ -33,11 +33,13 @@ from tests.simulation.judge.arm import JudgedArm
 from tests.simulation.judge.boards import BoardObjects, Endings
 from tests.simulation.judge.counts import Counts
 from tests.simulation.judge.ground import Ground
+from tests.simulation.judge.log import Log
 from tests.simulation.judge.programs import Programs
 from tests.simulation.judge.pulses import Pulses
 from tests.simulation.judge.requests import Requests
 from tests.simulation.judge.snapshots import Snapshots
 from tests.simulation.judge.streams import Streams
+from tests.simulation.judge.traffic import Traffic
 
 SYNC = 0x80
 RPDOS = range(0x200, 0x580, 0x100)
@@ -71,6 +73,7 @@ class Judge:
         self.requests = Requests(self.account, self.programs, self.snapshots)
         self.counts = Counts(self.account)
         self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
+        self.traffic, self.log = Traffic(self.account, arm), Log(self.account)
 
     # --- the world
 
@@ -97,7 +100,7 @@ class Judge:
     def _forget(self) -> None:
         self.counts.begin()
         self.account.begin()
-        for part in (self.snapshots, self.programs, self.streams, self.requests):
+        for part in (self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log):
             part.begin()
 
     def dies(self) -> None:
@@ -121,6 +124,7 @@ class Judge:
         self.streams.tick()
         self.requests.tick()
         self.endings.tick()
+        self.traffic.tick()
         self.counts.tick(self.snapshots.connected)
 
     def other_event(self) -> None:
@@ -212,15 +216,17 @@ class Judge:
             case Diagnostics():
                 self.counts.diagnosed(message)
             case Snapshot():
+                self.log.shows(self.account.shown, message)
                 self.streams.shown(message)
                 self.snapshots.show(message)
                 if message.mode == "fault":
                     self.programs.end("fault", "aborted")
                     self.account.stream = None
 
-    def hands_out(self, bus: str, frame_id: int) -> None:
+    def hands_out(self, bus: str, frame_id: int, data: bytes) -> None:
         """The process hands a frame to a bus."""
         a = self.account
+        self.traffic.hands_out(bus, frame_id, data)
         if frame_id & 0x780 in RPDOS:
             if a.commit is None or a.commit.at != a.now:
                 a.commit = Commit(a.now, self.ground.states)
@@ -238,6 +244,7 @@ class Judge:
         if cause == "SYNC":
             self.account.mover = self.account.commit
             self.programs.switched(mask)
+            self.traffic.switched()
 
     def energises(self, on: int, came: int, cause: str) -> None:
         """The actuators of mask `on` have one of two outputs on; those of `came` since this cause."""

@@ -1,0 +1,241 @@
+"""What other programs may leave on boards while no executor runs: the next boot corrects it, or refuses the board."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from random import Random
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Command, Frame, State
+from tests.simulation.judge.verdict import require
+
+if TYPE_CHECKING:
+    from tests.simulation.world import World
+
+RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one boots
+REFUSED = 15.0  # [s] until a boot is over; one without answers of a board is tried again
+SETTLED = 0.3  # [s] after a refusal, until the last write of it has arrived
+OUTPUTS, LIVE = 0x6200, {0x1001, 0x1002, 0x1003, 0x6000}  # objects that the board changes by itself
+Values = dict[tuple[int, int], int]
+
+CORRECTED: tuple[tuple[int, int, tuple[int, ...]], ...] = (  # index, sub-index, wrong values
+    (0x1005, 0, (0x85, 0x4000_0080)),
+    (0x1006, 0, (1_000_000,)),
+    (0x1007, 0, (10_000,)),
+    (0x1019, 0, (10,)),
+    (0x1014, 0, (0x8000_0081, 0xEE)),
+    (0x1016, 1, (127 << 16 | 5000, 0, 3 << 16 | 1000)),
+    (0x1017, 0, (0, 700, 5)),
+    (0x100C, 0, (0, 500)),
+    (0x100D, 0, (0, 9)),
+    (0x1029, 1, (0, 1, 2)),
+    (0x6005, 0, (0,)),
+    (0x6006, 1, (0, 0x55)),
+    (0x6006, 2, (0,)),
+    (0x6208, 1, (0, 0xF0)),
+    (0x6208, 2, (0,)),
+    (0x1400, 1, (1 << 31 | 0x201, 0x333)),
+    (0x1400, 2, (0, 2, 240, 254, 255)),
+    (0x1400, 5, (200,)),
+    (0x1600, 0, (0, 1, 3)),
+    (0x1600, 1, (0x6200_0208,)),
+    (0x1800, 1, (1 << 31 | 0x181, 0x4000_0333)),
+    (0x1800, 2, (1, 254)),
+    (0x1800, 3, (1000,)),
+    (0x1800, 5, (0, 50)),
+    (0x1A00, 0, (0, 1)),
+    (0x1A00, 1, (0x6000_0208,)),
+)
+
+
+class Refusal(NamedTuple):
+    """A board that the boot must refuse; `words` are in the sentence."""
+
+    code: str
+    words: tuple[str, ...]
+
+
+class BootFaults:
+    """Changes boards while the executor is dead, and judges its next boot.
+
+    Args:
+        world: with a scripted planner.
+        random: draws.
+    """
+
+    def __init__(self, world: World, random: Random) -> None:
+        self._world, self._random = world, random
+
+    def happen(self) -> None:
+        """Kills the executor, changes one board, and judges the boot."""
+        world, random = self._world, self._random
+        name = random.choice(list(world.boards.simulated.names))
+        board = world.boards.simulated.board(name)
+        objects, variant, refused = board.objects, board.variant, random.random() < 0.5
+        kept = objects._variant, objects._described, dict(objects.refused)
+        world.judge.disturb()
+        found: list[Values] = []
+        expected: list[Refusal] = []
+
+        def change() -> None:
+            if not board.powered or board.state is None:
+                return
+            self._configure_otherwise(board)
+            if random.random() < 0.3:
+                self._order(name)
+            if refused:
+                expected.append(self._spoil(name, board))
+            elif random.random() < 0.3:
+                board.variant = replace(variant, answer_delay=random.choice([0.01, 0.06]))
+            found.append(self._values(board))
+
+        world.executor.at_next_start(change)
+        instance = world.executor.instances
+        world.trouble.made["only: a refused board" if refused else "only: another configuration"] += 1
+        world.note(f"only fault: {name} is changed before the boot")
+        world.executor.kill()
+        world.wait(lambda: world.executor.instances > instance, "started again", RESTARTED)
+        if expected:
+            self._judge_refusal(name, board, expected[0], found[0])
+        objects._variant, objects._described, objects.refused = kept[0], kept[1], kept[2]
+        board.variant = variant
+        board.emergencies.recover(0xFF00)
+        self._invert(board, 0)
+        planner = world.planner
+        planner.patient = not expected  # type: ignore[union-attr]
+        world.wait(world.settled, f"ready after {name} was changed", world.ready_within)
+        self._judge_objects()
+
+    def _judge_objects(self) -> None:
+        world = self._world
+        for name in world.boards.simulated.names:
+            objects = world.boards.simulated.board(name).objects
+            world.judge.objects.judge(name, objects.has, objects.number)
+
+    def _configure_otherwise(self, board: Any) -> None:
+        """Gives some objects wrong values, which a boot corrects."""
+        objects, random = board.objects, self._random
+        fixed = any(objects._variant.read_only)
+        for index, sub, values in random.sample(CORRECTED, random.choice([0, 1, 3, 6])):
+            entry = objects._described.get(index, {}).get(sub)
+            if entry is None or not entry.writable:
+                continue
+            pdo = 0x1400 <= index < 0x1C00
+            if pdo and (fixed or objects._variant.absent or objects._variant.changes):
+                continue
+            value = random.choice(values)
+            self._world.note(f"{index:04X}h sub {sub} gets {value:X}h")
+            objects.set_number(index, sub, value)
+        board._pdos.configure()
+
+    def _order(self, name: str) -> None:
+        """Another program stops a board, or takes it out of operational."""
+        bus, node = name.split("/")
+        command = self._random.choice([Command.PRE_OPERATIONAL, Command.STOP])
+        self._world.boards.hear_tool(bus, Frame(cia301.NMT, bytes([command, int(node)])))
+
+    def _spoil(self, name: str, board: Any) -> Refusal:
+        """Gives a board a reason for which it is refused."""
+        objects, random, world = board.objects, self._random, self._world
+        (outputs, inputs) = world.judge.objects.used(name)
+        sub = next(k + 1 for k in range(64) if (outputs or inputs) >> 8 * k & 0xFF)
+        base = world.judge.objects.base(name) if outputs else 0x6000
+        makers = [self._error, self._unreadable, self._profile, self._unsupervised]
+        if outputs and base == OUTPUTS and objects.has(0x6202) and not self._has_pairs(name):
+            makers += [self._inverted] * 2
+        if objects.has(0x1005):
+            makers += [self._deaf] * 2
+        return random.choice(makers)(board, base, sub)
+
+    def _error(self, board: Any, base: int, sub: int) -> Refusal:
+        board.emergencies.report(0xFF00, 0x80)
+        return Refusal("board-error", ("1001h", "1003h sub 1", "Remove its cause"))
+
+    def _unreadable(self, board: Any, base: int, sub: int) -> Refusal:
+        board.objects.refused[base, sub] = 0x0606_0000
+        return Refusal("sdo-refused", (f"{base:04X}h sub {sub}", "hardware error"))
+
+    def _profile(self, board: Any, base: int, sub: int) -> Refusal:
+        described = board.objects._described
+        other = described[0x1000][0]._replace(default=(402).to_bytes(4, "little"))
+        board.objects._described = {**described, 0x1000: {0: other}}
+        return Refusal("wrong-device", ("1000h", "0191h"))
+
+    def _unsupervised(self, board: Any, base: int, sub: int) -> Refusal:
+        described = board.objects._described
+        board.objects._described = {k: v for k, v in described.items() if k not in (0x1016, 0x100C)}
+        return Refusal("wrong-device", ("1016h", "100Ch"))
+
+    def _inverted(self, board: Any, base: int, sub: int) -> Refusal:
+        self._invert(board, 0xFF)
+        return Refusal("wrong-device", ("6202h", "FFh", "polarity"))
+
+    def _has_pairs(self, name: str) -> bool:
+        channels = self._world.arm.wiring.channels
+        return any(c.output_off is not None for c in channels if f"{c.bus}/{c.node}" == name)
+
+    def _invert(self, board: Any, polarity: int) -> None:
+        """Writes the polarity of the outputs, which switches them."""
+        objects = board.objects
+        if not objects.has(0x6202) or objects.number(0x6202, 1) == polarity:
+            return
+        for sub in objects.subs(0x6202):
+            objects.set_number(0x6202, sub, polarity)
+        if board.powered:
+            board._drive()
+        self._world.boards.see("fault")
+
+    def _deaf(self, board: Any, base: int, sub: int) -> Refusal:
+        board.objects._variant = replace(board.objects._variant, deaf=frozenset({0x1005}))
+        board.objects.set_number(0x1005, 0, 0x85)
+        return Refusal("sdo-refused", ("1005h", "another program"))
+
+    def _values(self, board: Any) -> Values:
+        return {
+            (index, sub): int.from_bytes(board.objects._value(index, sub), "little")
+            for index, entries in board.objects._described.items()
+            for sub in entries
+            if index not in LIVE
+        }
+
+    def _judge_refusal(self, name: str, board: Any, expected: Refusal, found: Values) -> None:
+        """Requires the fault with its words, and a board that is as it was found."""
+        world = self._world
+
+        again = False
+
+        def told() -> bool:
+            nonlocal again
+            snapshot = world.planner.snapshot
+            if snapshot is None or snapshot.mode != "fault":
+                return False
+            # A board that has just lost its dead master may stop in the middle of its boot; the next boot finds it.
+            missing = any(fault.code == "board-missing" for fault in snapshot.faults)
+            again |= missing
+            return not missing or any(fault.code == expected.code for fault in snapshot.faults)
+
+        planner = world.planner
+        planner.patient = True  # type: ignore[union-attr]
+        world.wait(told, f"in mode fault: {expected}", REFUSED)
+        snapshot = world.planner.snapshot
+        assert snapshot is not None
+        ours = [fault for fault in snapshot.faults if fault.code == expected.code and fault.source == name]
+        others = [f for f in snapshot.faults if f.source.split("/")[0] in world.buses and f.source != name]
+        right = len(ours) == 1 and all(word in ours[0].message for word in expected.words)
+        require(right, f"{name} must be refused by {expected}, told is {snapshot.faults}")
+        others = [f for f in others if f.code not in ("board-limits", "outputs-off", "bus-passive", "board-missing")]
+        require(not others, f"only {name} has a cause for a fault, told is {others}")
+        if again:
+            return
+        world.pass_time(SETTLED)
+        before, after = found, self._values(board)
+        base = world.judge.objects.base(name)
+        unread = expected.words[0].startswith(f"{base:04X}h")
+        changed = {key: (value, after[key]) for key, value in before.items() if after[key] != value and key[0] != base}
+        # Outputs that cannot be read may not be started: START would apply what nobody knows.
+        state = world.judge.traffic.ordered.get(name)
+        left = board.state is state or state is None or (board.state is State.PRE_OPERATIONAL and unread)
+        require(left, f"{name} was found in {state}, refused, and is left in {board.state}")
+        told_ = ", ".join(f"{i:04X}h sub {s}: {a:X}h, {b:X}h now" for (i, s), (a, b) in changed.items())
+        require(not changed or board.variant.saves, f"{name} was refused, and is changed: {told_}")
