@@ -152,6 +152,7 @@ class Traffic:
         a, now = self._a, self._a.now
         if not a.clear:
             self._began = self._window = now
+            self._asked.clear()
             return
         for bus in self._rates:
             gap = now - max(self._beats.get(bus, self._began), self._began)
