@@ -105,6 +105,8 @@ class BootFaults:
         planner = world.planner
         planner.patient = not expected  # type: ignore[union-attr]
         world.wait(world.settled, f"ready after {name} was changed", world.ready_within)
+        if found and not expected:
+            world.judge.objects.judge_kept(name, found[-1], self._values(board))
         self._judge_objects()
 
     def _judge_objects(self) -> None:
@@ -150,7 +152,7 @@ class BootFaults:
 
     def _error(self, board: Any, base: int, sub: int) -> Refusal:
         board.emergencies.report(0xFF00, 0x80)
-        return Refusal("board-error", ("1001h", "1003h sub 1", "Remove its cause"))
+        return Refusal("board-error", ("1001h", "1003h sub", "Remove its cause"))
 
     def _unreadable(self, board: Any, base: int, sub: int) -> Refusal:
         board.objects.refused[base, sub] = 0x0606_0000

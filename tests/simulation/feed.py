@@ -6,7 +6,7 @@ from controller.executor.core.events import ClientGone, ClientId, Event, Executo
 from controller.host.process import Quit
 from controller.program import Goodbye, Hello, Up, Welcome
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import FrameEchoed
+from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import Witness
 from tests.simulation.judge.judge import Client, Judge
@@ -55,6 +55,10 @@ class Feed(Witness):
                     self._planner = None
             case FrameEchoed():
                 judge.echoes(event.bus, event.frame.id)
+                judge.counts.echoes(event.bus)
+            case FrameReceived():
+                judge.other_event()
+                judge.counts.hears(event.bus, event.frame.id)
             case Health(loop, dropped):
                 judge.other_event()
                 judge.counts.process(loop, dropped)

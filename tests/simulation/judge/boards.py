@@ -10,6 +10,7 @@ from tests.simulation.judge.arm import mask_of
 from tests.simulation.judge.verdict import require
 
 MASTER = 127
+NEEDED = {0x1005, 0x1006, 0x1007, 0x1019, 0x1014, 0x1016, 0x1017, 0x100C, 0x100D, 0x1029, 0x6005}
 LOST_LATE = 0.03  # [s] after `heartbeat_timeout` until a board acts on the loss of its master: its clock rounds
 
 
@@ -82,6 +83,23 @@ class BoardObjects:
                 needs(0x6005, 0, 1)
                 needs(0x6006, sub, sensed, sensed)
 
+    def judge_kept(self, board: str, before: dict[tuple[int, int], int], after: dict[tuple[int, int], int]) -> None:
+        """Requires that a boot has changed only what the wiring needs, from all values before it and after it."""
+        (outputs, inputs), (taken, _) = self._used[board], self._loss.get(board, (0, 0))
+        used = {0x6206: outputs, 0x6207: taken, 0x6208: outputs, 0x6006: inputs}
+        watched = [after[key] ^ value for key, value in before.items() if key[0] == 0x1016 and key[1]]
+        require(sum(map(bool, watched)) <= 1, f"board {board}: {watched} have changed in 1016h")
+        for (index, sub), value in before.items():
+            changed = value ^ after[index, sub]
+            text = f"board {board}: {index:04X}h sub {sub} was {value:X}h, and is {after[index, sub]:X}h after the boot"
+            if index in used and sub:
+                require(not changed & ~(used[index] >> 8 * (sub - 1)), text)
+            elif changed and index != self.base(board):
+                require(index in NEEDED or 0x1400 <= index < 0x1C00, text)
+            if index == 0x1016 and sub and changed and value & 0xFFFF and value >> 16 & 0x7F != MASTER:
+                free = [key for key, entry in before.items() if key[0] == 0x1016 and key[1] and not entry & 0xFFFF]
+                require(not free, f"{text}; {free} were free")
+
     def _judge_supervision(self, board: str, has: Callable[[int], bool], number: Callable[[int, int], int]) -> None:
         timeout = round(1000 * self._timing.heartbeat_timeout)
         if has(0x1016) and number(0x1017, 0):
@@ -111,7 +129,7 @@ class Endings:
     def __init__(self, account: Account, arm: Any) -> None:
         self._a = account
         wiring, on_loss = arm.wiring, arm.wiring.on_loss
-        self._lets_go = mask_of(
+        self.lets_go = mask_of(
             k for k, c in enumerate(wiring.channels) if c.pulse is None and (c.on_loss or on_loss) == "contract"
         )
         self._contracts = False
@@ -158,9 +176,9 @@ class Endings:
         died_at, states = ended
         timing = a.arm.timing
         if a.now - died_at > timing.heartbeat_timeout + timing.heartbeat + LOST_LATE:
-            states &= ~self._lets_go
+            states &= ~self.lets_go
             wrong = a.ground.states ^ states
             require(not wrong, f"the boards lost the executor and drive {a.ground.states:b}; on_loss wants {states:b}")
         else:
-            moved = (a.ground.states ^ states) & ~self._lets_go
+            moved = (a.ground.states ^ states) & ~self.lets_go
             require(not moved, f"{moved:b} switched between two executors")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 from controller.program import Diagnostics
@@ -9,6 +10,7 @@ from tests.simulation.judge.account import Account
 from tests.simulation.judge.programs import READ_BACK, TICK
 from tests.simulation.judge.verdict import require
 
+HEARTBEAT = 0x700
 EVERY = 1.0 + 3 * TICK  # [s], longest time between two diagnostics
 
 
@@ -25,10 +27,18 @@ class Counts:
         self._clear_since = 0.0  # since when the base holds
         self._told_at = 0.0
         self._health: tuple[dict[str, float], int] = {}, 0
+        self._sent: Counter[str] = Counter()
+        self._handed: Counter[str] = Counter()
+        self._received: Counter[str] = Counter()
+        self._beats: dict[tuple[str, int], float] = {}
 
     def begin(self) -> None:
         """Forgets the last process. Nobody can tell whether a pulse of its last commit has switched."""
         self._told_at, self._health = self._a.now, ({}, 0)
+        self._sent.clear()
+        self._handed.clear()
+        self._received.clear()
+        self._beats.clear()
         if self._a.committing:
             self._base = {}
 
@@ -42,6 +52,20 @@ class Counts:
     def process(self, loop: dict[str, float], dropped: int) -> None:
         """Takes the figures of the process."""
         self._health = loop, dropped
+
+    def hands_out(self, bus: str) -> None:
+        """The process hands out a frame."""
+        self._handed[bus] += 1
+
+    def echoes(self, bus: str) -> None:
+        """The process hears that a frame of its own was sent."""
+        self._sent[bus] += 1
+
+    def hears(self, bus: str, cob_id: int) -> None:
+        """The process hears a frame of another node."""
+        self._received[bus] += 1
+        if cob_id & 0x780 == HEARTBEAT:
+            self._beats[bus, cob_id & 0x7F] = self._a.now
 
     def told(self, counts: Sequence[int]) -> None:
         """Judges counts in a message. Switches count when they were read back."""
@@ -70,9 +94,18 @@ class Counts:
             return
         for bus in message.buses:
             require(bus["state"] in ("active", "warning"), f"{bus['name']} is told as {bus['state']}")
-            require(bus["tx_frames"] and bus["rx_frames"], f"no frames are told: {bus}")
+            name = str(bus["name"])
+            sent, heard = int(str(bus["tx_frames"])), int(str(bus["rx_frames"]))
+            least, most = self._sent[name], self._handed[name]  # some are on their way
+            require(least <= sent <= most, f"{name}: {sent} frames are told as sent; {least} were, {most} handed out")
+            require(
+                heard == self._received[name], f"{name}: {heard} frames are told, heard were {self._received[name]}"
+            )
         oldest = 2 * a.arm.timing.heartbeat + 0.05
         for board in message.boards:
             require(board["state"] == "operational", f"{board} is operational")
             age = board["heartbeat_age"]
             require(isinstance(age, float) and 0 <= age <= oldest, f"{board}: its heartbeat is younger")
+            heard = a.now - self._beats.get((str(board["bus"]), int(str(board["node"]))), 0.0)
+            require(abs(age - heard) <= 2 * TICK, f"{board}: its heartbeat was heard {heard:g} s ago")
+            require(board["emergency"] is None, f"{board}: no emergency stands")

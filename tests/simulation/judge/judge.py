@@ -73,7 +73,7 @@ class Judge:
         self.requests = Requests(self.account, self.programs, self.snapshots)
         self.counts = Counts(self.account)
         self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
-        self.traffic, self.log = Traffic(self.account, arm), Log(self.account)
+        self.traffic, self.log = Traffic(self.account, arm), Log(self.account, self.endings.lets_go)
 
     # --- the world
 
@@ -227,6 +227,7 @@ class Judge:
         """The process hands a frame to a bus."""
         a = self.account
         self.traffic.hands_out(bus, frame_id, data)
+        self.counts.hands_out(bus)
         if frame_id & 0x780 in RPDOS:
             if a.commit is None or a.commit.at != a.now:
                 a.commit = Commit(a.now, self.ground.states)

@@ -19,15 +19,17 @@ class Log:
 
     Args:
         account: of the executor.
+        lets_go: mask of the actuators that the boards contract without the executor.
     """
 
-    def __init__(self, account: Account) -> None:
-        self._a = account
+    def __init__(self, account: Account, lets_go: int) -> None:
+        self._a, self._lets_go = account, lets_go
         self.begin()
 
     def begin(self) -> None:
         """Forgets the last process."""
         self._status: str | None = None
+        self._warned = False  # of what the boards do after the end
         self._told: Counter[str] = Counter()  # of the faults since the last boot
         self._modes: list[str] = []  # lines of modes since the last snapshot
 
@@ -46,13 +48,24 @@ class Log:
             if mode == "starting":
                 self._told.clear()
             self._modes.append(text)
+        elif text.startswith("when the executor has ended"):
+            self._warned = True
+            require(f"contract {self._words()}" in text, f"the line {text!r}; it is {self._words()}")
         elif level >= logging.ERROR:
             self._told[text[:MOST]] += 1
             require(self._told[text[:MOST]] == 1, f"the line {text!r} is written {self._told[text[:MOST]]} times")
 
+    def _words(self) -> str:
+        count = self._lets_go.bit_count()
+        return f"all {count} actuators" if count == self._a.arm.count else f"{count} actuators"
+
     def shows(self, last: Snapshot | None, snapshot: Snapshot) -> None:
         """Judges the lines by a snapshot."""
         shown = f"{snapshot.mode}: {snapshot.reason}"
+        warned = bool(self._lets_go) and not self._a.arm.contracts_at_end
+        require(
+            warned == self._warned, f"{self._lets_go:b} contract without the executor, the log tells: {self._warned}"
+        )
         lines, self._modes = self._modes, []
         if last is not None and (last.mode, last.reason) != (snapshot.mode, snapshot.reason):
             require(shown in lines, f"the log does not tell {shown!r}, only {lines}")

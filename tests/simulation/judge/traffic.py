@@ -190,8 +190,8 @@ class Traffic:
         for bus, times in self._asked.items():
             here = [name for name in self.look if name.startswith(f"{bus}/")]
             pace = max(PACE, 2 * FRAME_BITS / (SHARE * self._rates[bus]))
-            subs = sum(len(self._inputs.get(board, ())) for board in here)
-            reads = 2.0 * seconds / pace + 2 * subs * (seconds / INPUTS_EVERY + 2) + PULSE_READS * len(here)
+            inputs = sum(len(self._inputs.get(b, ())) * (seconds / self.period_of(b) + 2) for b in here)
+            reads = 2.0 * seconds / pace + 2 * inputs + PULSE_READS * len(here)
             require(len(times) <= reads, f"{bus}: {len(times)} SDO requests in {seconds:.2f} s, {reads:.0f} at most")
         if seconds > 2.0:
             self._window = a.now
