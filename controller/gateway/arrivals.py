@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from typing import NamedTuple
 
 from controller.planning.core.events import Payload
 
@@ -21,6 +22,14 @@ FORGET_EVERY = 1.0  # [s]
 MOST = 1_000  # keys of goals remembered
 
 Reply = Callable[[Payload], None]  # must not wait
+
+
+class Clocks(NamedTuple):
+    """The clocks of the gateway: monotonic [s], UNIX [s], and a function that pauses the thread [s]."""
+
+    monotonic: Callable[[], float] = time.monotonic
+    wall: Callable[[], float] = time.time
+    pause: Callable[[float], None] = time.sleep
 
 
 class Rate:

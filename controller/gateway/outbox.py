@@ -96,6 +96,9 @@ class Outbox:
             for key, control in PUBLISHED.items()
         }
         self._thread = threading.Thread(target=self._run, name="outbox", daemon=True)
+
+    def start(self) -> None:
+        """Starts the thread. Without it the caller sends what is queued, by `step`."""
         self._thread.start()
 
     def publish(self, key: Literal["state", "diagnostics", "feedback", "result", "@request"], payload: Payload) -> None:
@@ -139,7 +142,8 @@ class Outbox:
         """Sends the rest, for at most `timeout` seconds."""
         self._closing = True
         self._wake_up()
-        self._thread.join(timeout)
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
 
     def _put(self, lane: deque[Item], item: Item, *, needed: bool = False) -> None:
         full = len(lane) >= MOST_WAITING
@@ -159,34 +163,39 @@ class Outbox:
 
     def _run(self) -> None:
         try:
-            while (item := self._next()) is not None:
-                self._send(*item)
-                self._last_reading = self._clock()  # waiting for a slow peer is no standstill
-            self._post_published(np.inf)
+            while (wait := self.step()) is not None:
+                if wait > 0.0:
+                    with contextlib.suppress(queue.Empty):
+                        self._wake.get(timeout=wait)
         except BaseException as error:
             log.exception("the outbox failed")
             self._fatal(f"the thread that publishes results failed: {type(error).__name__}: {error}")
 
+    def step(self) -> float | None:
+        """Sends one message, if one may be sent; returns how long to wait for the next one [s], None at the end."""
+        self._post_published(self._clock())
+        item = self._next()
+        if item is not None:
+            self._send(*item)
+            self._last_reading = self._clock()  # waiting for a slow peer is no standstill
+            return 0.0
+        if self._closing:
+            self._post_published(np.inf)
+            return None
+        return max(min(self._put_results[0][0] - self._clock(), POLL), 0.0) if self._put_results else POLL
+
     def _next(self) -> Item | None:
-        """Waits for the next message; None at the end."""
-        while True:
-            self._post_published(self._clock())
-            results_wait = self._stood_still() and not self._closing
-            inherited_wait = results_wait or (self._clock() < self._reached_from and not self._closing)
-            if self._inherited and not inherited_wait:
-                return self._inherited.popleft()
-            if self._first and not (results_wait and self._first[0][1] == "result"):
-                return self._first.popleft()
-            for key in LATEST:
-                if (latest := self._latest.pop(key, None)) is not None:
-                    return None, key, latest
-            if self._second:
-                return self._second.popleft()
-            if self._closing:
-                return None
-            wait = min(self._put_results[0][0] - self._clock(), POLL) if self._put_results else POLL
-            with contextlib.suppress(queue.Empty):
-                self._wake.get(timeout=max(wait, 0.0))
+        """Returns the next message that may be sent; None if there is none."""
+        results_wait = self._stood_still() and not self._closing
+        inherited_wait = results_wait or (self._clock() < self._reached_from and not self._closing)
+        if self._inherited and not inherited_wait:
+            return self._inherited.popleft()
+        if self._first and not (results_wait and self._first[0][1] == "result"):
+            return self._first.popleft()
+        for key in LATEST:
+            if (latest := self._latest.pop(key, None)) is not None:
+                return None, key, latest
+        return self._second.popleft() if self._second else None
 
     def _post_published(self, now: float) -> None:
         """Posts `Published` for each result that has left the process."""

@@ -4,7 +4,6 @@ import logging
 import os
 import socket
 import sqlite3
-import time
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ import msgspec
 import zenoh
 from zenoh.handlers import Callback
 
-from controller.gateway.arrivals import FloodBrake, Rate, RepeatedGoals, Reply, keys_of
+from controller.gateway.arrivals import Clocks, FloodBrake, Rate, RepeatedGoals, Reply, keys_of
 from controller.gateway.outbox import Outbox
 from controller.gateway.poses import Poses, decode_poses
 from controller.motion.decoding.goal import GoalMessage, Undecodable
@@ -62,6 +61,7 @@ class GatewayParts(NamedTuple):
         goals: recognizes repeated goals.
         poses: the saved poses.
         find: returns the ledger's row of a goal, None if there is none; raises sqlite3.Error.
+        clocks: of requests and floods.
     """
 
     planner: Planner
@@ -69,6 +69,7 @@ class GatewayParts(NamedTuple):
     goals: RepeatedGoals
     poses: Poses
     find: Callable[[str], Payload | None]
+    clocks: Clocks = Clocks()
 
 
 class Server:
@@ -89,7 +90,8 @@ class Server:
         self._session, self._prefix, self._parts = session, f"hyperbit/{arm}", parts
         self._outbox, planner = parts.outbox, parts.planner
         self._declared = ExitStack()
-        self._refusals, self._logged_refusals = Rate(MOST_REFUSALS), Rate(1)  # of puts
+        clock = parts.clocks.monotonic
+        self._refusals, self._logged_refusals = Rate(MOST_REFUSALS, clock), Rate(1, clock)  # of puts
         self._command("stop", "each arm")
         self._command("cancel", "each arm")
         self._command("reset")
@@ -196,8 +198,9 @@ class Way:
     def __init__(self, prefix: str, key: ServedKey, reach: Reach, parts: GatewayParts) -> None:
         self.name, self._reach = f"{prefix}/{key}", reach
         self._key = cast(Key, key)  # `PosesWay` and `ResultWay` have another key, and give the planner nothing
-        self._planner, self._outbox, self._goals, self._poses, self._find = parts
-        self._brake, self._notes = FloodBrake(), Rate(MOST_NOTES)
+        self._planner, self._outbox, self._goals, self._poses, self._find, self._clocks = parts
+        clock, _, pause = parts.clocks
+        self._brake, self._notes = FloodBrake(clock, pause), Rate(MOST_NOTES, clock)
         self._unanswered = set[Received]()  # a request is removed once, atomically
 
     def on_query(self, query: zenoh.Query) -> None:
@@ -207,7 +210,8 @@ class Way:
     def receive(self, it: zenoh.Query | zenoh.Sample, deliver: Reply) -> None:
         """Receives a request; `deliver` sends its answer."""
         place = self._planner.loop.arrive()
-        received = Received(str(it.key_expr), place, content(it.payload), content(it.attachment), deliver, time.time())
+        payload, attachment, stamp = content(it.payload), content(it.attachment), self._clocks.wall()
+        received = Received(str(it.key_expr), place, payload, attachment, deliver, stamp)
         self._unanswered.add(received)
         try:
             self._request(received)

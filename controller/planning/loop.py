@@ -111,7 +111,7 @@ class Loop:
         self._stood_still = (-math.inf, -math.inf)  # since when, and until when requests of that time may arrive [s]
         self._replies: dict[int, OnReply] = {}
         self.mailboxes = Mailboxes()
-        self._wake, self._warnings_at = math.inf, 0.0
+        self._wake, self._warnings_at = 0.0, 0.0  # the core steps once, also while no executor answers
         self._warned: tuple[Fault, ...] = ()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="planner", daemon=True)

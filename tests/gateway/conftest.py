@@ -130,6 +130,7 @@ class Gateway:
         self.session = stack.enter_context(zenoh.open(session.configuration("peer", listen=endpoint)))
         hooks = ResultHooks(self.goals.ended, lambda *result: None, self.published.append)
         self.outbox = Outbox(self.session, f"hyperbit/{ARM}", hooks, lambda message: None)
+        self.outbox.start()
         stack.callback(self.outbox.close)
         self.server = self.serve()
         stack.callback(lambda: self.server.close())

@@ -64,7 +64,9 @@ class Results:
 
     def outbox(self, **named: Any) -> Outbox:
         hooks = ResultHooks(self.tell, self.note, self.tell)
-        return Outbox(self.session, "p", hooks, self.fatal.append, **named)  # type: ignore[arg-type]
+        outbox = Outbox(self.session, "p", hooks, self.fatal.append, **named)  # type: ignore[arg-type]
+        outbox.start()
+        return outbox
 
 
 def result(goal: str = "a", status: str = "succeeded", inherited: bool = False, **fields: Any) -> PublishResult:

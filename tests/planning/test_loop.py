@@ -64,10 +64,14 @@ class Bench:
 
     def make(self) -> Loop:
         clocks = (lambda: self.now, lambda: WALL)
-        return self.services.loop(self.core, self.inbox, self.link, self.record, clocks)
+        return self.services.loop(self.core, self.inbox, self.link, self, clocks)
 
-    def record(self, *step: Any) -> None:
+    def __call__(self, *step: Any) -> None:
+        """Records a step."""
         self.recorded.append(step)
+
+    def flush(self) -> None:
+        """Does nothing."""
 
     def ask(self, reply: Any) -> None:
         """Requests a reset."""
@@ -133,6 +137,10 @@ def test_events_posted_by_the_core_s_actions_wait_for_the_next_round(bench: Benc
 
 
 # --- times
+
+
+def test_the_core_steps_at_the_begin_also_if_the_executor_does_not_answer(bench: Bench) -> None:
+    assert bench.core.steps[-1] == Tick()
 
 
 def test_it_ticks_at_the_last_wake(bench: Bench) -> None:

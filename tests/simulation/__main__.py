@@ -79,7 +79,7 @@ def run(seed: int, kind: str, most: int, told: bool, counts: Counter[str], faile
     counts += world.record.counts + world.trouble.made
     counts += Counter({f"sent {word}": count for word, count in world.planner.connection.sent.items()})
     if world.daemon is not None:
-        counts += world.daemon.history.counts
+        counts += world.daemon.counts
     counts["simulated seconds"] += round(world.agenda.now - 1000.0)
     return world.agenda.steps
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import msgspec
+
+from tests.simulation.judge.interface.results import unanswered
 from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
 
 if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
-    from tests.simulation.whole.history import Asked
     from tests.simulation.world import World
 
+Payload = dict[str, Any]
+OWED_WITHIN = 12.0  # [s]: results of an earlier process wait until clients have reconnected
 MOST_TRIES = 6  # goals, until one is accepted; some cannot be reached
 MOST_PROGRAMS = 30  # programs, one each 0.1 s, until one is accepted: the last switch may still be read back
 RESTARTED_WITHIN = 10.0  # [s] until a planner or an executor that was killed has started again
@@ -39,45 +43,37 @@ def run_a_program(world: World) -> None:
 
 def run_a_goal(world: World, daemon: Daemon) -> None:
     """Makes a client send goals until one was accepted; its result is published."""
+    answer: Payload | None = None
     for _ in range(MOST_TRIES):
-        asked = send_goal(world, daemon)
-        if asked is not None and asked.accepted:
+        answer = send_goal(world, daemon)
+        if answer is not None and answer["accepted"]:
             break
     else:
-        raise Violation(f"no goal was accepted after all trouble: {asked and asked.payload}")
-    assert asked.payload is not None
-    name = asked.payload["id"]
-    world.wait(lambda: any(r.payload["id"] == name for r in daemon.history.results.values()), "done", DONE_WITHIN)
+        raise Violation(f"no goal was accepted after all trouble: {answer}")
+    name = answer["id"]
+    world.wait(lambda: name in daemon.results, "done", DONE_WITHIN)
     daemon.wanted = False
 
 
-def send_goal(world: World, daemon: Daemon) -> Asked | None:
-    """Sends a goal when the arm is ready; returns the answered request, None if no planner got it."""
-    history = daemon.history
+def send_goal(world: World, daemon: Daemon) -> Payload | None:
+    """Sends a goal when the arm is ready; returns the answer, None if no planner got it."""
     daemon.wanted = False
     patience = world.ready_within + (HUNG_WITHIN if world.trouble.made["a search hangs"] else RESTARTED_WITHIN)
     world.wait(lambda: daemon.at_rest and world.settled(), "ready for a goal", patience)
-    daemon.wanted, before = True, history.latest.get("goal")
-    daemon.clients.ask("goal", daemon.clients.simple_goal())
-    world.pass_time(0.01)
-    asked = history.latest.get("goal")
-    if asked is None or asked is before:
-        return None
-    world.wait(lambda: asked.payload is not None, "answered", SEARCHED_WITHIN)
-    return asked
+    daemon.wanted, process = True, daemon.process
+    daemon.zenoh.gone.clear()
+    sent = daemon.clients.ask("goal", daemon.clients.simple_goal())
+    world.wait(lambda: sent.replies or daemon.process is not process, "answered", SEARCHED_WITHIN)
+    return msgspec.json.decode(sent.replies[0]) if sent.replies else None
 
 
 def check_daemon(world: World, daemon: Daemon) -> None:
     """Checks that every goal has its result, and that planner, ledger and executor agree on that."""
-    history, storage = daemon.history, daemon.storage
-    world.wait(lambda: not history.open, "without open requests", SEARCHED_WITHIN)
-    world.wait(lambda: not storage.owed(), "without goals that the ledger owes", 5.0)
-    core = world.executor.core
-    assert core is not None
-    world.wait(lambda: not core._results._stored, "without results that wait for their acknowledgement", 5.0)
-    for name, accepted in history.goals.items():
-        results = sum(result.payload["id"] == name for result in history.results.values())
-        lost = len([asked for asked in accepted if asked.process in history.unwritten])
-        require(
-            results >= len(accepted) - lost, f"{name} was accepted {len(accepted)} times, and has {results} results"
-        )
+    storage, account = daemon.storage, daemon.judge.account
+    world.wait(lambda: not unanswered(account), "without open requests", SEARCHED_WITHIN)
+    world.wait(lambda: not storage.owed(), "without goals that the ledger owes", OWED_WITHIN)
+    world.wait(lambda: not world.judge.programs.unacknowledged, "without results that wait", OWED_WITHIN)
+    counts = [max(known, told) for known, told in zip(storage.counts, daemon.counted, strict=True)]
+    require(list(storage.counts) == counts, f"the ledger counts {storage.counts}, the executor {daemon.counted}")
+    without = [ran.goal for ran in account.programs.values() if ran.request is not None and not ran.results]
+    require(not without, f"{without} were accepted, and have no result")

@@ -98,7 +98,11 @@ class Witnesses(Witness):
     """Several witnesses; the first one tells the commit of a frame."""
 
     def __init__(self, *witnesses: Witness) -> None:
-        self._witnesses = witnesses
+        self._witnesses = list(witnesses)
+
+    def add(self, witness: Witness) -> None:
+        """Adds a witness."""
+        self._witnesses.append(witness)
 
     def started(self) -> None:
         for witness in self._witnesses:

@@ -9,7 +9,7 @@ from random import Random
 
 from controller.executor.core.events import ClientGone, ClientId, FromClient
 from controller.planning.link import RETRY, Connection, ExecutorLink
-from controller.program import VERSION, Down, Goodbye, Hello, Stop, Up, decode_down, encode
+from controller.program import VERSION, Down, Goodbye, Hello, Stop, Up, decode_down, decode_up, encode
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 
@@ -65,6 +65,7 @@ class Socket(Connection):
         if not self.shut_down:
             self.shut_down = True
             self.arrived.clear()
+            self._network.hears(None)
             self.forth(lambda: self._network.gone(self.client))
 
     def forth(self, happen: Callable[[], None]) -> None:
@@ -81,6 +82,8 @@ class Socket(Connection):
                 self.ended = True
             else:
                 self.arrived.append(data)
+            if not self.shut_down:
+                self._network.hears(None if data is None else decode_up(data))
             self._network.wake()
 
         self._last_in = self._network.delayed(self._last_in, arrive)
@@ -92,6 +95,7 @@ class Network:
     Attributes:
         sent: messages of planner and operator, by kind.
         wake: wakes the planner's process.
+        hears: takes what arrives at the planner's end; None: the end of the connection.
 
     Args:
         arm: name of the arm.
@@ -103,6 +107,7 @@ class Network:
     def __init__(self, arm: str, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
         self.sent: Counter[str] = Counter()
         self.wake: Callable[[], None] = lambda: None
+        self.hears: Callable[[Up | None], None] = lambda message: None
         self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
         self._sockets: dict[ClientId, Socket] = {}
         self._numbers = 0

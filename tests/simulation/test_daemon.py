@@ -47,7 +47,7 @@ def test_a_hung_search_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None
     daemon.mood.hangs = True
     daemon.clients.ask("goal", daemon.clients.simple_goal())
     world.pass_time(BEGIN_WITHIN + 4.0)
-    assert daemon.history.counts["planners that failed"] == 1
+    assert daemon.counts["planners that failed"] == 1
     world.calm()
 
 
@@ -85,11 +85,11 @@ def _acknowledge_first(self: Results, message: Any, known: Any) -> None:
     _ended(self, message, known)
 
 
-def _tell_more_switches(self: Results, untold: Any, inherited: bool) -> None:
+def _tell_more_switches(self: Results, untold: Any, *known: Any, inherited: bool) -> None:
     payload = dict(untold.payload)
     payload["switches"] += payload["switches"] > 0
     untold.payload = payload
-    _tell(self, untold, inherited)
+    _tell(self, untold, *known, inherited=inherited)
 
 
 def _claim_optimum(parts: Any, motion: Any, planned: Any, *now: Any) -> Any:
@@ -100,7 +100,8 @@ def _claim_optimum(parts: Any, motion: Any, planned: Any, *now: Any) -> Any:
 def _reset_after_stop(self: ExecutorRequests, request: Request) -> None:
     _receive_request(self, request)
     if request.key == "stop":
-        self._act(ToExecutor(Reset(10**6, self._view.state.snapshot.epoch)))
+        state = self._view.state
+        self._act(ToExecutor(Reset(10**6, 0 if state is None else state.snapshot.epoch + 1)))
 
 
 def _take_present_epoch(parts: Any, *arguments: Any) -> Any:
@@ -114,7 +115,7 @@ def _lose_every_third(self: Queries, request: int, payload: object) -> None:
         self._parts.act(Reply(request, payload))  # type: ignore[arg-type]
 
 
-def _say_nothing(self: Results, untold: Any, inherited: bool) -> None:
+def _say_nothing(self: Results, untold: Any, *known: Any, inherited: bool) -> None:
     self._owed.pop(untold.identity, None)
 
 
@@ -130,7 +131,7 @@ DEFECTS: dict[str, list[Patch]] = {
     "each plan counts as optimal": [(goals, "goal_program", _claim_optimum)],
     "programs are not parked": [(Feed, "park", lambda self, generation: setattr(self, "checked", generation))],
     "a stop bars no goals": [
-        (Admission, "barred", lambda self, ticket: False),
+        (Admission, "barred", lambda self, ticket, goal=None: False),
         (offers, "_in_flight", _take_present_epoch),
     ],
     "the planner resets a stopped arm": [(ExecutorRequests, "receive_request", _reset_after_stop)],
@@ -140,20 +141,20 @@ DEFECTS: dict[str, list[Patch]] = {
 }
 
 FOUND = {  # words of the violation
-    "requests are answered twice": "wait for none",
+    "requests are answered twice": "answers no request",
     "queries are not answered": "not ready for a goal",
-    "results are published again by the next process": "published twice",
-    "results that a kill may have lost are not repeated": "0 results|owes",
-    "goals that an executor took with it have no result": "owes",
+    "results are published again by the next process": "is told again",
+    "results that a kill may have lost are not repeated": "no result|owes|published",
+    "goals that an executor took with it have no result": "owes|no result",
     "results are acknowledged before they are published": "was acknowledged, not",
-    "results count too many switches": "the executor counts",
+    "results count too many switches": "the executor tells",
     "each plan counts as optimal": "is possible",
     "programs are not parked": "touches",
-    "a stop bars no goals": "came after it|has not answered an earlier request",
-    "the planner resets a stopped arm": "after a stop, without a reset",
+    "a stop bars no goals": "after the answer to|still runs|switched after",
+    "the planner resets a stopped arm": "without a later reset|the mode is|reset",
     "goals are refused for no reason": "busy",
-    "the executor's answers are not awaited": "did not answer within|without a cause",
-    "lost connections are not noticed": "without a connection to the executor",
+    "the executor's answers are not awaited": "executor-silent",
+    "lost connections are not noticed": "no connection to the executor|no explanation|state",
 }
 
 

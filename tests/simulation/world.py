@@ -19,6 +19,7 @@ from tests.simulation.executor.arms import draw_arm, draw_boards
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.facts import Step
 from tests.simulation.feed import Feed, Witnesses
+from tests.simulation.interface_feed import InterfaceFeed, interface_judge
 from tests.simulation.invariants import INVARIANTS
 from tests.simulation.judge.judge import Judge
 from tests.simulation.judge.traffic import Look
@@ -28,7 +29,6 @@ from tests.simulation.record import Record
 from tests.simulation.single_faults import SingleFaults
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.planned_arms import draw_planned_arm
-from tests.simulation.whole.planner_invariants import PLANNER_INVARIANTS
 
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
@@ -82,7 +82,9 @@ class World:
         if planned is None:
             self.planner = ScriptedPlanner(arm, agenda, drawn("planner"), self.executor)
         else:
-            self.planner = self.daemon = Daemon(arm, planned, agenda, drawn, self.executor, self.note)
+            of = interface_judge(judge, arm, planned, record)
+            self.planner = self.daemon = Daemon(arm, planned, agenda, drawn, self.executor, self.note, of)
+            witness.add(InterfaceFeed(self.daemon.judge, agenda))
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
         self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge)
@@ -127,16 +129,13 @@ class World:
     def one_step(self) -> None:
         """Runs the next event, and judges it."""
         self.record.step = Step()
-        if self.daemon is not None:
-            self.daemon.history.begin_step()
         self.epoch_before, self.mode_before = self.record.epoch, self.record.mode
         self.agenda.step()
         self.record.doubt(self.intended)
         for holds in INVARIANTS:
             holds(self)
         if self.daemon is not None:
-            for fits in PLANNER_INVARIANTS:
-                fits(self, self.daemon)
+            self.daemon.judge.at(self.agenda.now)
 
     def calm(self) -> None:
         """Ends all trouble; the arm becomes ready, runs a program, and everything agrees."""

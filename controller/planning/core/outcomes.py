@@ -112,14 +112,14 @@ def result_of(
             for travel in ended.travels
         ]
         shown = {"travels": travels}
-    elif proof is not None:
-        as_planned = outcome.status == "succeeded" and proof.switches == ended.switches
-        kind = proof.certificate if as_planned else "unknown"
+    else:
+        as_planned = proof if outcome.status == "succeeded" and proof and proof.switches == ended.switches else None
+        kind = "unknown" if as_planned is None else as_planned.certificate
         known = kind in ("optimal", "bound")
         shown = {
-            "planned_switches": proof.switches,
+            "planned_switches": None if proof is None else proof.switches,
             "optimal": kind == "optimal" if known else None,
-            "lower_bound": proof.bound if known else None,
+            "lower_bound": as_planned.bound if as_planned is not None and known else None,
             "certificate": kind,
         }
     return {

@@ -40,6 +40,8 @@ DAEMON_KINDS = {
         "disk is full": 0.6,
         "wires are loose": 8.0,
         "clock is set": 0.3,
+        "clients read slowly": 0.5,
+        "planner stands still": 0.15,
     },
 }
 
@@ -105,6 +107,8 @@ class Trouble:
         match kind:
             case "executor stalls":
                 world.executor.stall(random.choice([0.015, 0.05, 0.2, 1.0, LONGEST_STALL]))
+                if world.daemon is not None:
+                    world.daemon.judge.account.note("executor still", world.executor.awake_since)
             case "executor is killed":
                 world.executor.kill_after(random.randint(0, 20))
             case "executor is restarted":
@@ -188,8 +192,13 @@ class Trouble:
             case "wires are loose":
                 self._at_strict_stages(self._loosen)
             case "disk is full":
-                daemon.storage.full = True
+                daemon.fill_disk(random.choice([0, 0, 1, 2, 5]))
                 self._later(4.0, daemon.mend)
+            case "clients read slowly":
+                daemon.congestion = random.choice([0.005, 0.1])
+                self._later(3.0, daemon.mend)
+            case "planner stands still":
+                daemon.stall(random.choice([5.0, 12.0, 20.0]))
             case "clock is set":
                 daemon.set_clock()
 

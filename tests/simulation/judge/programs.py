@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from controller.program import Accepted, Begun, Declined, Ended, Program, Replaced, Replacement, Settled, unpack
 from tests.simulation.judge.acceptance import MODE_REASONS, misfits, must_decline
 from tests.simulation.judge.account import EPSILON, Account, Run
@@ -35,6 +37,9 @@ class Ending:
 class Programs:
     """Judges the programs of one executor.
 
+    Attributes:
+        count: takes the mask of the actuators that a SYNC has switched.
+
     Args:
         account: of the executor.
         snapshots: judges measured states.
@@ -42,6 +47,7 @@ class Programs:
 
     def __init__(self, account: Account, snapshots: Snapshots) -> None:
         self._a, self._snapshots = account, snapshots
+        self.count: Callable[[int], None] = lambda mask: None
         self.begin()
 
     def begin(self) -> None:
@@ -207,6 +213,7 @@ class Programs:
         """Counts actuators that a SYNC switched."""
         if self._switched_in is not None:
             self._switched_in.switches += mask.bit_count()
+        self.count(mask)
 
     # --- the end
 

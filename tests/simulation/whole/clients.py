@@ -1,4 +1,4 @@
-"""Clients of the daemon: they ask for motion, stop, change obstacles, follow moving goals, repeat and vanish."""
+"""Clients of the daemon: they ask for motion, stop, change obstacles, stream, repeat, vanish and return."""
 
 from __future__ import annotations
 
@@ -8,20 +8,37 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from controller.planning.core.events import Key, refused
-from controller.planning.planner import RequestDecoder
+from controller.motion.decoding.goal import GoalMessage
 from controller.program import unpack
-from controller.refusals.refusal import Refusal
 from tests.simulation.whole.configurations import first_touched
+from tests.simulation.whole.zenoh_model import Sent
 
 if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
 
 ACTS = {
     **{"goal": 40, "jog": 8, "plan": 4, "cancel": 3, "cancel goal": 4, "stop": 1.5, "reset": 3, "degrade": 3},
-    **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 4, "garbage": 2, "repeat": 3, "many goals": 0.5, "wait": 10},
+    **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 4, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
+    **{"burst": 4, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 0.3},
 }
-LATENCY = 0.005  # [s], longest delay of the network
+BURSTS = (
+    ("reset", "stop"),
+    ("stop", "reset", "goal"),
+    ("reset", "stop", "goal"),
+    ("goal", "stop"),
+    ("cancel goal", "same id"),
+    ("goal", "cancel goal"),
+    ("goal", "cancel goal", "same id"),
+    ("goal", "cancel", "goal"),
+    ("jog", "stop", "reset"),
+    ("stop", "jog", "reset", "jog"),
+    ("degrade", "goal"),
+    ("obstacles", "goal", "obstacles"),
+)
+NAMES = {"stop": ("hyperbit/*/stop", "**/hyperbit/*/stop"), "cancel": ("hyperbit/*/cancel",), "arm": ("hyperbit/**",)}
+CLIENTS = 4  # the last one attaches the same bytes to each of its requests
+AWAY = 2.0  # [s], longest time for which a client is away
+HAS_BEGIN_WITHIN = "begin_within" in GoalMessage.__struct_fields__
 MOTION = 0.15  # [s], mean time between a motion and its obstacles
 STATES = ("contracted", "extended")
 
@@ -40,11 +57,11 @@ class Clients:
     def __init__(self, daemon: Daemon, random: Random) -> None:
         self.calm = False
         self._daemon, self._agenda, self._random = daemon, daemon.agenda, random
-        self._decoder = RequestDecoder(daemon.arm)
         self._labels, self._dimension = daemon.executed.actuators, daemon.arm.manipulator.dimension
-        self._numbers, self._last = 0, ("arm", b"")
-        self._setpoint: bytes | None = None
-        self._tip: bytes | None = None
+        self._prefix = f"hyperbit/{daemon.arm.settings.name}"
+        self._numbers = self._attached = 0
+        self._client = 0  # that acts now
+        self._sent: list[Sent] = []  # the last goals and other requests
         self._streams_until = 0.0
         self._rate = random.choice([2.0, 10.0, 20.0])
         self._crowd = random.choice([0.0, 0.4, 0.8])  # share of the motions to which obstacles come
@@ -52,83 +69,111 @@ class Clients:
 
     # --- the network
 
-    def ask(self, key: Key, payload: dict[str, Any] | bytes = b"{}") -> None:
-        """Sends a request, which arrives after a while; perhaps its client vanishes before the answer comes."""
+    def ask(self, key: str, payload: dict[str, Any] | bytes = b"{}", *, query: bool = True) -> Sent:
+        """Sends a request of the client that acts now; returns it, to which replies are added."""
         data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
-        self._last = key, data
-        self._agenda.after(self._random.uniform(0.0, LATENCY), lambda: self._arrive(key, data))
+        name = f"{self._prefix}/{key}"
+        if not self.calm and key in NAMES and self._random.random() < 0.1:
+            name = self._random.choice(NAMES[key])
+        sent = self._daemon.zenoh.send(self._client, name, data, self._attachment(key), query)
+        self._sent = [*self._sent[-9:], sent]
+        return sent
 
-    def _arrive(self, key: Key, data: bytes) -> None:
-        """Does what the gateway does with a request; without a planner nobody answers."""
-        process, history = self._daemon.process, self._daemon.history
-        if process is None or not self._daemon.awake:
+    def _attachment(self, key: str) -> bytes:
+        """Returns what the client attaches: clients 0 and 1 a new number, client 2 nothing, client 3 the same bytes."""
+        self._attached += 1
+        new = b"n%d-%d" % (self._client, self._attached)
+        return (new, new, b"", b"c3")[self._client]
+
+    def _repeat(self) -> None:
+        """Sends a request again, as a client does that has no answer; perhaps another client, or another attachment."""
+        if not self._sent:
             return
-        asked = history.asks(process, key)
-        try:
-            asked.message = self._decoder.decode(key, data)
-        except Refusal as refusal:
-            asked.payload = dict(refused(refusal))
-            return
-        history.posted(asked)
-        number = process.request(key, asked.message, asked.reply)
-        if key in ("goal", "jog"):
-            given = f"p{process.number}-{number:x}"
-            history.named(asked, f"jog-{given}" if key == "jog" else asked.message.id or given)
-
-    def setpoint(self) -> bytes | None:
-        """Returns the latest set-point once."""
-        payload, self._setpoint = self._setpoint, None
-        return payload
-
-    def tip(self) -> bytes | None:
-        """Returns the latest measured tip once."""
-        payload, self._tip = self._tip, None
-        return payload
+        sent = self._random.choice(self._sent)
+        attachment = self._random.choice([sent.attachment, sent.attachment, b"", b"other" + sent.payload[-20:]])
+        client = self._random.choice([sent.client, sent.client, 1])
+        self._daemon.zenoh.send(client, sent.name, sent.payload, attachment, sent.query)
 
     # --- what they do
 
     def _act(self) -> None:
         if self.calm:
+            self._client = 0
             self._make_ready()
             self._agenda.after(0.2, self._act)
             return
-        act, state = self._random.choices(list(ACTS), list(ACTS.values()))[0], self._daemon.history.state
+        act, state = self._random.choices(list(ACTS), list(ACTS.values()))[0], self._daemon.state
         if state is not None and state["mode"] in ("fault", "stopped") and self._random.random() < 0.3:
             act = "reset"
+        self._client = self._random.randrange(CLIENTS)
+        self._do(act)
+        self._agenda.after(self._random.expovariate(self._rate), self._act)
+
+    def _burst(self) -> None:
+        """Sends several requests in one instant, of one client or of two in turn."""
+        clients = self._random.choice([(self._client,), (self._client, (self._client + 1) % CLIENTS)])
+        for k, act in enumerate(self._random.choice(BURSTS)):
+            self._client = clients[k % len(clients)]
+            self._do(act)
+
+    def _do(self, act: str) -> None:
+        random = self._random
         match act:
+            case "burst":
+                self._burst()
             case "goal":
-                self.ask("goal", self.goal())
+                self.ask("goal", self.goal(), query=random.random() < 0.9)
                 self._crowd_in(1)
+            case "same id":
+                self.ask("goal", {**self.goal(), "id": f"g{self._numbers - 1}"})
             case "plan":
                 self.ask("plan", self.goal())
             case "jog":
                 self.ask("jog", {"actuators": self._some_states()})
                 self._crowd_in(1)
             case "cancel" | "stop" | "reset" | "arm":
-                self.ask(act)
+                payload = b'{"with": ["running"]}' if act == "arm" else b"{}"
+                self.ask(act, payload, query=act == "arm" or random.random() < 0.9)
+            case "result":
+                self.ask("result", {"id": f"g{max(self._numbers - random.choice([0, 1, 2, 5]), 0)}"})
             case "cancel goal":
-                back = self._random.choice([0, 0, 0, 1, 2])
+                back = random.choice([0, 0, 0, 1, 2])
                 self.ask("cancel", {"id": f"g{max(self._numbers - back, 0)}"})
             case "degrade":
-                label = self._random.choice([*self._labels, self._labels[0], "9.9"])
-                self.ask("degrade", {"actuator": label, "state": self._random.choice([None, None, 0, 1])})
+                label = random.choice([*self._labels, self._labels[0], "9.9"])
+                self.ask("degrade", {"actuator": label, "state": random.choice([None, None, 0, 1])})
             case "obstacles":
                 self.ask("obstacles", {"regions": self._regions()})
             case "stream":
-                self._streams_until = self._agenda.now + self._random.uniform(0.1, 3.0)
-                self._stream(self._random.choice([0.01, 0.03, 0.2]))
+                self._streams_until = self._agenda.now + random.uniform(0.1, 3.0)
+                self._stream(random.choice([0.01, 0.03, 0.2]))
                 self._crowd_in(3)
             case "tip":
                 self._measure()
             case "garbage":
-                key = self._random.choice(["goal", "jog", "plan", "cancel", "degrade", "obstacles", "stop"])
-                self.ask(key, self._random.choice([b"", b"\xff", b"[1]", b'{"waypoints": []}', b'{"id": 5}']))
+                key = random.choice(["goal", "jog", "plan", "cancel", "degrade", "obstacles", "stop"])
+                self.ask(key, random.choice([b"", b"\xff", b"[1]", b'{"waypoints": []}', b'{"id": 5}']))
+            case "fault":
+                self.ask("fault", {"fault": "silence can0/5"})
             case "repeat":
-                self.ask(*self._last)  # type: ignore[arg-type]
-            case "many goals":
-                for _ in range(20):
-                    self.ask("goal", self.goal())
-        self._agenda.after(self._random.expovariate(self._rate), self._act)
+                self._repeat()
+            case "vanish":
+                client = self._client
+                self._daemon.zenoh.gone.add(client)
+                self._agenda.after(random.uniform(0.0, AWAY), lambda: self._return(client))
+            case "many goals" | "many plans":
+                for _ in range(20 if act == "many goals" else 10):
+                    self.ask(act[5:-1], self.goal())
+
+    def _return(self, client: int) -> None:
+        """Lets a client come back; it sends its last goal again if that has no answer, and asks how it ended."""
+        self._daemon.zenoh.gone.discard(client)
+        mine = [sent for sent in self._sent if sent.client == client and sent.name.endswith("/goal")]
+        if self.calm or not mine:
+            return
+        if not mine[-1].replies:
+            self._daemon.zenoh.send(client, mine[-1].name, mine[-1].payload, mine[-1].attachment)
+        self._daemon.zenoh.send(client, f"{self._prefix}/result", b'{"id": "g%d"}' % self._numbers)
 
     def _crowd_in(self, times: int) -> None:
         """Sends obstacles soon, perhaps: they come while a motion is planned, offered, under way or replaced."""
@@ -138,6 +183,7 @@ class Clients:
 
     def _change_obstacles(self) -> None:
         if not self.calm:
+            self._client = self._random.randrange(CLIENTS)
             self.ask("obstacles", {"regions": self._regions()})
 
     def goal(self) -> dict[str, Any]:
@@ -158,6 +204,10 @@ class Clients:
             message["stamp"] = self._daemon.wall() + random.uniform(-0.5, 1.0)
         if random.random() < 0.5:
             message["tolerance"] = {"position": random.choice([0.05, 0.3, 1.0])}
+        if random.random() < 0.1:
+            message["deadline"] = random.choice([0.1, 1.0, 5.0])
+        if HAS_BEGIN_WITHIN and random.random() < 0.2:
+            message["begin_within"] = random.choice([0.2, 1.0, 5.0])
         return message
 
     def simple_goal(self) -> dict[str, Any]:
@@ -168,7 +218,7 @@ class Clients:
 
     def _free(self) -> list[int]:
         """Returns the configurations with the present locks that touch no obstacle."""
-        locked, states, cubes = 0, 0, self._daemon.history.cubes
+        locked, states, cubes = 0, 0, self._daemon.judge.account.cubes
         if self._daemon.snapshot is not None:
             locked, states = unpack(self._daemon.snapshot.locked), unpack(self._daemon.snapshot.measured)
         codes = ((code, k) for code, k in self._daemon.space.index.items() if not (code ^ states) & locked)
@@ -205,7 +255,7 @@ class Clients:
     def _stream(self, period: float) -> None:
         """Sends set-points along a line until the stream ends."""
         random, first, last = self._random, np.array(self.position()), np.array(self.position())
-        began, duration = self._agenda.now, random.uniform(0.1, 2.0)
+        began, duration, client = self._agenda.now, random.uniform(0.1, 2.0), self._client
 
         def step() -> None:
             if self._agenda.now > self._streams_until or self.calm:
@@ -214,8 +264,9 @@ class Clients:
             position = (first + share * (last - first)).tolist()
             stamp = self._daemon.wall() - random.choice([0.0, 0.0, 0.3]) if random.random() < 0.5 else 0.0
             tolerance = {"position": random.choice([0.01, 0.3])}
-            self._setpoint = json.dumps({"position": position, "stamp": stamp, "tolerance": tolerance}).encode()
-            self._daemon.history.setpoint_at = self._agenda.now
+            payload = {"position": position, "stamp": stamp, "tolerance": tolerance}
+            data = json.dumps(payload).encode() if random.random() > 0.01 else b"{}"
+            self._daemon.zenoh.send(client, f"{self._prefix}/setpoint", data, b"c%d" % client, query=False)
             self._agenda.after(period, step)
 
         step()
@@ -226,15 +277,17 @@ class Clients:
             code = unpack(self._daemon.snapshot.measured)
             tip = [float(x) for x in self._daemon.space.tips[self._daemon.space.index.get(code, 0)]]
         stamp = self._daemon.wall() - self._random.choice([0.0, 0.001, 2.0])
-        self._tip = json.dumps({"position": tip, "stamp": stamp}).encode()
+        data = json.dumps({"position": tip, "stamp": stamp}).encode()
+        self._daemon.zenoh.send(self._client, f"{self._prefix}/measured_tip", data, query=False)
 
     def _make_ready(self) -> None:
         """Asks for what is needed so that the arm takes a goal."""
-        state, snapshot, daemon = self._daemon.history.state, self._daemon.snapshot, self._daemon
-        if snapshot is None or state is None or daemon.process is None or daemon.history.waits("reset", "degrade"):
+        state, snapshot, daemon = self._daemon.state, self._daemon.snapshot, self._daemon
+        waiting = daemon.judge.account.waiting
+        if snapshot is None or state is None or daemon.process is None or waiting("reset", "degrade"):
             return
         free = unpack(snapshot.locked) & ~daemon.executed.locked
-        if daemon.history.cubes and not daemon.history.waits("obstacles"):
+        if daemon.judge.account.cubes and not waiting("obstacles"):
             self.ask("obstacles", {"regions": []})
         if state["mode"] in ("fault", "stopped"):
             self.ask("reset")
@@ -242,7 +295,7 @@ class Clients:
             self.ask("cancel")
         elif state["mode"] == "ready" and free:
             self.ask("degrade", {"actuator": self._labels[(free & -free).bit_length() - 1], "state": None})
-        elif unpack(snapshot.measured) not in daemon.space.index and not daemon.history.waits("jog"):
+        elif unpack(snapshot.measured) not in daemon.space.index and not waiting("jog"):
             locked = unpack(snapshot.locked)
             labels = [label for k, label in enumerate(self._labels) if not locked >> k & 1]
             code = daemon.space.nearest(unpack(snapshot.measured), locked)

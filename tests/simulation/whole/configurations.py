@@ -73,9 +73,10 @@ class Configurations:
     Args:
         manipulator: the whole arm.
         most: actuators that may switch at once.
+        weights: cost of a switch of each actuator, whole numbers.
     """
 
-    def __init__(self, manipulator: Manipulator, most: int) -> None:
+    def __init__(self, manipulator: Manipulator, most: int, weights: Sequence[float]) -> None:
         every = np.array(list(product(*(range(count) for count in manipulator.states.tolist()))))
         self.codes = np.array([integer(manipulator.actuator_states(row)) for row in every])
         self.tips = manipulator.tips(every)[:, : manipulator.dimension, 3].copy()
@@ -85,7 +86,8 @@ class Configurations:
         apart = np.zeros(self._differ.shape)
         for k in range(len(manipulator.actuators)):
             apart += self._differ >> k & 1
-        self._costs = np.where(apart <= most, apart, np.inf)
+        costs = sum((self._differ >> k & 1) * weight for k, weight in enumerate(weights))
+        self._costs = np.where(apart <= most, costs, np.inf)
         self._graphs: dict[object, Graph] = {}
 
     def nearest(self, states: int, locked: int) -> int:

@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
-import math
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from random import Random
 
-import numpy as np
+import msgspec
 
 from controller.arm.arm import Arm
 from controller.executor.core.arm import ExecutedArm
-from controller.host.process import Quit
-from controller.motion.decoding.goal import GoalRules, schedule
+from controller.host.process import Log, Quit
 from controller.motion.stages.pacing import pace_of
-from controller.program import Snapshot, unpack
+from controller.planning.core.events import Action, Answered, Event, FromExecutor, Payload, Record, Start, ToExecutor
+from controller.planning.core.tasks import Answer, BuildScene, BuildTables, Failed, SceneBuilt, Tables, Task
+from controller.program import Alive, Counted, Diagnostics, Snapshot, Up, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
+from tests.simulation.judge.interface.account import Request
+from tests.simulation.judge.interface.interface import InterfaceJudge
+from tests.simulation.judge.interface.results import unanswered
+from tests.simulation.judge.verdict import Violation
 from tests.simulation.network import Network
 from tests.simulation.whole.clients import Clients
 from tests.simulation.whole.configurations import Configurations
 from tests.simulation.whole.exact_search import ExactSearch
-from tests.simulation.whole.history import Beginning, History
 from tests.simulation.whole.planner_process import UNIX, PlannerProcess
 from tests.simulation.whole.planner_storage import Storage
 from tests.simulation.whole.searcher import Mood
+from tests.simulation.whole.zenoh_model import Sent, ZenohModel
+
+COUNTED_WITHIN = 0.5  # [s] from the executor's counts to the ledger
 
 
 class Daemon:
@@ -33,13 +40,19 @@ class Daemon:
         process: the present process of the planner; None between two.
         clients: ask it.
         connection: its connections to the executor.
-        history: of all processes.
-        storage: what survives them.
+        zenoh: the network between clients and process.
+        judge: judges what clients see.
+        storage: what survives the processes.
         mood: of its workers.
+        state: the last payload of `state`; None without a process.
+        results: payloads of results, by id.
+        snapshot: the latest that came from the executor; None without a connection.
+        counts: of what happened.
         together: the service manager ends the executor with the planner.
         wanted: whether a goal was sent while all is calm.
         awake_since: time when the last halt of the process ended [s].
         slow: longest time of a round of the loop [s].
+        congestion: longest time that a message of the outbox waits for a peer that reads slowly [s].
 
     Args:
         executed: the arm of the executor.
@@ -48,6 +61,7 @@ class Daemon:
         drawn: returns random numbers for a purpose.
         executor: the executor's process.
         note: takes events for the story.
+        judge: judges what clients see.
     """
 
     def __init__(
@@ -58,19 +72,29 @@ class Daemon:
         drawn: Callable[[str], Random],
         executor: ExecutorProcess,
         note: Callable[[object], None],
+        judge: Callable[[Daemon], InterfaceJudge],
     ) -> None:
         self.executed, self.arm, self.agenda, self.pace = executed, arm, agenda, pace_of(arm.settings)
-        self.space = Configurations(arm.manipulator, executed.most)
+        weights = drawn("weights")
+        self.weights = [weights.choice([1.0, 1.0, 2.0, 3.0]) for _ in executed.actuators]
+        self.space = Configurations(arm.manipulator, executed.most, self.weights)
         self.network = self.connection = Network(executed.name, agenda, drawn("network"), executor)
-        self.history, self.storage, self.mood = History(agenda, note), Storage(len(executed.actuators)), Mood()
+        self.storage, self.mood = Storage(len(executed.actuators)), Mood()
         self.search = ExactSearch(arm, self.space, drawn("search"))
-        self._executor, self._random = executor, drawn("daemon")
+        self.state: Payload | None = None
+        self.results: dict[str, Payload] = {}
+        self.snapshot: Snapshot | None = None
+        self.counts: Counter[str] = Counter()
+        self._counted = deque[tuple[float, tuple[int, ...]]](maxlen=10)
+        self._executor, self._random, self._note = executor, drawn("daemon"), note
         self.together, self.wanted = self._random.random() < 0.3, False
-        self.awake_since, self.slow, self._offset = 0.0, 0.0, UNIX
+        self.awake_since, self.slow, self.congestion, self._offset = 0.0, 0.0, 0.0, UNIX
+        self.judge = judge(self)
+        self.zenoh = ZenohModel(agenda, drawn("zenoh"), self, lambda: self.awake_since)
         self.clients = Clients(self, drawn("clients"))
         self.process: PlannerProcess | None = None
         self._processes = 0
-        self.network.wake = self._readable
+        self.network.wake, self.network.hears = self._readable, self._hears
         agenda.after(0.0, self.start)
 
     # --- the process and its service manager
@@ -79,24 +103,143 @@ class Daemon:
         """Starts a process if none runs."""
         if self.process is None:
             self._processes += 1
+            self.judge.at(self.agenda.now)
+            self.judge.account.ledger_counts = self.storage.counts
+            self.judge.begins(self._processes)
             self.process = PlannerProcess(self, self._processes, self._random)
+            self.process.searcher.watch = self._task_ends
 
     def planner_ended(self) -> None:
         """Starts the next process after a while; ends the executor, if it belongs to the same service."""
-        self.process = None
-        self.history.ended()
+        self._note("the planner is dead")
+        self.counts["planners that ended"] += 1
+        self.process, self.state, self.snapshot = None, None, None
+        self.judge.at(self.agenda.now)
+        self.judge.begins(0)
         if self.together:
             self._executor.post(Quit())
         self.awake_since = min(self.awake_since, self.agenda.now)
         self.agenda.after(self._random.choice([0.2, 1.0, 3.0]), self.start)
 
+    def fails(self, reason: str) -> None:
+        """Takes why the core has ended its process."""
+        self._note(("planner fails", reason))
+        self.counts["planners that failed"] += 1
+
     def _readable(self) -> None:
         if self.process is not None:
             self.process.wake_soon()
 
+    def _hears(self, message: Up | None) -> None:
+        """Takes what arrives at the planner's end of the socket."""
+        self.judge.at(self.agenda.now)
+        if message is None:
+            self.snapshot = None
+            self.judge.disconnected()
+            return
+        if isinstance(message, Snapshot):
+            self.snapshot = message
+        if isinstance(message, Counted | Diagnostics):
+            self._counted.append((self.agenda.now, message.counts))
+        self.judge.hears(message)
+
+    @property
+    def counted(self) -> tuple[int, ...]:
+        """The executor's counts of switches that came more than a moment ago."""
+        old = [counts for at, counts in self._counted if at < self.agenda.now - COUNTED_WITHIN]
+        return old[-1] if old and old[-1] else self.storage.counts
+
     def wall(self) -> float:
         """Returns the wall clock [UNIX s]."""
         return self.agenda.now + self._offset
+
+    # --- what leaves and enters the process
+
+    def arrives(self, sent: Sent, key: str) -> Request:
+        """Takes a message of a client that arrives at the gateway."""
+        self.counts[f"asked {key}"] += 1
+        self._note(("arrives", sent.client, key, sent.name, sent.payload, sent.attachment, sent.query))
+        self.judge.at(self.agenda.now)
+        return self.judge.arrives(sent, key)
+
+    def replies(self, request: object, data: bytes) -> None:
+        """Takes a reply that leaves the process."""
+        assert isinstance(request, Request)
+        self._note(("replies", request.number, request.key, data[:400]))
+        answer = msgspec.json.decode(data)
+        if "accepted" in answer:
+            self.counts[f"{request.key} {'accepted' if answer['accepted'] else 'refused'}"] += 1
+        self.judge.at(self.agenda.now)
+        self.judge.replies(request, data)
+
+    def publishes(self, key: str, data: bytes) -> None:
+        """Takes a publication that leaves the process."""
+        self.counts[f"published {key}"] += 1
+        self.judge.at(self.agenda.now)
+        if key == "state":
+            self.state = msgspec.json.decode(data)
+        elif key == "result":
+            payload = msgspec.json.decode(data)
+            self.counts[f"result {payload['status']}"] += 1
+            self.results[payload["id"]] = payload
+        if key in ("result", "feedback"):
+            self._note((key, data))
+        self.judge.publishes(key, data)
+
+    def ends_in_order(self) -> None:
+        """Takes that the process ends in order."""
+        self.counts["planners that quit"] += 1
+        self.judge.ends_in_order()
+
+    def record(self, record: Record) -> None:
+        """Takes what the ledger has written."""
+        row = self.storage.rows[record.identity]
+        if record.ended is not None and row.accepted is not None:
+            self.judge.at(self.agenda.now)
+            self.judge.recorded(row.accepted.goal, record.ended.status)
+
+    def _task_ends(self, task: Task, answer: Answer) -> None:
+        """Takes the last answer of a worker."""
+        self.judge.at(self.agenda.now)
+        if isinstance(answer, Failed):
+            self.judge.account.note("task failed")
+        if isinstance(task, BuildTables):
+            self.judge.tables_built(answer.locked if isinstance(answer, Tables) else None)
+        if isinstance(task, BuildScene):
+            self.judge.scene_built(isinstance(answer, SceneBuilt))
+
+    def acts(self, action: Action) -> None:
+        """Takes an action before it is carried out."""
+        match action:
+            case ToExecutor(message):
+                if not isinstance(message, Alive):
+                    self._note(("planner sends", message))
+            case Start(number, task):
+                self._note(("task", number, type(task).__name__))
+                if self.mood.disturbed:
+                    self.judge.account.note("slow search")
+                if isinstance(task, BuildScene):
+                    self.judge.scene_begun()
+            case Log(_, text):
+                self._note(("planner logs", text))
+                if "Traceback" in text:
+                    raise Violation(f"internal error: {text}")
+            case _:
+                pass
+
+    def __call__(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
+        """Takes a step of the core."""
+        match event:
+            case FromExecutor(message):
+                if not isinstance(message, Snapshot):
+                    self._note(("planner hears", message))
+            case Answered(number, answer, _):
+                self._note(("worker answers", number, answer))
+            case _:
+                pass
+
+    def flush(self) -> None:
+        """Does nothing: each step is noted at once."""
 
     # --- troubles
 
@@ -108,6 +251,8 @@ class Daemon:
     def stall(self, seconds: float) -> None:
         """Halts the process for a time [s]; what is sent to it waits."""
         self.awake_since = max(self.awake_since, self.agenda.now + seconds)
+        self.judge.at(self.agenda.now)
+        self.judge.account.stands_still(self.awake_since)
 
     def slow_down(self) -> None:
         """Makes the loop's thread busy for a while after a round."""
@@ -122,17 +267,24 @@ class Daemon:
     def end_in_order(self) -> None:
         """Asks the process to end."""
         if self.process is not None:
-            self.history.quits_at = self.agenda.now
             self.process.quit()
+
+    def fill_disk(self, records: int) -> None:
+        """Makes the disk full after some further records."""
+        self.storage.fills_at = records
+        self.judge.account.note("disk", self.agenda.now + 4.0)
+        self.judge.account.disk_failed = True
 
     def set_clock(self) -> None:
         """Changes the wall clock."""
         self._offset += self._random.choice([-3600.0, -0.1, 0.1, 3600.0])
+        self.judge.account.note("clock")
 
     def mend(self) -> None:
         """Ends all faults; a halt continues to its end."""
         self.mood.mend()
-        self.slow, self.storage.full = 0.0, False
+        self.slow = self.congestion = 0.0
+        self.storage.full, self.storage.fills_at = False, None
         if self.process is not None:
             self.process._actions_left = None
             self.process.ledger.flush()
@@ -141,41 +293,12 @@ class Daemon:
         """Makes the clients calm."""
         self.clients.calm, self.wanted = calm, False
 
-    # --- for the invariants
-
-    @property
-    def number(self) -> int:
-        """Number of the present process; 0 between two."""
-        return 0 if self.process is None else self.process.number
-
-    def unsure(self, lying: int) -> bool:
-        """Returns whether planner and executor may know another state of an actuator than the real one."""
-        snapshot = self.snapshot
-        return bool(lying) or snapshot is None or (not snapshot.moving and snapshot.measured != snapshot.outputs)
-
-    def least_cost(self, beginning: Beginning, bias: Sequence[float] | None) -> float:
-        """Returns the least cost of a goal from where the arm was; infinite if there is none."""
-        message, manipulator = beginning.message, self.arm.manipulator
-        tolerances = self.arm.tolerance, self.arm.angle_tolerance
-        rules = GoalRules(manipulator.dimension, *tolerances, self.pace, manipulator)
-        trajectory = schedule(message, rules, message.stamp or self.wall())
-        wanted = self.search.wanted(trajectory.corrected(None if bias is None else np.array(bias)))
-        graph = self.space.graph(beginning.locked, beginning.states, beginning.cubes)
-        start = self.space.index.get(beginning.states)
-        return math.inf if start is None else self.space.optimum(graph, start, wanted)
-
     # --- as the planner of a world
-
-    @property
-    def snapshot(self) -> Snapshot | None:
-        """The latest snapshot that the core took; None without a connection."""
-        return self.history.snapshot
 
     @property
     def at_rest(self) -> bool:
         """Whether the planner says that the arm is ready, and everybody has an answer."""
-        history = self.history
-        ready = history.state is not None and history.state["mode"] == "ready" and self.snapshot is not None
-        ready = ready and self.snapshot is not None and unpack(self.snapshot.measured) in self.space.index
-        process = self.process
-        return ready and process is not None and not process.loop.unanswered and not history.cubes
+        if self.state is None or self.state["mode"] != "ready" or self.snapshot is None or self.process is None:
+            return False
+        known = unpack(self.snapshot.measured) in self.space.index
+        return known and not unanswered(self.judge.account) and not self.judge.account.cubes

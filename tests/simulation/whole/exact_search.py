@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from random import Random
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +82,7 @@ class ExactSearch:
                     yield self._plan(task)
                 case DescribePlan():
                     planned = self._plan(task.goal)
-                    yield Described({"accepted": True, "id": task.goal.message.id, "switches": planned.proof.switches})
+                    yield Described(described(task, planned))
                 case ImprovePlan():
                     yield from self._improve(task)
                 case FollowSetpoint():
@@ -153,7 +153,7 @@ class ExactSearch:
         layers = self._space.layers(graph, start, wanted)
         bound = float(layers[-1].min())
         if bound == np.inf:
-            raise Refusal(Reason.OUT_OF_REACH)
+            raise self._unreachable(trajectory, wanted, graph, tables)
         way = self._random.choice(["cheapest", "cheapest", "greedy", "any"])
         goals = None if way == "cheapest" else self._greedy(graph, start, wanted, cheapest=way == "greedy")
         goals = goals or self._choose(graph, layers)
@@ -163,7 +163,7 @@ class ExactSearch:
             raise Refusal(Reason.START_COLLIDES)
         points[0] = first
         plan = FoundPlan(arm_start, trajectory, goals, bound)
-        return Planned(trajectory, tuple(points), self._proof(graph, start, goals, bound), plan)
+        return Planned(trajectory, tuple(points), self._proof(graph, start, goals, points, bound), plan)
 
     def _choose(self, graph: Graph, layers: Sequence[Costs]) -> list[int]:
         """Returns the configurations of a cheapest plan, chosen backwards among equal ones."""
@@ -232,12 +232,28 @@ class ExactSearch:
         switches = sum((before ^ after).bit_count() for before, after in steps)
         return point._replace(stages=tuple(self._packed(start, stage) for stage in stages), switches=switches)
 
-    def _proof(self, graph: Graph, start: int, goals: Sequence[int], bound: float) -> PlanProof:
+    def _unreachable(
+        self, trajectory: Trajectory, wanted: Sequence[NDArray[np.bool_]], graph: Graph, tables: Tables
+    ) -> Refusal:
+        """Returns why there is no plan: out of reach of the arm with its locks, or barred by obstacles."""
+        free = self._space.graph(locked_mask(tables), locked_states(tables), ()).permitted
+        for k, fits in enumerate(wanted):
+            if not (fits & free).any():
+                where = f"waypoints[{k}].position"
+                position = ", ".join(f"{x:g}" for x in trajectory.positions[k])
+                return Refusal(Reason.OUT_OF_REACH, where=where, position=position, turned="", nearest="none is near")
+        facts = {"where": "waypoints", "proof": "as all configurations show", "blocked": "obstacles"}
+        return Refusal(Reason.NO_WAY, **facts)
+
+    def _proof(
+        self, graph: Graph, start: int, goals: Sequence[int], points: Sequence[PlannedPoint], bound: float
+    ) -> PlanProof:
         cost, here = 0.0, start
         for goal in goals:
             cost += float(self._to(graph, here)[goal])
             here = goal
-        return PlanProof(round(cost), cost, bound, "optimal" if cost == bound else "bound")
+        switches = sum(point.switches for point in points)
+        return PlanProof(switches, cost, bound, "optimal" if cost == bound else "bound")
 
     # --- improvements, set-points
 
@@ -258,7 +274,7 @@ class ExactSearch:
                     continue
                 points[0] = point
             goals = better
-            yield Improved(first, tuple(points[first:]), self._proof(graph, start, goals, plan.bound))
+            yield Improved(first, tuple(points[first:]), self._proof(graph, start, goals, points, plan.bound))
         yield Done()
 
     def _follow(self, task: FollowSetpoint) -> Followed:
@@ -277,6 +293,16 @@ class ExactSearch:
         if first is None:
             return Followed((), ", but the transition to it is blocked", True, 0.01)
         return Followed(first.stages, "", True, 0.01)
+
+
+def described(task: DescribePlan, planned: Planned) -> dict[str, Any]:
+    """Returns the payload of a plan."""
+    proof = planned.proof
+    return {
+        **{"accepted": True, "code": 0, "message": f"{len(planned.points)} waypoints, {proof.switches} switches"},
+        **{"id": task.goal.message.id, "switches": proof.switches, "cost": proof.cost},
+        **{"optimal": proof.certificate == "optimal", "lower_bound": proof.bound, "certificate": proof.certificate},
+    }
 
 
 def locked_mask(tables: Tables) -> int:

@@ -8,17 +8,23 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
+from controller.gateway import outbox as outbox_module
+from controller.gateway import server as server_module
+from controller.gateway.arrivals import Clocks, RepeatedGoals
+from controller.gateway.outbox import Outbox, ResultHooks
+from controller.gateway.server import GatewayParts, Server
 from controller.host.process import Quit
 from controller.motion.stages.pacing import pace_of
 from controller.planning import loop as loop_module
 from controller.planning.core.core import Beginning, Core
-from controller.planning.core.events import Action, Arrived, Event, Key, Message, SetpointArrived, TipArrived
+from controller.planning.core.events import Action, Event, Payload, Reply
 from controller.planning.core.tasks import Tables, VersionedScene
 from controller.planning.link import ExecutorLink
-from controller.planning.loop import Loop, OnReply, PlannerFailed, Services
+from controller.planning.loop import Loop, PlannerFailed, Services
+from controller.planning.planner import Planner
 from tests.simulation.judge.verdict import require
 from tests.simulation.network import SimulatedLink
-from tests.simulation.whole.planner_storage import SimulatedLedger, SimulatedOut
+from tests.simulation.whole.planner_storage import SimulatedLedger
 from tests.simulation.whole.searcher import Searcher
 
 if TYPE_CHECKING:
@@ -29,7 +35,13 @@ QUIT_WITHIN = 1.5  # [s], after which the process ends without its last results
 SPIN, MOST_IDLE = 1e-4, 20  # [s] between rounds without events, and number of those in a row
 UNIX = 1.7e9  # [s] between the two clocks
 
-LOGS = (loop_module.log,)  # silent in a simulation: defects are found by `Complaints`
+SENDS_WITHIN = 0.0003  # [s], time of the outbox for a message
+
+LOGS = (
+    loop_module.log,
+    outbox_module.log,
+    server_module.log,
+)
 
 
 class Killed(BaseException):
@@ -73,10 +85,22 @@ class KillableLoop(Loop):
         """Returns when the loop must run again without an event [s]."""
         return min(self._wake, self._warnings_at, self.mailboxes.due, retry_at)
 
-    @property
-    def unanswered(self) -> int:
-        """Number of requests without an answer."""
-        return len(self._replies)
+
+class SteppedOutbox(Outbox):
+    """The outbox, whose steps are called at simulated times."""
+
+    wake_at: Callable[[float], None]  # wants a step after a time [s]
+
+    def _wake_up(self) -> None:
+        self.wake_at(SENDS_WITHIN)
+
+
+class NoPoses:
+    """The saved poses: there are none."""
+
+    def listed(self) -> list[Payload]:
+        """Returns no poses."""
+        return []
 
 
 class PlannerProcess:
@@ -102,11 +126,15 @@ class PlannerProcess:
         arm, storage, post = daemon.arm, daemon.storage, self.post
         self.inbox = SimulatedInbox(self)
         self.link = SimulatedLink(daemon.network, arm.settings.name, daemon.executed.digest, self._now)
-        self.ledger = SimulatedLedger(self._agenda, random, storage, self._lives, post, daemon.history.recorded)
-        told, shown = daemon.history.published, daemon.history.shown
-        out = SimulatedOut(self._agenda, random, storage, self._lives, post, told, shown)
+        self.ledger = SimulatedLedger(self._agenda, random, storage, self._lives, post, daemon.record)
         self.searcher = Searcher(self._agenda, random, daemon.search, daemon.mood, post)
-        services = Services(self.inbox, self.ledger, storage, out, self, tuple, self._never)
+        self.session, self.goals = daemon.zenoh.open(), RepeatedGoals(self._now)
+        hooks = ResultHooks(self.goals.ended, storage.mark, post)
+        name = arm.settings.name
+        self.outbox = SteppedOutbox(self.session, f"hyperbit/{name}", hooks, self._never, clock=self._now)  # type: ignore[arg-type]
+        self._outbox_at = math.inf
+        self.outbox.wake_at = self._send_within
+        services = Services(self.inbox, self.ledger, storage, self.outbox, self, tuple, self._never)  # type: ignore[arg-type]
         locked = bytes(
             (daemon.executed.locked_states >> k & 1) if daemon.executed.locked >> k & 1 else 255
             for k in range(len(daemon.executed.actuators))
@@ -117,23 +145,42 @@ class PlannerProcess:
         )
         self.core = Core(arm, pace_of(arm.settings), beginning)
         clocks = self._now, daemon.wall
-        self.loop = KillableLoop(self.core, self.link, self.searcher, services, daemon.history, clocks)  # type: ignore[arg-type]
+        self.loop = KillableLoop(self.core, self.link, self.searcher, services, daemon, clocks)  # type: ignore[arg-type]
         self.loop.before = self._before
         self.loop.ended.clear()
-        self.loop.mailboxes.set(SetpointArrived, lambda: self._arrived(SetpointArrived, daemon.clients.setpoint()))
-        self.loop.mailboxes.set(TipArrived, lambda: self._arrived(TipArrived, daemon.clients.tip()))
+        gateway_clocks = Clocks(self._now, daemon.wall, self._pause)
+        planner = Planner(arm, None, self.loop)  # type: ignore[arg-type]
+        parts = GatewayParts(planner, self.outbox, self.goals, NoPoses(), storage.find, gateway_clocks)  # type: ignore[arg-type]
+        self.server = Server(self.session, name, parts)  # type: ignore[arg-type]
         self.wake_soon()
+        self._send_within(0.0)
 
     # --- the gateway
 
-    def request(self, key: Key, message: Message, reply: OnReply) -> int:
-        """Posts a request; returns its number."""
-        arrival = self.loop.arrive()
-        self.loop.request(arrival, key, message, reply)
-        return arrival.number
+    def _pause(self, seconds: float) -> None:
+        """Does nothing: a pause of a thread of the gateway holds up no other."""
 
-    def _arrived(self, kind: type[Arrived], payload: bytes | None) -> list[Arrived]:
-        return [] if payload is None else [kind(payload, self.loop.arrive())]
+    def _send_within(self, seconds: float) -> None:
+        """Lets the outbox send soon."""
+        at = self._agenda.now + self._random.uniform(0.0, seconds)
+        if at < self._outbox_at:
+            self._outbox_at = at
+            self._agenda.at(at, lambda: self._send(at))
+
+    def _send(self, at: float) -> None:
+        if not self.alive or at != self._outbox_at:
+            return
+        self._outbox_at = math.inf
+        if self._agenda.now < self._daemon.awake_since:
+            self._outbox_at = self._daemon.awake_since
+            self._agenda.at(self._outbox_at, lambda: self._send(self._outbox_at))
+            return
+        wait = self.outbox.step()
+        busy = self._daemon.congestion * self._random.random()
+        at = self._agenda.now + (wait or self._random.uniform(0.0, SENDS_WITHIN)) + busy
+        if at < self._outbox_at or busy:
+            self._outbox_at = at
+            self._agenda.at(at, lambda: self._send(at))
 
     def post(self, event: Event) -> None:
         """Posts an event of another thread."""
@@ -144,6 +191,8 @@ class PlannerProcess:
         """Asks the process to end, as SIGTERM does."""
         if self.quits_at == math.inf:
             self.quits_at = self._agenda.now + QUIT_WITHIN
+            self.server.close()
+            self._daemon.judge.quits()
             self.post(Quit())
             self._agenda.at(self.quits_at, lambda: self._end(in_order=True))
 
@@ -178,7 +227,7 @@ class PlannerProcess:
             self.kill()
             return
         except PlannerFailed as failure:
-            self._daemon.history.failed(str(failure))
+            self._daemon.fails(str(failure))
             self.kill()
             return
         if self.core.ended and self.loop.ended.is_set() and self.quits_at < math.inf:
@@ -195,7 +244,9 @@ class PlannerProcess:
             self._actions_left -= 1
             if self._actions_left < 0:
                 raise Killed
-        self._daemon.history.acts(self, action)
+        if isinstance(action, Reply):
+            require(action.number in self.loop._replies, f"{action} answers no request, or one that was answered")
+        self._daemon.acts(action)
 
     # --- its end
 
@@ -207,17 +258,20 @@ class PlannerProcess:
         """Ends the process at once."""
         if self.alive:
             self.alive = False
-            self._daemon.history.unwritten |= {self.number} if self.ledger.waits else set()
+            self._daemon.zenoh.close()
             self.link.close()
             self._daemon.planner_ended()
 
     def _end(self, in_order: bool) -> None:
         """Ends the process after its goals."""
         if self.alive:
-            self._daemon.history.quits(self)
             self._actions_left = None
             self.loop.close()
             self.ledger.flush()
+            self.outbox.close()
+            while self.outbox.step() is not None:
+                pass
+            self._daemon.zenoh.finish()
             self.kill()
 
     def _lives(self) -> bool:

@@ -6,22 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from random import Random
 
-from controller.gateway.outbox import SENT_WITHIN
 from controller.planning.core.events import (
     AcceptanceEntry,
     Event,
     Identity,
     OpenGoal,
     Payload,
-    Published,
-    PublishResult,
     Record,
     Recorded,
     ResultEntry,
 )
 from tests.simulation.agenda import Agenda
-
-TRANSMITTED = 0.02  # [s] in which a put leaves the process
 
 
 @dataclass
@@ -40,9 +35,11 @@ class Storage:
         counts: of switches.
         published: marks of published results, by program.
         full: whether the disk is full.
+        fills_at: number of further records after which the disk is full; None: it does not become full.
     """
 
     def __init__(self, actuators: int) -> None:
+        self.fills_at: int | None = None
         self.rows: dict[Identity, Row] = {}
         self.counts = (0,) * actuators
         self.published: dict[Identity, ResultEntry] = {}
@@ -52,6 +49,20 @@ class Storage:
         """Writes a record."""
         row = self.rows.setdefault(record.identity, Row())
         row.accepted, row.ended = row.accepted or record.accepted, row.ended or record.ended
+
+    def mark(self, identity: Identity, payload: Payload) -> None:
+        """Marks a result as published."""
+        fields = payload["status"], payload["code"], payload["message"], payload["switches"]
+        self.published[identity] = ResultEntry(0.0, *fields)
+
+    def find(self, goal: str) -> Payload | None:
+        """Returns the newest row of a goal, as the ledger's file has it."""
+        rows = [row for row in self.rows.values() if row.accepted is not None and row.accepted.goal == goal]
+        if not rows:
+            return None
+        ended = rows[-1].ended
+        fields = ResultEntry(0.0, "", 0, "", 0) if ended is None else ended
+        return {**fields._asdict(), "ended": None if ended is None else ended.wall}
 
     def owed(self) -> list[OpenGoal]:
         """Returns the goals without a result."""
@@ -71,7 +82,7 @@ class SimulatedLedger:
         storage: of the world.
         alive: returns whether the process lives.
         post: takes events.
-        note: takes what was recorded.
+        note: takes what was written.
     """
 
     def __init__(
@@ -95,7 +106,6 @@ class SimulatedLedger:
             if self._alive():
                 self._unwritten.append(record)
                 self.flush()
-                self._note(record)
                 self._post(Recorded(record.entry))
 
         delay = self._random.choice([0.0005, 0.002, 0.002, 0.05, 0.3])
@@ -113,56 +123,12 @@ class SimulatedLedger:
 
     def flush(self) -> None:
         """Writes what waits, unless the disk is full."""
-        if not self._storage.full:
+        storage = self._storage
+        if self._unwritten and storage.fills_at is not None:
+            storage.fills_at -= 1
+            storage.full |= storage.fills_at < 0
+        if not storage.full:
             for record in self._unwritten:
-                self._storage.write(record)
+                storage.write(record)
+                self._note(record)
             self._unwritten.clear()
-
-
-class SimulatedOut:
-    """The thread that publishes.
-
-    Args:
-        agenda: time.
-        random: for delays.
-        storage: of the world.
-        alive: returns whether the process lives.
-        post: takes events.
-        told: takes each published result.
-        shown: takes all other payloads.
-    """
-
-    def __init__(
-        self,
-        agenda: Agenda,
-        random: Random,
-        storage: Storage,
-        alive: Callable[[], bool],
-        post: Callable[[Event], None],
-        told: Callable[[PublishResult], None],
-        shown: Callable[[str, Payload], None],
-    ) -> None:
-        self._agenda, self._random, self._storage, self._alive, self._post = agenda, random, storage, alive, post
-        self._told, self.publish = told, shown
-
-    def publish_result(self, result: PublishResult) -> None:
-        """Marks a result after a while, puts it, and posts `Published`. A kill just after the put may lose it."""
-
-        def put() -> None:
-            if self._alive():
-                payload = result.payload
-                fields = payload["status"], payload["code"], payload["message"], payload["switches"]
-                self._storage.published[result.identity] = ResultEntry(0.0, *fields)
-                self._agenda.after(self._random.uniform(0.0, TRANSMITTED), transmit)
-                self._agenda.after(SENT_WITHIN, post)
-
-        def transmit() -> None:
-            if self._alive():
-                self._told(result)
-
-        def post() -> None:
-            if self._alive():
-                self._post(Published(result.number))
-
-        slow = 0.5 if result.inherited else 0.001
-        self._agenda.after(self._random.uniform(0.0, self._random.choice([slow, slow, 0.2])), put)

@@ -13,6 +13,7 @@ from tests.simulation.agenda import Agenda
 from tests.simulation.whole.exact_search import ExactSearch
 
 ABANDONED_WITHIN = 0.05  # [s]
+USUAL_DELAY = 0.01  # [s], mean time of a task
 
 
 class Mood:
@@ -27,13 +28,21 @@ class Mood:
     def __init__(self) -> None:
         self.mend()
 
+    @property
+    def disturbed(self) -> bool:
+        """Whether tasks may be late, fail or hang."""
+        return self.delay > USUAL_DELAY or self.fails > 0.0 or self.hangs
+
     def mend(self) -> None:
         """Ends all faults."""
-        self.delay, self.fails, self.hangs = 0.01, 0.0, False
+        self.delay, self.fails, self.hangs = USUAL_DELAY, 0.0, False
 
 
 class Searcher:
     """The workers of one process; each kind has one thread, which carries out its tasks one after the other.
+
+    Attributes:
+        watch: takes each task that ends, with its last answer.
 
     Args:
         agenda: time.
@@ -51,6 +60,7 @@ class Searcher:
         self._lane_of = {kind: name for name, kinds in THREADS.items() for kind in kinds}
         self._abandoned: set[int] = set()
         self._hung = -1  # number of the task that is never answered
+        self.watch: Callable[[Task, Answer], None] = lambda task, answer: None
 
     @property
     def busy(self) -> int:
@@ -106,7 +116,7 @@ class Searcher:
         """Gives the last answer of a task, and begins the next task of its thread."""
         for lane in self._lanes.values():
             if lane and lane[0][0] == number:
-                lane.popleft()
+                self.watch(lane.popleft()[1], answer)
                 self._abandoned.discard(number)
                 self._post(Answered(number, answer, True))
                 if lane:

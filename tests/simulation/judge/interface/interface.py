@@ -1,0 +1,255 @@
+"""The judge of what clients see: takes plain facts in the order in which they happen, and judges each one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+
+from controller.program import (
+    Accepted,
+    Acknowledge,
+    Begun,
+    Declined,
+    Ended,
+    Program,
+    Setpoint,
+    Settled,
+    Snapshot,
+    Welcome,
+    unpack,
+)
+from tests.simulation.judge.interface.account import InterfaceAccount, Ran, Request
+from tests.simulation.judge.interface.messages import body_of, well_formed
+from tests.simulation.judge.interface.modules import JudgedModules
+from tests.simulation.judge.interface.motion import Motion
+from tests.simulation.judge.interface.requests import Requests, cubes_of
+from tests.simulation.judge.interface.results import Results, unanswered
+from tests.simulation.judge.interface.states import States
+from tests.simulation.judge.verdict import require
+
+TICK = 0.02  # [s] between two looks for what does not come
+MOST_PROGRAMS = 300  # that are remembered
+
+
+class InterfaceJudge:
+    """Judges one planner's side. The world calls the methods below as things happen.
+
+    Args:
+        modules: the arm.
+        wall: returns the UNIX time [s].
+        driven: returns the states to which the boards drive the actuators.
+        clear: returns whether nothing disturbs the world.
+    """
+
+    def __init__(
+        self, modules: JudgedModules, wall: Callable[[], float], driven: Callable[[], int], clear: Callable[[], bool]
+    ) -> None:
+        self.account = InterfaceAccount(modules, wall, driven, clear)
+        self.requests, self.results = Requests(self.account), Results(self.account)
+        self.states, self.motion = States(self.account), Motion(self.account)
+        self.requests.barred = self.motion.bars
+        self._asked: Program | None = None
+        self._running: Ran | None = None
+        self._ticked = 0.0
+
+    # --- the planner's process
+
+    def at(self, now: float) -> None:
+        """Sets the time of the next facts [s], and looks for what does not come."""
+        self.account.now = now
+        if now >= self._ticked + TICK:
+            self._ticked = now
+            self.requests.tick()
+            self.results.tick()
+            self.states.tick()
+
+    def begins(self, process: int) -> None:
+        """A process of the planner begins; 0: it has ended."""
+        if not process:
+            self.account.note("planner ended")
+        self.account.begin(process)
+        self.requests.begin()
+        self.states.begin()
+        self.motion.begin()
+
+    def ends_in_order(self) -> None:
+        """The process has ended in order: everybody has an answer."""
+        left = [str(request) for request in unanswered(self.account)]
+        require(not left, f"the process has ended without the answers to {left}")
+
+    def quits(self) -> None:
+        """The process is asked to end."""
+        self.account.quits = True
+        self.account.note("quit")
+
+    # --- clients
+
+    def arrives(self, sent: object, key: str) -> Request:
+        """A message of a client arrives on a declared key."""
+        a = self.account
+        a.numbers += 1
+        fields = sent.client, key, sent.name, sent.query, sent.payload, sent.attachment  # type: ignore[attr-defined]
+        body = body_of(sent.payload)  # type: ignore[attr-defined]
+        request = Request(a.numbers, a.process, *fields, body, sent.at, a.now, a.awake)  # type: ignore[attr-defined]
+        if key == "setpoint":
+            a.setpoints += 1
+            a.note("setpoint")
+            self.motion.setpoint(request)
+        elif key != "measured_tip":
+            if key == "obstacles" and well_formed(request, a.modules):
+                request.cubes, request.shown = cubes_of(request), a.shown_obstacles
+            if key == "reset":
+                self.motion.resets()
+            self.requests.arrives(request)
+        return request
+
+    def replies(self, request: object, data: bytes) -> None:
+        """A reply leaves the process."""
+        assert isinstance(request, Request)
+        self.requests.answers(request, msgspec.json.decode(data))
+
+    def publishes(self, key: str, data: bytes) -> None:
+        """A publication leaves the process."""
+        payload = msgspec.json.decode(data)
+        match key:
+            case "state":
+                self.states.state(payload)
+            case "diagnostics":
+                self.states.diagnostics(payload)
+            case "feedback":
+                self.results.feedback(payload)
+            case "result":
+                self.results.result(payload)
+
+    # --- the executor
+
+    def executor_begins(self, instance: int) -> None:
+        """A process of the executor has started."""
+        self.account.instance = instance
+        self.motion.executor_begins()
+        self._asked = self._running = None
+
+    def executor_ends(self) -> None:
+        """The process of the executor has ended."""
+        self.account.note("executor ended")
+        self.account.instance = 0
+        self._asked = self._running = None
+
+    def executor_gets(self, message: object) -> None:
+        """The executor takes a message of a client."""
+        match message:
+            case Program():
+                self._asked = message
+            case Setpoint():
+                self.motion.follows(message)
+            case Acknowledge():
+                self.motion.acknowledges(message)
+
+    def executor_tells(self, message: object) -> None:
+        """The executor sends a message."""
+        a = self.account
+        match message:
+            case Accepted() if self._asked is not None:
+                self._accept(self._asked, message)
+            case Declined():
+                a.note(f"declined {message.refused.reason.value}")
+            case Begun() if (ran := self._of(message.program)) is not None:
+                ran.stage = message.stage
+            case Ended() if (ran := self._of(message.program)) is not None:
+                if ran.ended is None:
+                    ran.ended, ran.ended_at = message, a.now
+                if self._running is ran:
+                    self._running = None
+
+    def _accept(self, program: Program, accepted: Accepted) -> None:
+        a = self.account
+        kind, _, goal = program.name.partition(" ")
+        snapshot = a.snapshot
+        exact = snapshot is not None and not snapshot.moving and snapshot.measured == snapshot.outputs and a.clear()
+        states, locked = unpack(program.start), 0 if snapshot is None else unpack(snapshot.locked)
+        if snapshot is not None:
+            states = states & ~locked | unpack(snapshot.measured) & locked
+        cubes = tuple(sorted({*a.cubes, *a.known_cubes(None)}))
+        ran = Ran(a.instance, a.process, program, goal, kind == "jog", a.now, a.awake, states, locked, cubes, exact)
+        a.programs[ran.key] = self._running = ran
+        self.requests.accepted(ran)
+        ran.accepted_awake = a.awake
+        ran.marks = [stage.mark for stage in program.stages]
+        for key in list(a.programs)[:-MOST_PROGRAMS]:
+            del a.programs[key]
+
+    def _of(self, program: int) -> Ran | None:
+        return self.account.programs.get((self.account.instance, program))
+
+    def switches(self, mask: int) -> None:
+        """A SYNC has switched actuators."""
+        self.account.note("switched")
+        if self._running is not None:
+            self._running.switches += mask.bit_count()
+        self.motion.switches(mask, self._running)
+
+    # --- what the planner's process gets
+
+    def hears(self, message: object) -> None:
+        """The process gets a message of the executor."""
+        a = self.account
+        match message:
+            case Snapshot():
+                self._compare(a.snapshot, message)
+                a.hears(message)
+            case Welcome():
+                if a.counts_at_start is None:
+                    a.counts_at_start = sum(map(max, a.ledger_counts, message.counts or a.ledger_counts))
+            case Begun() if (ran := self._of(message.program)) is not None:
+                marks = ran.marks[message.stage :]
+                ran.begun_marks.append((next((m for m in marks if m >= 0), len(marks)), a.awake))
+            case Settled() if (ran := self._of(message.program)) is not None:
+                ran.settled[message.mark] = message, a.awake
+            case Ended() if (ran := self._of(message.program)) is not None:
+                ran.heard_at, ran.heard_awake = min(ran.heard_at, a.now), min(ran.heard_awake, a.awake)
+
+    def _compare(self, before: Snapshot | None, snapshot: Snapshot) -> None:
+        """Notes what has changed between two snapshots."""
+        a = self.account
+        if before is None or before.epoch != snapshot.epoch:
+            a.note("epoch")
+        if before is None or (before.outputs, before.moving) != (snapshot.outputs, snapshot.moving):
+            a.note("moved")
+        if before is None or (before.measured, before.known) != (snapshot.measured, snapshot.known):
+            a.note("measured")
+        if before is None or before.locks != snapshot.locks:
+            a.note("locks")
+        if snapshot.mode == "fault":
+            a.note("fault")
+        a.needs_tables(snapshot)
+
+    def disconnected(self) -> None:
+        """The process's connection to the executor has ended."""
+        self.account.note("link")
+        self.account.hears(None)
+
+    # --- what the workers and the disk do
+
+    def tables_built(self, locked: bytes | None) -> None:
+        """A worker has answered with tables for locked states; None: it has failed."""
+        self.account.takes_tables(locked)
+
+    def recorded(self, goal: str, status: str) -> None:
+        """The ledger has written the result of a goal."""
+        for ran in self.account.ran(goal):
+            if ran.results and ran.results[0]["status"] == status:
+                ran.recorded = True
+
+    def scene_begun(self) -> None:
+        """A worker begins to build a scene."""
+        self.account.scenes += 1
+        self.account.note("cubes")
+
+    def scene_built(self, right: bool) -> None:
+        """A worker has built a scene, or has failed."""
+        self.account.scenes -= 1
+        self.account.note("cubes" if right else "task failed")
+
+
+__all__ = ["InterfaceJudge", "cubes_of"]
