@@ -10,7 +10,7 @@ from tests.ros2.fuzz.stand_ins import Clock
 from tests.ros2.samples import state
 
 KEPT_RESULTS = 100
-LATEST = 8.0  # [s] that a request may be on its way
+LATEST = 8.0  # [s] until a goal begins
 LONGEST = 20.0  # [s] that a goal runs
 CODES = {"succeeded": 0, "canceled": -1, "replaced": -1}
 
@@ -32,11 +32,13 @@ class Daemon:
         self.goal: str | None = None
         self._end, self._ends_at, self._stopped = "", 0.0, False
         self._ledger: dict[str, dict[str, Any] | None] = {}
-        self._late: list[tuple[float, Mapping[str, Any]]] = []
+        self._late: list[tuple[float, bool, Mapping[str, Any]]] = []  # when it begins [s], whether it has arrived
 
     def request(self, key: str, payload: Mapping[str, Any]) -> dict[str, Any]:
         """Returns the answer to a request."""
         name = payload.get("id")
+        if key in ("stop", "cancel"):
+            self._late = [it for it in self._late if not it[1] or name not in (None, it[2]["id"])]
         if key == "arm":
             return payloads()["arm"]
         if key == "result":
@@ -56,14 +58,14 @@ class Daemon:
         return {"accepted": True, "code": 0, "message": "yes"}
 
     def receive_late(self, payload: Mapping[str, Any]) -> None:
-        """Accepts a goal that is still on its way, though its sender does not wait for it any longer."""
-        self._late.append((self._clock.now + self._chance.random() * LATEST, payload))
+        """Accepts a goal whose sender waits no longer: it waits for its begin, or is still on its way."""
+        self._late.append((self._clock.now + self._chance.random() * LATEST, self._chance.random() < 0.5, payload))
 
     def pass_time(self) -> None:
         """Ends the goal if it has run long enough; receives what was on its way; publishes a state."""
         for item in [it for it in self._late if it[0] <= self._clock.now]:
             self._late.remove(item)
-            self.request("goal", item[1])
+            self.request("goal", item[2])
         if self.goal is not None and self._clock.now >= self._ends_at:
             self._finish(self._end)
         fault = payloads()["state"]["faults"] if self._chance.random() < 0.1 else []

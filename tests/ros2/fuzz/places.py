@@ -2,7 +2,9 @@
 
 import contextlib
 import logging
+import random
 import threading
+import uuid
 from collections import deque
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -23,11 +25,16 @@ TIMED = (arm_node, bridge, goals, goal_book, poses, requests, action_server, ser
 
 @contextlib.contextmanager
 def in_place(
-    clock: Clock, pool: Callable[[int, str], Any], let_run: Callable[[], None], on_words: Callable[[str], None]
+    chance: random.Random,
+    clock: Clock,
+    pool: Callable[[int, str], Any],
+    let_run: Callable[[], None],
+    on_words: Callable[[str], None],
 ) -> Iterator[None]:
     """Lets the bridge run in one thread; logged exceptions are failures.
 
     Args:
+        chance: draws the bridge's ids.
         clock: for the module `time`.
         pool: for ThreadPoolExecutor.
         let_run: runs the jobs of the threads that nothing holds up.
@@ -50,7 +57,9 @@ def in_place(
     one_thread = SimpleNamespace(
         Condition=lambda: Condition(let_run), Lock=threading.Lock, BoundedSemaphore=threading.BoundedSemaphore
     )
+    drawn = SimpleNamespace(uuid4=lambda: uuid.UUID(bytes=chance.randbytes(16)))
     with contextlib.ExitStack() as closing:
+        closing.enter_context(mock.patch.object(requests, "uuid", drawn))
         for module in TIMED:
             closing.enter_context(mock.patch.object(module, "time", clock))
         closing.enter_context(mock.patch.object(jobs, "ThreadPoolExecutor", pool))

@@ -105,7 +105,8 @@ class World:
     def in_place(self) -> AbstractContextManager[None]:
         """Puts clock, threads and network in the place of the true ones."""
         pool = lambda _, name: Pool(name, self.pools, lambda: self.trial)  # noqa: E731
-        return places.in_place(self.clock, pool, lambda: self.run_jobs(but=MOTION), lambda _: self._note("said"))
+        run_others = lambda: self.run_jobs(but=MOTION)  # noqa: E731
+        return places.in_place(self.chance, self.clock, pool, run_others, lambda _: self._note("said"))
 
     def kill(self) -> None:
         """Kills the bridge: nothing that it does from now on has an effect."""

@@ -21,8 +21,8 @@ NO_UUID = bytes(16)
 NONE, UNKNOWN_GOAL, TERMINATED = 0, 2, 3
 
 
-class Wrong(AssertionError):
-    """The bridge has broken a rule."""
+class Wrong(BaseException):
+    """The bridge has broken a rule. No `except Exception` of the bridge catches it."""
 
 
 class Result(NamedTuple):
