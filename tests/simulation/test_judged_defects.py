@@ -122,10 +122,10 @@ FAST: dict[str, Patch] = {
     "nothing is found stuck": (MotionSupervision, "_find_stuck", lambda *_: 0),
     "all is found stuck": (MotionSupervision, "_confirm", lambda *_: (0, 0)),
     "pauses are not noticed": (Heartbeat, "find_pause", lambda self, clock: None),
-    "a silent planner is not noticed": (Clients, "fell_silent", lambda self, clock: False),
 }
 
 SLOW: dict[str, Patch] = {
+    "a silent planner is not noticed": (Clients, "fell_silent", lambda self, clock: False),
     "diagnostics count too little": (Reports, "diagnostics", _tell_no_counts),
     "faults do not clear": (Modes, "recover", lambda self, now: None),
     "restarts of boards are not noticed": (Board, "_receive_state", _forget_boot_up),

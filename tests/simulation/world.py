@@ -13,7 +13,7 @@ from drivers.canopen.wire.events import Event
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.board_side import BoardSide
 from tests.simulation.buses.bus_model import BusModel, OnItsWay
-from tests.simulation.buses.trouble import LONGEST_STALL, Trouble
+from tests.simulation.buses.trouble import LONGEST_STANDSTILL, Trouble
 from tests.simulation.calm import check_daemon, run_a_goal, run_a_program
 from tests.simulation.executor.arms import draw_arm, draw_boards
 from tests.simulation.executor.process import ExecutorProcess
@@ -141,7 +141,7 @@ class World:
         """Ends all trouble; the arm becomes ready, runs a program, and everything agrees."""
         self.trouble.end()
         self.planner.be_calm(True)
-        self.wait(lambda: self.executor.awake and self.planner.awake, "awake", LONGEST_STALL + 2.0)
+        self.wait(lambda: self.executor.awake and self.planner.awake, "awake", LONGEST_STANDSTILL + 2.0)
         if self.daemon is None:
             run_a_program(self)
         else:

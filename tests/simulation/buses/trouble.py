@@ -48,7 +48,7 @@ DAEMON_KINDS = {
 FOREIGN = (Command.PRE_OPERATIONAL, Command.STOP, Command.START, Command.RESET_COMMUNICATION)
 MID_BOOT = 0.3  # [s], longest time from a start of the executor to a fault in its boot
 
-LONGEST_STALL = 3.0  # [s] of executor or planner
+LONGEST_STALL, LONGEST_STANDSTILL = 3.0, 20.0  # [s] of executor or planner; of a planner that stands still
 
 
 class Trouble:
@@ -198,7 +198,7 @@ class Trouble:
                 daemon.congestion = random.choice([0.005, 0.1])
                 self._later(3.0, daemon.mend)
             case "planner stands still":
-                daemon.stall(random.choice([5.0, 12.0, 20.0]))
+                daemon.stall(random.choice([5.0, 12.0, LONGEST_STANDSTILL]))
             case "clock is set":
                 daemon.set_clock()
 
