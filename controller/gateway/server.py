@@ -142,7 +142,10 @@ class Server:
             sender = content(sample.attachment)[:MOST_SENDER].decode("ascii", "backslashreplace")
             if len(latest) >= MOST_SENDERS and sender not in latest:
                 latest.pop(next(iter(latest)), None)
-            latest[sender] = kind(content(sample.payload), loop.arrive(), sender)
+            arrival, waiting = loop.arrive(), latest.get(sender)
+            if waiting is not None:  # a stream that began before a stop does not begin anew after it
+                arrival = arrival._replace(number=waiting.arrival.number)
+            latest[sender] = kind(content(sample.payload), arrival, sender)
 
         def receive() -> list[SetpointArrived | TipArrived]:
             waiting = [latest.pop(sender, None) for sender in list(latest)]

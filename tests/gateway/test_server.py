@@ -119,6 +119,18 @@ def test_the_latest_sample_of_each_sender_waits(gateway: Gateway, key: str) -> N
     assert [arrived.sender for arrived in receive()] == [str(k) for k in range(5, MOST_SENDERS + 5)]
 
 
+def test_a_sample_that_waits_keeps_its_place_when_a_newer_one_replaces_it(gateway: Gateway) -> None:
+    session, receive = gateway.other(), gateway.planner.receive["setpoint"]
+    session.put(f"{PREFIX}/setpoint", "older")
+    session.put(f"{PREFIX}/cancel", b"")
+    session.put(f"{PREFIX}/setpoint", "newer")
+    session.put(f"{PREFIX}/stop", b"")
+    eventually(lambda: len(gateway.planner.keys()) == 2)
+    (arrived,) = receive()
+    assert arrived.payload == b"newer"
+    assert arrived.arrival.number < gateway.planner.arrivals[0]
+
+
 def test_requests_of_one_session_keep_their_order_over_all_keys(gateway: Gateway) -> None:
     session = gateway.other()
     sent = ["reset", "stop", "cancel", "jog", "stop", "reset"] * 30

@@ -42,6 +42,7 @@ SEARCH_TIME = 0.005  # [s] expected for the first search
 SMOOTHING = 0.1  # weight of the latest value in running means
 VALIDITY, SLACK = 1.0, 0.02  # greatest age of a measured tip [s], and greatest lead of a tracker's clock [s]
 LONGEST = 1_000  # characters of a reason
+MOST_SENDERS = 16  # of set-points whose pauses are told apart
 MOST_DELAY = 0.2  # [s] of a set-point between its arrival and the core
 
 
@@ -60,6 +61,7 @@ class Stream:
         self._lead = arm.travel_time + TICK  # of a stage
         self._ticket: Ticket | None = None  # of the first set-point; None: no stream is followed
         self._sender = ""  # of the present stream
+        self._senders: dict[str, tuple[Ticket, float]] = {}  # first ticket and last time [s] of each, until it pauses
         self._number, self._offset, self._searching = 0, 0.0, SEARCH_TIME
         self._heard = self._fitted = self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
         self._next_search = -math.inf  # as of the last consideration
@@ -92,11 +94,11 @@ class Stream:
         Raises:
             Refusal: the present stream is another sender's.
         """
-        now = self._moment.now
+        now, ticket = self._moment.now, self._ticket_of(arrived)
         if not self._alive(self._heard):
             self._abandon()
             self._streams += 1
-            self._ticket, self._sender = self._parts.admission.arrive(arrived.arrival.number), arrived.sender
+            self._ticket, self._sender = ticket, arrived.sender
             self._number, self._interval, self._note = 0, math.inf, ""
             self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
         elif arrived.sender != self._sender:
@@ -106,6 +108,17 @@ class Stream:
             last = now - self._heard
             self._interval = last if math.isinf(self._interval) else running_mean(self._interval, last)
         self._heard = now
+
+    def _ticket_of(self, arrived: SetpointArrived) -> Ticket:
+        """Returns the ticket of the first set-point since its sender's last pause.
+
+        A sender that was refused may follow the present stream without a pause. Then a stop in between bars it, too.
+        """
+        alive = {sender: entry for sender, entry in self._senders.items() if self._alive(entry[1])}
+        known = alive.pop(arrived.sender, None)
+        ticket = self._parts.admission.arrive(arrived.arrival.number) if known is None else known[0]
+        self._senders = dict([*alive.items(), (arrived.sender, (ticket, self._moment.now))][-MOST_SENDERS:])
+        return ticket
 
     def _measure(self, setpoint: TrackedSetpoint) -> None:
         """Passes a set-point to the tracker.

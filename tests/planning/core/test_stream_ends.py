@@ -67,6 +67,25 @@ def test_a_stream_belongs_to_its_sender_until_it_pauses(bench: StreamBench) -> N
     assert "a client without a name" in bench.status()["last_refusal"]
 
 
+def test_a_cancel_bars_also_the_stream_of_a_sender_that_waits_for_its_turn(bench: StreamBench) -> None:
+    here, there = {"position": bench.tip(*A)}, {"position": bench.tip(0, 0, 0, 0)}
+    bench.put(here, "left")
+    bench.put(there, "right")
+    bench.numbers += 1
+    bench.admission.bar(bench.numbers)
+    bench.admission.answered(bench.numbers)
+    bench.show(epoch=2)
+    for _ in range(10):  # "left" has ended, "right" goes on
+        bench.advance(bench.timeout / 2)
+        bench.put(there, "right")
+        bench.step()
+    assert (bench.status()["sender"], bench.take(Setpoint)) == ("right", [])
+    bench.advance(2 * bench.timeout)
+    bench.put(there, "right")
+    bench.step()
+    assert len(bench.take(Setpoint)) == 1
+
+
 def test_a_set_point_that_waited_for_the_core_is_refused(bench: StreamBench) -> None:
     bench.delay = 0.3
     bench.put({"position": bench.tip(*A)})
