@@ -56,7 +56,8 @@ def test_bad_goals_are_refused_and_disturb_nothing(client: Observer, system: Sys
         answer = eventually(ask)
         assert (answer["accepted"], answer["code"], answer["reason"]) == (False, reason.code, reason.value), name
         assert words in answer["message"], name
-    assert client.heard["result"] == []
+    late = [result for result in client.heard["result"] if result["status"] != "refused"]  # of puts of an earlier test
+    assert late == []
     assert client.wait_now("executing")["goal"] == "a"
     assert client.goal(RIGHT, LEFT, id="b")["accepted"]
     assert client.result("b")["status"] == "succeeded"
