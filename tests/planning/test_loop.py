@@ -67,11 +67,10 @@ class Bench:
         return self.services.loop(self.core, self.inbox, self.link, self, clocks)
 
     def __call__(self, *step: Any) -> None:
-        """Records a step."""
         self.recorded.append(step)
 
     def flush(self) -> None:
-        """Does nothing."""
+        pass
 
     def ask(self, reply: Any) -> None:
         """Requests a reset."""
