@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.arm.arm import Arm
-from controller.motion.decoding.goal import BEGIN_WITHIN, GoalMessage
-from controller.motion.decoding.requests import Jog
+from controller.motion.decoding.goal import BEGIN_WITHIN, GoalMessage, Jog
 from controller.planning.core.events import CancelMessage, FaultToPlay, Key, LockMessage, SentObstacles
 from controller.planning.planner import RequestDecoder
 from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL

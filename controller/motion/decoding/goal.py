@@ -81,6 +81,18 @@ class GoalMessage(Struct, forbid_unknown_fields=True, frozen=True):
         return BEGIN_WITHIN + (self.deadline or 0.0) if self.begin_within is None else self.begin_within
 
 
+class Jog(NamedTuple):
+    """A decoded jog.
+
+    Attributes:
+        states: new state of each actuator, 0 contracted and 1 extended, by index.
+        patience: longest time from its arrival to its acceptance [s].
+    """
+
+    states: dict[int, int]
+    patience: float = BEGIN_WITHIN
+
+
 _NAMES = [b'"%s"' % name.encode() for kind in (GoalMessage, Waypoint, Tolerance) for name in kind.__struct_fields__]
 _decode = msgspec.json.Decoder(GoalMessage).decode
 

@@ -1,12 +1,12 @@
 """Requests beside goals: jog, degrade, obstacles and fault. Strict decoding."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
 from controller.manipulator.locked import STATES
-from controller.motion.decoding.goal import BEGIN_WITHIN, BeginSeconds
+from controller.motion.decoding.goal import BEGIN_WITHIN, BeginSeconds, Jog
 from controller.motion.decoding.setpoint import parse
 from controller.obstacles.notation import ObstacleList, parse_obstacles
 from controller.obstacles.obstacles import Obstacles
@@ -21,18 +21,6 @@ class JogMessage(Struct, forbid_unknown_fields=True, frozen=True):
 
     actuators: Annotated[dict[str, Literal["contracted", "extended"]], Meta(min_length=1)]
     begin_within: BeginSeconds = BEGIN_WITHIN
-
-
-class Jog(NamedTuple):
-    """A decoded jog.
-
-    Attributes:
-        states: new state of each actuator, 0 contracted and 1 extended, by index.
-        patience: longest time from its arrival to its acceptance [s].
-    """
-
-    states: dict[int, int]
-    patience: float = BEGIN_WITHIN
 
 
 class DegradeMessage(Struct, forbid_unknown_fields=True, frozen=True):

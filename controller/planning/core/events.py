@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 from controller.host.process import Log, Notify, Quit
-from controller.motion.decoding.goal import GoalMessage
-from controller.motion.decoding.requests import Jog
+from controller.motion.decoding.goal import GoalMessage, Jog
 from controller.planning.core.tasks import Answer, Task
 from controller.program import Down, Fault, Up
 from controller.refusals import codes

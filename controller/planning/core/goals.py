@@ -13,8 +13,7 @@ import msgspec
 
 from controller.host.journal import fields_of_refusal
 from controller.host.process import Log
-from controller.motion.decoding.goal import GoalMessage
-from controller.motion.decoding.requests import Jog
+from controller.motion.decoding.goal import GoalMessage, Jog
 from controller.planning.core import tasks
 from controller.planning.core.arm import ArmState, obstruction, packed
 from controller.planning.core.events import Reply, Request, refused

@@ -21,8 +21,7 @@ from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 
 if TYPE_CHECKING:
-    from controller.motion.decoding.goal import GoalMessage
-    from controller.motion.decoding.requests import Jog
+    from controller.motion.decoding.goal import GoalMessage, Jog
     from controller.motion.stages.pacing import Pace
 
 UNCHECKED = "; collisions were not checked, because"

@@ -60,7 +60,7 @@ REFUSED = {
     "waypoints no list": (goal(waypoints={}), "waypoints: Expected `array`"),
     "waypoint no object": (goal(waypoints=[1]), r"waypoints\[0\]: Expected `object`"),
     "no position": (goal(waypoints=[{"t": 1}]), r"waypoints\[0\]\.position: required, but missing"),
-    "unknown field": (goal(velocity=1), "velocity: unknown field; known are deadline, id, path_tolerance, stamp, tol"),
+    "unknown field": (goal(velocity=1), "velocity: unknown field; known are begin_within, deadline, id, path"),
     "no time to plan": (goal(deadline=0), r"deadline: Expected `float` > 0\.0"),
     "more than a minute to plan": (goal(deadline=60.1), r"deadline: Expected `float` <= 60\.0"),
     "unknown in a waypoint": (one(velocity=1), r"waypoints\[0\]\.velocity: unknown field; known are configuration"),
