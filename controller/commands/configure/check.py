@@ -49,6 +49,10 @@ def check(
         raise InputFaults(Path("check"), ["--node needs --eds FILE"])
 
     arm = checked_arm(file, as_json)
+    if (bus or eds is not None) and not arm.wiring:
+        raise InputFaults(
+            file, ["the file has no boards, which --bus and --eds need: name them under buses and actuators"]
+        )
     fields, warnings = summarize_file(arm)
     if picture is not None:
         draw(arm, picture)
@@ -132,7 +136,10 @@ def print_arm(file: Path, arm: Arm, fields: dict[str, Any], warnings: list[str])
 def print_boards(boards: list[dict[str, Any]]) -> None:
     """Prints the answer of each board."""
     for board in boards:
-        common.console.print(f"  {board['board']}: {board['answer']}", style=None if board["ok"] else "red")
+        style = None if board["ok"] else "red"
+        common.console.print(f"  {board['board']}: {board['answer']}", style=style, markup=False)
+    for note in dict.fromkeys(note for board in boards for note in board.get("notes", ())):
+        common.console.print(f"  EDS, {note}", style="dim", markup=False)
 
 
 def summary(codes: Iterable[str]) -> str:
@@ -179,22 +186,34 @@ def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
     """
     from controller.executor.core.arm import timing_of, wiring_of
     from drivers.canopen.layout import lay_out
-    from drivers.canopen.tools.eds import Eds, UnreadableEds
-    from drivers.canopen.tools.eds_check import lacks
+    from drivers.canopen.tools.eds import Eds
+    from drivers.canopen.tools.eds_check import lacks, unmet
+    from drivers.canopen.tools.eds_file import UnreadableEds
 
     wiring = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring)
     boards = {board.name: board for board in lay_out(wiring).boards}
     if node is not None and node not in boards:
         raise InputFaults(Path("--node"), [f"{node}: the arm has no such board, only {', '.join(boards)}"])
+    compared = [board for name, board in boards.items() if node in (None, name)]
+    try:
+        sheet = Eds(eds, compared[0].node)
+    except UnreadableEds as error:
+        raise InputFaults(eds, [str(error)]) from None
+    times, state = timing_of(arm.settings), wiring.error_state
     answers = []
-    for name, board in boards.items():
-        if node in (None, name):
-            try:
-                found = lacks(Eds(eds, board.node), board, timing_of(arm.settings), wiring.error_state)
-            except UnreadableEds as error:
-                raise InputFaults(eds, [str(error)]) from None
-            text = "; ".join(map(str, found)) or f"has all needed objects, according to {eds.name}"
-            code = "wrong-device" if found else ""
-            told = [one._asdict() for one in found]
-            answers.append({"board": name, "ok": not found, "answer": text, "code": code, "lacks": told})
+    for board in compared:
+        of_board = sheet.at(board.node)
+        found = lacks(of_board, board, times, state) or unmet(of_board, board, times, state)
+        reasons = "; ".join(map(str, found))
+        if not found:
+            verdict, text = "fits", f"has all needed objects, according to {eds.name}"
+        elif found[0].told:
+            verdict, text = "lacks", reasons
+        else:
+            verdict, text = "open", f"{eds.name} does not tell whether it fits: {reasons}"
+        lacking = verdict == "lacks"
+        code = "wrong-device" if lacking else ""
+        told = [one._asdict() for one in found]
+        answer = {"board": board.name, "ok": not lacking, "verdict": verdict, "answer": text, "code": code}
+        answers.append({**answer, "lacks": told, "notes": of_board.notes})
     return answers

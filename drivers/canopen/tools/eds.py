@@ -1,30 +1,62 @@
-"""A board made from its electronic data sheet (EDS, CiA 306-1), which answers SDO transfers in process."""
+"""The object dictionary that an EDS or DCF describes, in full or in the compact forms of CiA 306-1."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
 from pathlib import Path
+from typing import NamedTuple
 
-import canopen
-from canopen.objectdictionary import ODVariable
-from canopen.objectdictionary.datatypes import NUMBER_TYPES
+from drivers.canopen.tools.eds_file import Section, UnreadableEds, parse_number, read
 
-from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import SdoOutcome, Transfer
-from drivers.canopen.sdo.procedure import DONE, Ask, Step
-
-# SDO abort codes (CiA 301, 7.2.4.3.17).
-_WRITE_ONLY, _NOT_MAPPABLE = 0x0601_0001, 0x0604_0041
-_WRONG_LENGTH, _TOO_HIGH, _TOO_LOW = 0x0607_0010, 0x0609_0031, 0x0609_0032
-
-_RPDO_MAPPINGS, _TPDO_MAPPINGS = range(0x1600, 0x1800), range(0x1A00, 0x1C00)
+_SIZES = {0x01: 1, 0x02: 1, 0x03: 2, 0x04: 4, 0x05: 1, 0x06: 2, 0x07: 4, 0x08: 4, 0x10: 3, 0x11: 8, 0x12: 5, 0x13: 6}
+_SIZES |= {0x14: 7, 0x15: 8, 0x16: 3, 0x18: 5, 0x19: 6, 0x1A: 7, 0x1B: 8}  # lengths of data types [bytes]
+_REALS = (0x08, 0x11)
+_VALUES = ("lowlimit", "highlimit", "defaultvalue", "parametervalue")
+_UNSIGNED8, _UNSIGNED16, _UNSIGNED32 = 5, 6, 7
+_ARRAY = 8  # ObjectType
+_RPDOS, _RPDO_MAPPINGS, _TPDOS, _TPDO_MAPPINGS = (range(first, first + 0x200) for first in range(0x1400, 0x1C00, 0x200))
 _DUMMIES = range(1, 8)  # indices of the dummy entries of RPDOs
-_ALL_PARTS = 0xFE  # greatest number of sub-indices
-_ANY_DEVICE = 0x000F_0191  # 1000h: CiA 401 with inputs and outputs
+_ACCESS = {"ro", "wo", "rw", "rwr", "rww", "const"}
+_OTHER_ACCESS = {"r": "ro", "w": "wo", "wr": "rw", "rw/rw": "rw"}  # seen in files
+_COMPACT_PDO = {1: _UNSIGNED32, 2: _UNSIGNED8, 3: _UNSIGNED16, 5: _UNSIGNED16, 6: _UNSIGNED8}  # by sub-index
+_MOST_MAPPED = 64  # entries of a mapping
 
 
-class UnreadableEds(ValueError):
-    """The file cannot be read as an EDS; the text says why."""
+class Entry(NamedTuple):
+    """One entry of the dictionary; None: the file does not tell.
+
+    Attributes:
+        access: "ro", "wo", "rw", "rwr", "rww" or "const".
+        data_type: index of the data type.
+        mappable: whether a PDO can carry it.
+        low: least value.
+        high: greatest value.
+        value: value after power-on.
+        configured: whether the value is a DCF's ParameterValue, not a DefaultValue.
+    """
+
+    access: str | None
+    data_type: int | None
+    mappable: bool = False
+    low: int | None = None
+    high: int | None = None
+    value: int | None = None
+    configured: bool = False
+
+    @property
+    def readable(self) -> bool:
+        """Whether SDO can read it, if nothing else is told."""
+        return self.access != "wo"
+
+    @property
+    def writable(self) -> bool:
+        """Whether SDO can write it."""
+        return self.access in ("wo", "rw", "rwr", "rww")
+
+    @property
+    def size(self) -> int:
+        """Length [bytes]; 0 if it is no number."""
+        return _SIZES.get(self.data_type or 0, 0)
 
 
 def is_mapping(index: int) -> bool:
@@ -32,196 +64,161 @@ def is_mapping(index: int) -> bool:
     return index in _RPDO_MAPPINGS or index in _TPDO_MAPPINGS
 
 
-@dataclass(frozen=True)
-class EdsTransfer:
-    """One transfer, as the board has answered it.
-
-    Attributes:
-        index: index of the object.
-        sub: sub-index.
-        written: the value to write; None: a read.
-        abort: abort code; None: done.
-    """
-
-    index: int
-    sub: int
-    written: int | None
-    abort: int | None
-
-
 class Eds:
     """The object dictionary of an EDS.
+
+    Attributes:
+        notes: sentences on what the file says against CiA 306-1, as far as it was asked for.
+        of_modules: indices of the objects that modules of a coupler bring.
+        fixed_mappings: whether no mapping can be changed.
 
     Args:
         path: path of the file.
         node: node id, which is part of COB-IDs.
 
     Raises:
-        UnreadableEds: the file is missing, or cannot be read as an EDS.
+        UnreadableEds: the file is missing, or describes no object.
     """
 
     def __init__(self, path: Path, node: int) -> None:
-        try:
-            with path.open(encoding="utf-8-sig", errors="replace") as file:
-                self._objects = canopen.import_od(file, node)
-        except OSError as error:
-            raise UnreadableEds(error.strerror or str(error)) from None
-        except Exception as error:  # the parser of the library raises many types
-            raise UnreadableEds(f"no EDS: {type(error).__name__}: {error}") from None
-        if not len(self._objects):
-            raise UnreadableEds("no EDS: it describes no object")
-        information = self._objects.device_information
-        self.fixed_mappings = information.granularity is not None and not information.granularity
-        self._numbers = {"NrOfRXPDO": information.nr_of_RXPDO, "NrOfTXPDO": information.nr_of_TXPDO}
-        self._beyond = {
-            index: key
-            for (key, number), first in zip(self._numbers.items(), (0x1400, 0x1800), strict=True)
-            if number is not None
-            for index in sorted(i for i in self._objects.indices if first <= i < first + 0x200)[number:]
-        }
+        self._file = read(path)
+        if not self._file.objects:
+            raise UnreadableEds("no EDS: it describes no object, for instance in a section [1000]")
+        self._node = node
+        self._found: dict[tuple[int, int], Entry | None] = {}
+        self.notes = self._file.notes
+        self.of_modules = self._file.of_modules
+        self._device = self._file.others.get("deviceinfo", {})
+        granularity = self._number("DeviceInfo", self._device, "granularity")
+        self.fixed_mappings = granularity == 0
+        self._compact = self._number("DeviceInfo", self._device, "compactpdo") or 0
 
-    def find(self, index: int, sub: int) -> ODVariable | None:
+    def at(self, node: int) -> Eds:
+        """Returns the dictionary of another board of this kind."""
+        other = copy.copy(self)
+        other._node, other._found = node, {}
+        return other
+
+    def find(self, index: int, sub: int) -> Entry | None:
         """Returns an entry of the dictionary; None if it is absent."""
-        found = self._objects.indices.get(index)
-        if found is None or index in self._beyond:
-            return None
-        if isinstance(found, ODVariable):
-            return found if sub == 0 else None
-        entry = found.subindices.get(sub)
-        if entry is None and 1 in found.subindices and 0 < sub <= (self.default(index, 0) or 0):
-            entry = found[sub]  # an array that is described once: all entries are like the first
-        return entry if isinstance(entry, ODVariable) else None
+        place = index, sub
+        if place not in self._found:
+            self._found[place] = self._described(index, sub)
+        return self._found[place]
 
-    def default(self, index: int, sub: int) -> int | None:
-        """Returns the default value; None if the EDS does not tell."""
+    def value(self, index: int, sub: int) -> int | None:
+        """Returns the value after power-on; None if the file does not tell it."""
         entry = self.find(index, sub)
-        value = None if entry is None else entry.default
-        return value if isinstance(value, int) else None
-
-    def size(self, entry: ODVariable) -> int:
-        """Returns the length of an entry [bytes]; 0 if it is no number."""
-        return len(entry) // 8 or 1 if entry.data_type in NUMBER_TYPES or entry.data_type in _DUMMIES else 0
+        return None if entry is None else entry.value
 
     def subs(self, index: int) -> int:
         """Returns the greatest sub-index of an object that is described."""
-        found = self._objects.indices.get(index)
-        return 0 if found is None or isinstance(found, ODVariable) else max(found.subindices, default=0)
+        return max((sub or 0 for sub in self._file.objects.get(index, ())), default=0)
 
     def says(self, index: int, sub: int) -> str:
-        """Returns what the EDS says about an entry, in words."""
+        """Returns what the file says about an entry, in words."""
         if index in _DUMMIES:
-            return f"Dummy{index:04d}={int(index in self._objects.indices)}"
-        if index in self._beyond:
-            return f"{self._beyond[index]}={self._numbers[self._beyond[index]]}"
+            return f"Dummy{index:04d}={int(self.find(index, 0) is not None)}"
         entry = self.find(index, sub)
         if entry is None:
-            return "nothing of it"
+            return "that modules bring it" if index in self.of_modules else "nothing of it"
+        key = "ParameterValue" if entry.configured else "DefaultValue"
         told = {
-            "AccessType": entry.access_type,
-            "PDOMapping": int(bool(entry.pdo_mappable)),
+            "AccessType": entry.access,
+            "PDOMapping": int(entry.mappable),
             "DataType": f"{entry.data_type or 0:#06x}",
-            "LowLimit": entry.min,
-            "HighLimit": entry.max,
-            "DefaultValue": None if (value := self.default(index, sub)) is None else f"{value:#x}",
+            "LowLimit": entry.low,
+            "HighLimit": entry.high,
+            key: None if entry.value is None else f"{entry.value:#x}",
             "Granularity": 0 if is_mapping(index) and self.fixed_mappings else None,
         }
         return ", ".join(f"{key}={value}" for key, value in told.items() if value is not None)
 
+    def _described(self, index: int, sub: int) -> Entry | None:
+        """Returns an entry as its own section, a compact form, or an entry like it describes it."""
+        if index in _DUMMIES:
+            used = self._number("DummyUsage", self._file.others.get("dummyusage", {}), f"dummy{index:04d}")
+            return Entry("const", index, True) if used and sub == 0 else None
+        sections = self._file.objects.get(index)
+        if sections is None:
+            return self._of_compact_pdo(index, sub)
+        title = f"{index:04X}sub{sub:X}"
+        if sub in sections:
+            return self._entry(title, sections[sub], sections.get(None, {}))
+        whole = sections.get(None, {})
+        if compact := self._number(f"{index:04X}", whole, "compactsubobj"):
+            return self._of_compact_object(index, sub, whole, compact)
+        if sub == 0:
+            return self._entry(f"{index:04X}", whole, {}) if len(sections) == 1 else Entry("ro", _UNSIGNED8)
+        if 1 in sections and sub <= self._like_first(index, whole):
+            return self._entry(title, sections[1], whole)._replace(value=None)
+        return None
 
-class EdsBoard:
-    """A board with the object dictionary of an EDS and its default values.
+    def _like_first(self, index: int, whole: Section) -> int:
+        """Returns the greatest sub-index that may be described by sub-index 1 alone, in an array or a mapping."""
+        if is_mapping(index):
+            number = self.find(index, 0)
+            return min(_MOST_MAPPED, (number.high or 0) if number else 0)
+        array = self._number(f"{index:04X}", whole, "objecttype") == _ARRAY
+        return (self.value(index, 0) or 0) if array else 0
 
-    Attributes:
-        asked: all transfers, in order.
-
-    Args:
-        eds: the EDS.
-        assumed: values that count in place of those of the EDS, by index and sub-index.
-        absent: indices of objects that the EDS lacks, and the board has nevertheless.
-        writable: objects that accept any value, by index and sub-index.
-    """
-
-    def __init__(
-        self, eds: Eds, assumed: dict[tuple[int, int], int], absent: set[int], writable: set[tuple[int, int]]
-    ) -> None:
-        self.asked: list[EdsTransfer] = []
-        self._eds, self._absent, self._writable = eds, absent, writable
-        self._values = dict(assumed)
-
-    def answer(self, step: Step) -> SdoOutcome:
-        """Answers a step of a procedure at once. NMT commands and waits succeed."""
-        transfer = step.transfer if isinstance(step, Ask) else step
-        if not isinstance(transfer, Transfer):
-            return DONE
-        place = transfer.index, transfer.sub
-        data = b""
-        if transfer.data is None:
-            written = None
-            abort = self._reading(*place)
-            if abort is None:
-                data = self._read(*place)
-        else:
-            written = int.from_bytes(transfer.data, "little")
-            abort = None if self._free(*place) else self._writing(*place, written, len(transfer.data))
-            if abort is None:
-                self._values[place] = written
-        self.asked.append(EdsTransfer(*place, written, abort))
-        return SdoOutcome(data=data) if abort is None else SdoOutcome(abort=abort)
-
-    def _free(self, index: int, sub: int) -> bool:
-        return index in self._absent or (index, sub) in self._writable
-
-    def _missing(self, index: int, sub: int) -> int | None:
-        """Returns the abort code for an object that does not exist."""
-        if self._eds.find(index, sub) is not None:
+    def _of_compact_object(self, index: int, sub: int, whole: Section, count: int) -> Entry | None:
+        """CompactSubObj: sub-index 0 is the number of the others, and these are alike."""
+        if sub == 0:
+            return Entry("ro", _UNSIGNED8, value=count)
+        if sub > count:
             return None
-        return objects.NO_OBJECT if self._eds.find(index, 0) is None else objects.NO_SUB_INDEX
+        entry = self._entry(f"{index:04X}", whole, {})
+        value = self._number(f"{index:04X}Value", self._file.others.get(f"{index:04x}value", {}), str(sub))
+        return entry if value is None else entry._replace(value=value, configured=True)
 
-    def _reading(self, index: int, sub: int) -> int | None:
-        if self._free(index, sub):
+    def _of_compact_pdo(self, index: int, sub: int) -> Entry | None:
+        """CompactPDO of DeviceInfo: bit k says that the parameters of all PDOs have sub-index k + 1."""
+        rpdo = index in _RPDOS or index in _RPDO_MAPPINGS
+        count = self._number("DeviceInfo", self._device, "nrofrxpdo" if rpdo else "nroftxpdo") or 0
+        if not self._compact or index not in range(0x1400, 0x1C00) or index & 0x1FF >= count:
             return None
-        if (missing := self._missing(index, sub)) is not None:
-            return missing
-        entry = self._eds.find(index, sub)
-        return None if entry is None or entry.readable else _WRITE_ONLY
-
-    def _read(self, index: int, sub: int) -> bytes:
-        entry = self._eds.find(index, sub)
-        value = self._values.get((index, sub), self._default(index, sub))
-        size = 4 if entry is None or self._free(index, sub) else self._eds.size(entry)
-        return (value & (1 << 8 * size) - 1).to_bytes(size, "little")
-
-    def _default(self, index: int, sub: int) -> int:
-        """Returns the default value; where the EDS does not tell it, the number of entries, or 0."""
-        if (value := self._eds.default(index, sub)) is not None:
-            return value
-        if sub == 0 and index in self._absent and not is_mapping(index):
-            return _ALL_PARTS
-        return _ANY_DEVICE if index == 0x1000 else self._eds.subs(index) * (sub == 0 and not is_mapping(index))
-
-    def _writing(self, index: int, sub: int, value: int, size: int) -> int | None:
-        if (missing := self._missing(index, sub)) is not None:
-            return missing
-        entry = self._eds.find(index, sub)
-        assert entry is not None
-        if not entry.writable or (is_mapping(index) and self._eds.fixed_mappings):
-            return objects.READ_ONLY
-        if size != self._eds.size(entry):
-            return _WRONG_LENGTH
-        if entry.min is not None and value < entry.min:
-            return _TOO_LOW
-        if entry.max is not None and value > entry.max:
-            return _TOO_HIGH
-        return self._mapping(index, value) if is_mapping(index) and sub else None
-
-    def _mapping(self, index: int, entry: int) -> int | None:
-        """Returns the abort code for a mapped object that does not exist, or cannot be mapped in this length."""
-        place, bits = (entry >> 16, entry >> 8 & 0xFF), entry & 0xFF
-        if self._free(*place):
+        if is_mapping(index):
+            return Entry("rw", _UNSIGNED32 if sub else _UNSIGNED8) if sub <= _MOST_MAPPED else None
+        if sub == 0:
+            return Entry("ro", _UNSIGNED8)
+        if sub not in _COMPACT_PDO or not self._compact >> (sub - 1) & 1:
             return None
-        mapped = self._eds.find(*place)
-        if mapped is None:
-            return _NOT_MAPPABLE if place[0] in _DUMMIES else self._missing(*place)
-        dummy = place[0] in _DUMMIES and index in _RPDO_MAPPINGS
-        width = 1 if mapped.data_type == 1 else 8 * self._eds.size(mapped)
-        return None if (dummy or mapped.pdo_mappable) and width == bits else _NOT_MAPPABLE
+        return Entry("rw", _COMPACT_PDO[sub])
+
+    def _entry(self, title: str, section: Section, whole: Section) -> Entry:
+        """Returns what a section says; the data type may stand at the whole object."""
+        data_type = self._number(title, section, "datatype")
+        if data_type is None:
+            data_type = _UNSIGNED8 if title.endswith("sub0") else self._number(title, whole, "datatype")
+        mappable = bool(self._number(title, section, "pdomapping"))
+        entry = Entry(self._access(title, section), data_type, mappable)
+        if data_type not in _SIZES or data_type in _REALS:
+            return entry
+        low, high, default, configured = (self._number(title, section, key) for key in _VALUES)
+        value = default if configured is None else configured
+        return entry._replace(low=low, high=high, value=value, configured=configured is not None)
+
+    def _access(self, title: str, section: Section) -> str | None:
+        key = section.get("accesstype")
+        if key is None or not key.text:
+            return None
+        access = key.text.lower()
+        access = _OTHER_ACCESS.get(access, access)
+        if access in _ACCESS:
+            return access
+        self._note(f"line {key.line}, [{title}]: {key.name}={key.text} is none of {', '.join(sorted(_ACCESS))}")
+        return None
+
+    def _number(self, title: str, section: Section, name: str) -> int | None:
+        key = section.get(name)
+        if key is None or not key.text:
+            return None
+        number = parse_number(key.text, self._node)
+        if number is None:
+            self._note(f"line {key.line}, [{title}]: {key.name}={key.text} is no number")
+        return number
+
+    def _note(self, text: str) -> None:
+        if text not in self.notes:
+            self.notes.append(text)

@@ -11,7 +11,8 @@ from drivers.canopen.pdo import INPUTS, subs_of
 from drivers.canopen.sdo import objects
 from drivers.canopen.sdo.client import SdoOutcome
 from drivers.canopen.sdo.procedure import BoardError, Procedure
-from drivers.canopen.tools.eds import Eds, EdsBoard, EdsTransfer, is_mapping
+from drivers.canopen.tools.eds import Eds, is_mapping
+from drivers.canopen.tools.eds_board import EdsBoard, EdsTransfer
 from drivers.canopen.wiring import ErrorState, Timing
 
 _MOST_LACKS = 64
@@ -26,18 +27,25 @@ class Lack(NamedTuple):
         object: index and sub-index.
         says: what the EDS says about this object.
         needed: why the boot refuses the board.
+        told: whether the EDS tells this; False: modules bring the object, or its value or access is missing.
     """
 
     object: str
     says: str
     needed: str
+    told: bool
 
     def __str__(self) -> str:
         return f"{self.object}: the EDS says {self.says}; {self.needed}"
 
 
 def lacks(eds: Eds, board: BoardLayout, timing: Timing, error_state: ErrorState | None) -> list[Lack]:
-    """Returns all unmet needs of a board's wiring, according to its EDS.
+    """Returns the needs of a board's wiring that it does not meet, as its EDS tells; see `unmet`."""
+    return [lack for lack in unmet(eds, board, timing, error_state) if lack.told]
+
+
+def unmet(eds: Eds, board: BoardLayout, timing: Timing, error_state: ErrorState | None) -> list[Lack]:
+    """Returns all needs of a board's wiring that its EDS does not meet, or of which it does not tell.
 
     The boot refuses a board at the first unmet need. This need is noted and then taken as met: an object that is absent
     is taken as present, one that refuses a value as writable, and a wrong value as right. The boot is tried again until
@@ -57,8 +65,9 @@ def lacks(eds: Eds, board: BoardLayout, timing: Timing, error_state: ErrorState 
         made = EdsBoard(eds, assumed, absent, writable)
         if (refusal := _refusal(made, _boot(board, timing, error_state))) is None:
             break
-        causes = _causes(made.asked, refusal)
-        found.setdefault(refusal, _lack(eds, board, causes[0], refusal))
+        named = [one for one in made.asked if _named(one, refusal)]
+        causes = _causes(named) or made.asked[-1:]
+        found.setdefault(refusal, _lack(eds, board, causes[0], named, refusal))
         before = len(assumed) + len(absent) + len(writable)
         for cause in causes:
             _take_as_met(eds, board, cause, assumed, absent, writable)
@@ -99,18 +108,7 @@ def _refusal(board: EdsBoard, procedure: Procedure) -> str | None:
 def _identity(eds: Eds, board: BoardLayout) -> dict[tuple[int, int], int]:
     """Returns the identity of the arm's file where the EDS has 0 or nothing: only the device tells it."""
     needs = configuration.identity(board.settings)
-    return {(need.index, need.sub): need.value for need in needs if not eds.default(need.index, need.sub)}
-
-
-def _causes(asked: list[EdsTransfer], refusal: str) -> list[EdsTransfer]:
-    """Returns the transfers that led to a refusal, among those whose objects it names.
-
-    These are the refused writes, else the refused reads, else the last read.
-    """
-    named = [one for one in asked if _named(one, refusal)]
-    refused = [one for one in named if one.abort is not None]
-    writes = [one for one in refused if one.written is not None]
-    return writes or refused or named[-1:] or asked[-1:]
+    return {(need.index, need.sub): need.value for need in needs if not eds.value(need.index, need.sub)}
 
 
 def _named(asked: EdsTransfer, refusal: str) -> bool:
@@ -118,19 +116,25 @@ def _named(asked: EdsTransfer, refusal: str) -> bool:
     return f"{index} sub {asked.sub}" in refusal or (asked.written is None and index in refusal)
 
 
-def _mapped(cause: EdsTransfer) -> tuple[int, int] | None:
-    """Returns the object that a refused mapping entry names."""
-    if cause.written is None or not is_mapping(cause.index) or not cause.sub or cause.abort == objects.READ_ONLY:
-        return None
-    return cause.written >> 16, cause.written >> 8 & 0xFF
+def _causes(named: list[EdsTransfer]) -> list[EdsTransfer]:
+    """Returns the transfers that led to a refusal: the refused writes, else the refused reads, else the last read.
+
+    Args:
+        named: the transfers whose objects the refusal names.
+    """
+    refused = [one for one in named if one.abort is not None]
+    writes = [one for one in refused if one.written is not None]
+    return writes or refused or named[-1:]
 
 
-def _lack(eds: Eds, board: BoardLayout, cause: EdsTransfer, refusal: str) -> Lack:
-    index, sub = _mapped(cause) or (cause.index, cause.sub)
+def _lack(eds: Eds, board: BoardLayout, cause: EdsTransfer, named: list[EdsTransfer], refusal: str) -> Lack:
+    index, sub = cause.blamed
     text = refusal.removeprefix(f"board {board.name}: ")
     if text.startswith(own := f"board {board.name} "):
         text = f"the board {text.removeprefix(own)}"
-    return Lack(f"{index:04X}h sub {sub}", eds.says(index, sub), text)
+    # A value that cannot be written may be right, if the EDS does not tell it.
+    unknown = cause.abort == objects.READ_ONLY and not all(one.told for one in named)
+    return Lack(f"{index:04X}h sub {sub}", eds.says(index, sub), text, cause.told and not unknown)
 
 
 def _take_as_met(
@@ -142,7 +146,7 @@ def _take_as_met(
     writable: set[tuple[int, int]],
 ) -> None:
     """Changes what the next board is made of, so that it does not refuse this transfer."""
-    place = _mapped(cause) or (cause.index, cause.sub)
+    place = cause.blamed
     if cause.abort is None:  # a wrong value that must not be written
         right = {(need.index, need.sub): need.value for need in configuration.identity(board.settings)}
         assumed[place] = 0x000F_0191 if place == (0x1000, 0) else right.get(place, 0xFE if place[1] == 0 else 0)

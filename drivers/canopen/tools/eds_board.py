@@ -1,0 +1,148 @@
+"""A board made from its electronic data sheet (EDS, CiA 306-1), which answers SDO transfers in process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.canopen.sdo import objects
+from drivers.canopen.sdo.client import SdoOutcome, Transfer
+from drivers.canopen.sdo.procedure import DONE, Ask, Step
+from drivers.canopen.tools.eds import Eds, is_mapping
+
+# SDO abort codes (CiA 301, 7.2.4.3.17).
+_WRITE_ONLY, _NOT_MAPPABLE = 0x0601_0001, 0x0604_0041
+_WRONG_LENGTH, _TOO_HIGH, _TOO_LOW = 0x0607_0010, 0x0609_0031, 0x0609_0032
+
+_ALL_PARTS = 0xFE  # greatest number of sub-indices
+_ANY_DEVICE = 0x000F_0191  # 1000h: CiA 401 with inputs and outputs
+_BOOLEAN, _LAST_DUMMY = 1, 7  # data type, and index
+
+
+@dataclass(frozen=True)
+class EdsTransfer:
+    """One transfer, as the board has answered it.
+
+    Attributes:
+        index: index of the object.
+        sub: sub-index.
+        written: the value to write; None: a read.
+        abort: abort code; None: done.
+        blamed: index and sub-index of the entry that decides the answer: for a refused mapping, the mapped one.
+        told: whether the EDS tells what the answer depends on.
+    """
+
+    index: int
+    sub: int
+    written: int | None
+    abort: int | None
+    blamed: tuple[int, int]
+    told: bool
+
+
+class EdsBoard:
+    """A board with the object dictionary of an EDS and its values after power-on.
+
+    Attributes:
+        asked: all transfers, in order.
+
+    Args:
+        eds: the EDS.
+        assumed: values that count in place of those of the EDS, by index and sub-index.
+        absent: indices of objects that the EDS lacks, and the board has nevertheless.
+        writable: entries that accept any value, by index and sub-index.
+    """
+
+    def __init__(
+        self, eds: Eds, assumed: dict[tuple[int, int], int], absent: set[int], writable: set[tuple[int, int]]
+    ) -> None:
+        self.asked: list[EdsTransfer] = []
+        self._eds, self._absent, self._writable = eds, absent, writable
+        self._values = dict(assumed)
+
+    def answer(self, step: Step) -> SdoOutcome:
+        """Answers a step of a procedure at once. NMT commands and waits succeed."""
+        transfer = step.transfer if isinstance(step, Ask) else step
+        if not isinstance(transfer, Transfer):
+            return DONE
+        blamed = place = transfer.index, transfer.sub
+        data, abort, written, told = b"", None, None, self._told(*place, transfer.data is None)
+        if transfer.data is None:
+            if not self._free(*place):
+                abort = self._reading(*place)
+            if abort is None:
+                data = self._read(*place)
+        else:
+            written = int.from_bytes(transfer.data, "little")
+            if not self._free(*place):
+                abort, blamed = self._writing(*place, written, len(transfer.data))
+            if abort is None:
+                self._values[place] = written
+            elif blamed != place:
+                told = blamed[0] not in self._eds.of_modules
+        self.asked.append(EdsTransfer(*place, written, abort, blamed, told))
+        return SdoOutcome(data=data) if abort is None else SdoOutcome(abort=abort)
+
+    def _told(self, index: int, sub: int, read: bool) -> bool:
+        """Returns whether the EDS tells all that a transfer depends on, or has had the value written."""
+        entry = self._eds.find(index, sub)
+        if entry is None:
+            return index not in self._eds.of_modules
+        counted = sub == 0 and not is_mapping(index)  # the number of entries follows from their sections
+        valued = counted or entry.value is not None or (index, sub) in self._values
+        return entry.access is not None and entry.size > 0 and (valued or not read)
+
+    def _free(self, index: int, sub: int) -> bool:
+        return index in self._absent or (index, sub) in self._writable
+
+    def _missing(self, index: int, sub: int) -> int | None:
+        """Returns the abort code for an object that does not exist."""
+        if self._eds.find(index, sub) is not None:
+            return None
+        return objects.NO_OBJECT if self._eds.find(index, 0) is None else objects.NO_SUB_INDEX
+
+    def _reading(self, index: int, sub: int) -> int | None:
+        entry = self._eds.find(index, sub)
+        return _WRITE_ONLY if entry is not None and not entry.readable else self._missing(index, sub)
+
+    def _read(self, index: int, sub: int) -> bytes:
+        entry = self._eds.find(index, sub)
+        value = self._values.get((index, sub), self._value(index, sub))
+        size = 4 if entry is None or self._free(index, sub) else entry.size
+        return (value & (1 << 8 * size) - 1).to_bytes(size, "little")
+
+    def _value(self, index: int, sub: int) -> int:
+        """Returns the value after power-on; where the EDS does not tell it, the number of entries, or 0."""
+        if (value := self._eds.value(index, sub)) is not None:
+            return value
+        if sub == 0 and index in self._absent and not is_mapping(index):
+            return _ALL_PARTS
+        return _ANY_DEVICE if index == 0x1000 else self._eds.subs(index) * (sub == 0 and not is_mapping(index))
+
+    def _writing(self, index: int, sub: int, value: int, size: int) -> tuple[int | None, tuple[int, int]]:
+        """Returns the abort code of a write, and the entry that decides it."""
+        entry, place = self._eds.find(index, sub), (index, sub)
+        if entry is None:
+            return self._missing(index, sub), place
+        if not entry.writable or (is_mapping(index) and self._eds.fixed_mappings):
+            return objects.READ_ONLY, place
+        if size != entry.size:
+            return _WRONG_LENGTH, place
+        if entry.low is not None and value < entry.low:
+            return _TOO_LOW, place
+        if entry.high is not None and value > entry.high:
+            return _TOO_HIGH, place
+        if not is_mapping(index) or not sub:
+            return None, place
+        mapped = value >> 16, value >> 8 & 0xFF
+        return self._mapping(mapped, value & 0xFF, index < 0x1800), mapped
+
+    def _mapping(self, place: tuple[int, int], bits: int, rpdo: bool) -> int | None:
+        """Returns the abort code for a mapped object that does not exist, or cannot be mapped in this length."""
+        if self._free(*place):
+            return None
+        mapped, dummy = self._eds.find(*place), place[0] <= _LAST_DUMMY
+        if mapped is None:
+            return _NOT_MAPPABLE if dummy else self._missing(*place)
+        right = rpdo if dummy else mapped.mappable and not (rpdo and mapped.access in ("ro", "const"))
+        width = 1 if mapped.data_type == _BOOLEAN else 8 * mapped.size
+        return None if right and width == bits else _NOT_MAPPABLE

@@ -1,0 +1,138 @@
+"""Reads the text of an EDS or DCF (CiA 306-1).
+
+Files of makers break many rules of CiA 306-1. So only what the check asks for must be right.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+_MOST_BYTES = 64 << 20
+_OBJECT = re.compile(r"(?:0x)?([0-9a-f]{1,4})(?:sub(?:0x)?([0-9a-f]{1,3}))?")
+_MODULE = re.compile(r"m\d+(?:subext|fixedobj)([0-9a-f]{4})(?:sub[0-9a-f]+)?")
+_COMMENT = re.compile(r"\s*(?:[;#]|//).*")
+_NUMBER = re.compile(r"-?(?:0x[0-9a-f]+|[0-9]+)")
+_OCTAL = re.compile(r"-?0[0-7]+")
+_BOMS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
+
+
+class UnreadableEds(ValueError):
+    """The file cannot be read as an EDS; the text says why."""
+
+
+class Key(NamedTuple):
+    """The value of a key, as the file has it.
+
+    Attributes:
+        line: number of its line.
+        name: name of the key.
+        text: the value, without a comment.
+    """
+
+    line: int
+    name: str
+    text: str
+
+
+Section = dict[str, Key]  # by the key's name in lower case
+
+
+class EdsFile(NamedTuple):
+    """The sections of a file.
+
+    Attributes:
+        objects: sections of objects, by index, and by sub-index; None: the object itself.
+        others: all other sections, by their names in lower case.
+        of_modules: indices of the objects that modules of a coupler bring.
+        notes: sentences on lines that were skipped.
+    """
+
+    objects: dict[int, dict[int | None, Section]]
+    others: dict[str, Section]
+    of_modules: frozenset[int]
+    notes: list[str]
+
+
+def read(path: Path) -> EdsFile:
+    """Reads a file.
+
+    Raises:
+        UnreadableEds: the file is missing, or no text of sections.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+    except OSError as error:
+        raise UnreadableEds(error.strerror or str(error)) from None
+    if len(data) > _MOST_BYTES:
+        raise UnreadableEds(f"no EDS: it has more than {_MOST_BYTES >> 20} MiB")
+    encoding = next((name for bom, name in _BOMS.items() if data.startswith(bom)), "utf-8")
+    text = data.decode(encoding, errors="replace")
+    if text.lstrip().startswith("<"):
+        raise UnreadableEds("no EDS: it is XML (XDD or XDC). Export the device as EDS, for instance by CANopenEditor")
+    return _parse(text)
+
+
+def _parse(text: str) -> EdsFile:
+    """Sorts the lines into sections. The first of equal keys counts; equal sections are one."""
+    objects: dict[int, dict[int | None, Section]] = {}
+    others: dict[str, Section] = {}
+    notes: list[str] = []
+    section: Section = {}  # takes the lines before the first section
+    title = ""
+    for number, line in enumerate(text.splitlines(), 1):
+        line = line.strip(" \t\0")
+        if not line or line[0] in ";#":
+            continue
+        if line[0] == "[":
+            title = line[1:].partition("]")[0].strip()
+            section = _section(title.lower(), objects, others)
+            continue
+        name, equals, value = (part.strip() for part in line.partition("="))
+        if not equals:
+            notes.append(f"line {number}, [{title}]: {_short(line)} has no '=', and is skipped")
+            continue
+        key = Key(number, name, _COMMENT.sub("", value).strip().strip('"'))
+        first = section.setdefault(name.lower(), key)
+        if first.text != key.text:
+            notes.append(
+                f"line {number}, [{title}]: {_short(line)} is skipped, for line {first.line} has this key, too"
+            )
+    modules = frozenset(int(found[1], 16) for found in map(_MODULE.fullmatch, others) if found)
+    return EdsFile(objects, others, modules, notes)
+
+
+def _section(name: str, objects: dict[int, dict[int | None, Section]], others: dict[str, Section]) -> Section:
+    """Returns the section of a name in lower case."""
+    found = _OBJECT.fullmatch(name)
+    if found is None:
+        return others.setdefault(name, {})
+    sub = None if found[2] is None else int(found[2], 16)
+    return objects.setdefault(int(found[1], 16), {}).setdefault(sub, {})
+
+
+def parse_number(text: str, node: int) -> int | None:
+    """Returns a number as CiA 306-1 writes it, or None.
+
+    Args:
+        text: decimal, hexadecimal with 0x, or octal with 0, and `$NODEID`, added by `+`.
+        node: value of `$NODEID`.
+    """
+    total = 0
+    for part in text.lower().removeprefix("+").split("+"):
+        part = part.strip()
+        if part in ("$nodeid", "nodeid"):
+            total += node
+        elif not _NUMBER.fullmatch(part):
+            return None
+        elif "x" in part:
+            total += int(part, 16)
+        else:
+            total += int(part, 8 if _OCTAL.fullmatch(part) else 10)
+    return total
+
+
+def _short(line: str) -> str:
+    return line if len(line) <= 60 else f"{line[:57]}..."
