@@ -65,6 +65,7 @@ class Link:
         self._failing_since: float | None = None
         self._sent_since_tick = self._failed_since_tick = False
         self._queue: deque[Outgoing] = deque()
+        self._urgent: deque[Outgoing] = deque()
         self._unsent: dict[Frame, Outgoing] = {}  # from the queue, handed out and not yet sent
         self._meter = Meter()
         self._errors = 0, 0
@@ -104,8 +105,9 @@ class Link:
 
     def clear(self) -> None:
         """Drops the queued frames."""
-        for outgoing in (*self._queue, *self._unsent.values()):
+        for outgoing in (*self._urgent, *self._queue, *self._unsent.values()):
             outgoing.cancelled = True
+        self._urgent.clear()
         self._queue.clear()
         self._unsent.clear()
 
@@ -117,11 +119,8 @@ class Link:
         self._hand_out(self.name, frame)
 
     def queue(self, outgoing: Outgoing, now: float, urgent: bool = False) -> None:
-        """Queues a frame; an urgent one before the others."""
-        if urgent:
-            self._queue.appendleft(outgoing)
-        else:
-            self._queue.append(outgoing)
+        """Queues a frame; an urgent one goes before the others, and does not wait for frames outside the queue."""
+        (self._urgent if urgent else self._queue).append(outgoing)
         self._pump(now)
 
     def received(self, bits: int) -> None:
@@ -239,10 +238,11 @@ class Link:
 
     def _pump(self, now: float) -> None:
         """Hands out queued frames, a few at a time: SDO transfers must not delay the heartbeat on a slow bus."""
-        if self.pending.count > len(self._unsent) or self._failed_since_tick or not self.usable:
+        if self._failed_since_tick or not self.usable:
             return
-        while self._queue and len(self._unsent) < _MOST_UNSENT:
-            outgoing = self._queue.popleft()
+        others = self.pending.count > len(self._unsent)  # commands and heartbeats that are not sent yet
+        while len(self._unsent) < _MOST_UNSENT and (queue := self._urgent or (not others and self._queue)):
+            outgoing = queue.popleft()
             if not outgoing.cancelled:
                 if outgoing.first_at is None:
                     outgoing.first_at = now

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.cia301 import REMOTE, Frame
 from drivers.canopen.wire.link import Link, Outgoing
 from drivers.canopen.wire.tx_echo import TxPending
 from drivers.canopen.wiring import BusWiring
@@ -62,3 +62,18 @@ def test_transfers_wait_until_the_heartbeat_has_left():
     assert sent == [BEAT, BEAT]
     link.echoed(BEAT, 0.102)
     assert sent == [BEAT, BEAT, request]
+
+
+def test_a_poll_of_node_guarding_does_not_wait_for_a_command():
+    sent: list[Frame] = []
+    link = Link(BusWiring("can0", "virtual", "can0"), lambda _, frame: sent.append(frame), stuck_after=0.2)
+    link.state = "active"
+    command, request, poll = Frame(0x205, b"\x01"), Frame(0x605, bytes(8)), Frame(REMOTE | 0x705)
+    link.send_frame(Frame(0x77F, b"\x05"), 0.1)
+    link.echoed(sent[0], 0.1)  # so that echoes are waited for
+    link.send_frame(command, 0.2)
+    link.queue(Outgoing(request), 0.2)
+    link.queue(Outgoing(poll), 0.2, urgent=True)
+    assert sent[1:] == [command, poll]
+    link.echoed(command, 0.21)
+    assert sent[3:] == [request]
