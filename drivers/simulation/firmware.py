@@ -88,7 +88,7 @@ class SimulatedBoard:
         identity = [self.objects.number(0x1018, sub) for sub in range(1, 5)]
         self.lss = LssSlave(identity, node, self.send_message)
         self._outputs = SimulatedOutputs(self.objects, variant)
-        self._pdos = Pdos(self.objects, self._outputs, self.emergencies, self.send_message)
+        self._pdos = Pdos(self.objects, self._outputs, self.emergencies, self.send_message, variant.pads)
         self._read_node()
         self._requests: deque[tuple[float, bytes]] = deque()  # SDO requests, and the times of their answers
         self._boots_at = math.inf

@@ -38,6 +38,7 @@ class Pdos:
         outputs: takes the data of RPDOs.
         emergencies: takes errors of frames with a wrong length.
         send: takes COB-ID and data of a TPDO.
+        pads: whether TPDOs are filled up to 8 bytes.
 
     Attributes:
         sync_due: latest time of the next SYNC [s]; infinity if none is expected.
@@ -45,13 +46,19 @@ class Pdos:
     """
 
     def __init__(
-        self, objects: Objects, outputs: SimulatedOutputs, emergencies: Emergencies, send: Callable[[int, bytes], None]
+        self,
+        objects: Objects,
+        outputs: SimulatedOutputs,
+        emergencies: Emergencies,
+        send: Callable[[int, bytes], None],
+        pads: bool,
     ) -> None:
         self.sync_due = math.inf
         self.losing = 0
         self._window_ends = math.inf  # time after which synchronous RPDOs come too late [s]
         self._sent_at: dict[int, float] = {}  # last time of each TPDO since the start, by its index [s]
         self._objects, self._outputs, self._emergencies, self._send = objects, outputs, emergencies, send
+        self._pads = pads
         self._latched: dict[int, bytes] = {}  # data that the next SYNC applies, by index of the RPDO
         self._received = [index for index in _RPDOS if objects.has(index)]
         self._sent = [index for index in _TPDOS if objects.has(index)]
@@ -144,7 +151,7 @@ class Pdos:
             self.losing -= 1
             return
         values = (self._objects.number(index, sub).to_bytes(bits // 8, "little") for index, sub, bits in pdo.entries)
-        self._send(pdo.cob_id, b"".join(values))
+        self._send(pdo.cob_id, b"".join(values).ljust(8 if self._pads else 0, b"\xff"))
 
     def _wakes(self, pdo: _Pdo, changed: Mapping[int, int]) -> bool:
         """Returns whether a TPDO carries a changed input that 6006h does not mask."""

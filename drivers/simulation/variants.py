@@ -52,6 +52,7 @@ class Variant:
         keeps_outputs: whether the outputs keep their levels at an NMT reset of communication.
         no_object: abort code of an SDO to an object that it does not have.
         logs_ends: whether the end of an error is an entry of 1003h too.
+        pads: whether TPDOs are filled up to 8 bytes.
         errors: standing errors.
         starts: whether it obeys the NMT command that makes it operational.
         answer_delay: delay of its SDO answers [s].
@@ -76,6 +77,7 @@ class Variant:
     keeps_outputs: bool = True
     no_object: int = 0x0602_0000
     logs_ends: bool = False
+    pads: bool = False
     errors: tuple[StandingError, ...] = ()
     starts: bool = True
     answer_delay: float = 0.0
@@ -239,6 +241,7 @@ VARIANTS: Mapping[str, Variant] = {
     "no-emergencies": Variant(
         "1014h is disabled: no emergencies", changes={(0x1014, 0): number(4, _DISABLED | 0x80, relative=True)}
     ),
+    "padded-tpdo": Variant("TPDOs have 8 bytes, whatever is mapped (zencan, c-open)", pads=True),
     "kept-loss": Variant(
         "1001h = 11h stands after the loss of the master, also when its heartbeats return (Lely)", keeps_loss=True
     ),

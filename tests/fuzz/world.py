@@ -114,8 +114,8 @@ class World(Hardware, Witness):
         measured, known = self.core.motion.readings.read, self.master.known
         if isinstance(event, FrameIgnored) and (measured, known) != self._before:
             raise AssertionError(f"taken for the state of a board: {event}")
-        wrong_length = isinstance(event, FrameReceived) and event.frame.id in TPDOS and len(event.frame.data) != 1
-        if wrong_length and measured != self._before[0]:
+        too_short = isinstance(event, FrameReceived) and event.frame.id in TPDOS and not event.frame.data
+        if too_short and measured != self._before[0]:
             raise AssertionError(f"taken for inputs: {event}")
         self.boots += self.master.booting and not self._booting
         self._booting = self.master.booting

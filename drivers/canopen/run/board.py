@@ -187,9 +187,11 @@ class Board:
                 return False
         elif (tpdo := self._tpdos.get(cob_id)) is not None:
             size, carried = tpdo
-            if len(data) != size:
+            if len(data) < size:
                 self._refuse_inputs(len(data), size)
                 return False
+            if len(data) > size:
+                self._warn_of_padding(len(data), size)
             self.input_frames += 1
             number, inputs = int.from_bytes(data, "little"), self._inputs
             for bit, place, count in carried:
@@ -274,6 +276,12 @@ class Board:
         if self._ready:  # during a boot it may still send its previous mapping
             what = f"its inputs came in {size} bytes, not in {expected}"
             self._fault("wrong-length", f"{what}: does another device send its TPDO?")
+
+    def _warn_of_padding(self, size: int, mapped: int) -> None:
+        """Warns once of a TPDO that is longer than its mapping; its first bytes count (CiA 301, 7.5.2.36)."""
+        text = f"its inputs come in {size} bytes, though {mapped} are mapped: only the first ones are used"
+        if self._ready and text not in self.warnings:
+            self.warnings = (*self.warnings, text)
 
     def _fault(self, code: str, what: str) -> None:
         self.report(ArmFault(code, self.name, f"board {self.name}: {what}"))

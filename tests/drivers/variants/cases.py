@@ -128,6 +128,7 @@ CASES = (
     Case("sync-period"),
     Case("sync-window"),
     Case("no-emergencies"),
+    Case("padded-tpdo"),
     Case("kept-loss"),
     Case("kept-loss", options=_CONTRACT, label="contract"),
     Case("inverted-outputs", ("has FFh in 6202h sub 1 (polarity of the outputs); FCh is needed",)),

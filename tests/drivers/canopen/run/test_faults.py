@@ -7,6 +7,7 @@ import pytest
 from drivers.canopen.faults import Busy
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wiring import Timing
+from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 
@@ -168,14 +169,33 @@ def test_a_storm_of_emergencies_is_one_fault():
     )
 
 
-@pytest.mark.parametrize("data", [b"", b"\x03\x03", bytes(8)])
-def test_inputs_of_a_wrong_length_are_a_fault_and_no_state(data):
+def test_too_few_inputs_are_a_fault_and_no_state():
     world = World().up()
-    world.say(0x185, data)
+    world.say(0x185, b"")
     world.run(0.01)
     assert world.codes() == ["wrong-length"]
-    assert f"its inputs came in {len(data)} bytes, not in 1" in world.faults[0].message
+    assert "its inputs came in 0 bytes, not in 1" in world.faults[0].message
     assert world.measured() == [0, 0]
+
+
+def test_the_first_bytes_of_longer_inputs_count_with_one_warning():
+    world = World().up()
+    for data in (b"\x01\xff", b"\x03" + bytes(7), b"\x01" + bytes(7)):
+        world.say(0x185, data)
+        world.run(0.01)
+        assert world.measured() == [data[0] & 1, data[0] >> 1]
+    assert world.codes() == []
+    [limits] = world.master.warnings()
+    assert limits.code == "board-limits"
+    assert "its inputs come in 2 bytes, though 1 are mapped: only the first ones are used" in limits.message
+    assert "8 bytes" in limits.message
+
+
+def test_a_board_that_pads_its_inputs_is_ready_and_measured():
+    world = World(variants={"can0/5": VARIANTS["padded-tpdo"]}).up()
+    world.run(1.5)
+    assert world.codes() == []
+    assert ["its inputs come in 8 bytes" in warning.message for warning in world.master.warnings()] == [True]
 
 
 def test_error_frames_change_the_state_of_the_bus():
