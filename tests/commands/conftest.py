@@ -12,7 +12,7 @@ from controller import cli
 from controller.commands.connection import connected
 from controller.commands.operate import demo
 from controller.host.signals import ENDING
-from drivers.canopen.tools import listening, probe
+from drivers.canopen.tools import session
 
 Told = Callable[..., str]
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
@@ -59,8 +59,8 @@ def own_folders(monkeypatch, tmp_path):
 @pytest.fixture
 def brief_listening(monkeypatch):
     """Commands listen for heartbeats for 50 ms only: for tests in which no heartbeat needs to be heard."""
-    monkeypatch.setattr(listening, "_SHORTEST", 0.05)
-    monkeypatch.setattr(probe, "_LISTEN", 0.05)
+    monkeypatch.setattr(session, "LISTEN", 0.05)
+    monkeypatch.setattr(session, "PERIODS", 0.0)
 
 
 @pytest.fixture

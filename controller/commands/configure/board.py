@@ -8,16 +8,13 @@ from typing import Annotated, Literal
 import typer
 
 from controller.armfile.actuators import read_wired
-from controller.armfile.settings import ArmSettings
 from controller.armfile.strict import InputFaults
 from controller.armfile.terminals import named_boards
 from controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
-from controller.commands.configure.executor_absence import refuse_executor, running_on
+from controller.commands.configure.executor_absence import session_without_executor
 from controller.commands.configure.probe import errors
-from drivers.canopen.faults import BusError
-from drivers.canopen.tools.node_reset import reset_node
-from drivers.canopen.tools.node_states import stopped
-from drivers.canopen.tools.probe import Probe, probe_bus
+from drivers.canopen.tools.probe import ProbedNode, probe_bus
+from drivers.canopen.tools.session import Node, Session, stopped
 from drivers.canopen.wire.cia301 import State
 from drivers.canopen.wiring import BusWiring
 
@@ -43,32 +40,24 @@ def board(
     bus_name, _, node = name.partition("/")
     [entry] = [entry for entry in settings.buses if entry.name == bus_name]
     bus = BusWiring(name=entry.name, interface=entry.interface, channel=entry.channel, bitrate=entry.bitrate)
-    try:
-        refuse_executor([bus], settings.name, socket, settings.boards.heartbeat)
-        found = probe_bus(bus, [int(node)])
-        if found.fault is not None:
-            raise CommandFailed(found.fault.message)
-        if found.master_heard:
-            raise running_on(bus_name)
+    with session_without_executor([bus], settings.name, socket, settings.boards.heartbeat) as session:
         if action == "errors":
-            show_errors(found, name, as_json)
+            show_errors(probe_bus(session, bus_name, [int(node)]), name, as_json)
         else:
-            reset(settings, bus, name, yes, as_json)
-    except BusError as error:
-        raise CommandFailed(str(error)) from None
+            reset(session, (bus_name, int(node)), settings.boards.boot_timeout, yes, as_json)
 
 
-def show_errors(found: Probe, name: str, as_json: bool) -> None:
+def show_errors(found: list[ProbedNode], name: str, as_json: bool) -> None:
     """Prints error register and error history of a probed board.
 
     Raises:
         CommandFailed: the board does not answer.
     """
-    if found.found and not found.found[0].answers and found.found[0].state is State.STOPPED:
+    if found and not found[0].answers and found[0].state is State.STOPPED:
         raise CommandFailed(stopped(name))
-    if not found.found or not found.found[0].answers:
+    if not found or not found[0].answers:
         raise CommandFailed(f"board {name} does not answer: check its power supply and its node id")
-    it = found.found[0]
+    it = found[0]
     if as_json:
         history = [it.numbers.get((0x1003, sub)) for sub in range(1, 1 + it.numbers.get((0x1003, 0), 0))]
         print_json({"board": name, "register": it.numbers.get((0x1001, 0)), "history": history})
@@ -77,22 +66,22 @@ def show_errors(found: Probe, name: str, as_json: bool) -> None:
         typer.echo(line)
 
 
-def reset(settings: ArmSettings, bus: BusWiring, name: str, yes: bool, as_json: bool) -> None:
+def reset(session: Session, node: Node, timeout: float, yes: bool, as_json: bool) -> None:
     """Resets a board and prints how long it took to boot.
 
     Raises:
         CommandFailed: the board does not boot, or the user declined.
     """
+    name = f"{node[0]}/{node[1]}"
     question = f"A reset switches the outputs of board {name} off: its actuators may move. Continue?"
-    if not yes and not typer.confirm(question, err=True):
-        raise CommandFailed("nothing was reset")
-    timeout = settings.boards.boot_timeout
-    it = reset_node(bus, int(name.rpartition("/")[2]), timeout)
-    if it.fault is not None:
-        raise CommandFailed(it.fault.message)
-    if it.booted_after is None:
+    if not yes:
+        if not typer.confirm(question, err=True):
+            raise CommandFailed("nothing was reset")
+        session.listen()  # an executor may have been started meanwhile
+    booted_after = session.reset(node, timeout)
+    if booted_after is None:
         raise CommandFailed(f"board {name} sent no boot-up message within {timeout:g} s (boards.boot_timeout)")
     if as_json:
-        print_json({"board": name, "booted_after": it.booted_after})
+        print_json({"board": name, "booted_after": booted_after})
     else:
-        typer.echo(f"board {name} has booted after {it.booted_after:.2f} s; it is pre-operational")
+        typer.echo(f"board {name} has booted after {booted_after:.2f} s; it is pre-operational")

@@ -157,20 +157,14 @@ def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
     Raises:
         CommandFailed: a bus cannot be used, or an executor runs.
     """
-    from controller.commands.configure.executor_absence import refuse_executor, running_on
+    from controller.commands.configure.executor_absence import session_without_executor
     from controller.executor.core.arm import timing_of, wiring_of
-    from drivers.canopen.faults import BusError
     from drivers.canopen.tools.bus_check import check_bus
 
     wiring, timing = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings)
-    try:
-        refuse_executor(wiring.buses, arm.settings.name, socket, timing.heartbeat)
-        asked = check_bus(wiring, timing)
-    except BusError as error:
-        raise CommandFailed(str(error)) from None
-    if asked.master_on is not None:
-        raise running_on(asked.master_on)
-    return [{"board": a.board, "ok": a.ok, "answer": a.text, "code": a.code} for a in asked.answers or ()]
+    with session_without_executor(wiring.buses, arm.settings.name, socket, timing.heartbeat) as session:
+        told = check_bus(session, wiring, timing)
+    return [{"board": a.board, "ok": a.ok, "answer": a.text, "code": a.code} for a in told]
 
 
 def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:

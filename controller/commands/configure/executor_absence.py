@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from controller.commands.common import CommandFailed
 from controller.host.sockets import found_sockets, socket_path
 from controller.program import VERSION, Hello, encode
-from drivers.canopen.tools.listening import master_on
+from drivers.canopen.faults import BusError
+from drivers.canopen.tools.session import MasterHeard, Session
+from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wiring import MASTER, BusWiring
 
 ANSWER_WITHIN = 1.0  # [s]
 
 
-def refuse_executor(
+@contextlib.contextmanager
+def session_without_executor(
     buses: Iterable[BusWiring], arm: str | None = None, path: Path | None = None, heartbeat: float = 0.0
-) -> None:
-    """Refuses if the executor of an arm answers at its socket, or a master sends its heartbeat on a bus.
+) -> Iterator[Session]:
+    """Opens a session with boards, unless the executor of the arm answers, or a master sends its heartbeat on a bus.
 
     Args:
         buses: the buses that the command is going to use.
@@ -27,20 +31,28 @@ def refuse_executor(
         heartbeat: period of the master's heartbeat [s]; 0: not known.
 
     Raises:
-        CommandFailed: an executor runs.
-        BusError: a bus cannot be opened.
+        CommandFailed: an executor runs, or a bus cannot be used.
+    """
+    refuse_executor(arm, path)
+    try:
+        with Session([CanBus(bus) for bus in buses], heartbeat) as session:
+            yield session
+    except MasterHeard as error:
+        raise running(f"an executor is running (its heartbeat, node {MASTER}, is on {error})") from None
+    except BusError as error:
+        raise CommandFailed(str(error)) from None
+
+
+def refuse_executor(arm: str | None, path: Path | None) -> None:
+    """Refuses if the executor of an arm answers at its socket.
+
+    Raises:
+        CommandFailed: it answers.
     """
     if arm is not None:
         for own in dict.fromkeys([socket_path(path, arm), *(one for one in found_sockets() if one.stem == arm)]):
             if answers(own, arm):
                 raise running(f"the executor of {arm} is running (it answers at {own})")
-    if (bus := master_on(buses, heartbeat)) is not None:
-        raise running_on(bus)
-
-
-def running_on(bus: str) -> CommandFailed:
-    """Returns the error for a bus with the heartbeat of a master."""
-    return running(f"an executor is running (its heartbeat, node {MASTER}, is on {bus})")
 
 
 def running(who: str) -> CommandFailed:

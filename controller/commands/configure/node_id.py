@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -11,10 +9,9 @@ import typer
 
 from controller.armfile.strict import InputFaults
 from controller.commands.common import AsJson, CommandFailed, print_json
-from controller.commands.configure.probe import Bitrate, Channel, Interface, probed
-from drivers.canopen.faults import BusError
+from controller.commands.configure.probe import Bitrate, Channel, Interface, session_on
 from drivers.canopen.tools.lss import BIT_TIMINGS, Lss, LssIdentity, LssRefused, over
-from drivers.canopen.wire.bus import CanBus
+from drivers.canopen.tools.probe import probe_bus
 from drivers.canopen.wiring import MASTER, BusWiring
 
 NEW = f"The new node id, 1 to {MASTER - 1}."
@@ -43,14 +40,18 @@ def node_id(
     check_options(wanted, list_=list_)
     identity = None if board is None else parse_identity(board)
     bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
-    nodes = [node.node for node in probed(channel, interface, bitrate, in_full=False).found]
-    with opened(bus) as lss:
-        if list_:
-            show(lss.unconfigured(), channel, as_json)
-            return
-        if identity is None:
-            check_single(nodes, channel)
-        selected, old = store(lss, identity, wanted, nodes, channel)
+    try:
+        with session_on(bus) as session:
+            nodes = [node.node for node in probe_bus(session, channel, in_full=False)]
+            lss = Lss(over(session, channel))
+            if list_:
+                show(lss.unconfigured(), channel, as_json)
+                return
+            if identity is None:
+                check_single(nodes, channel)
+            selected, old = store(lss, identity, wanted, nodes, channel)
+    except LssRefused as error:
+        raise CommandFailed(f"{channel}: {error}") from None
     if as_json:
         print_json({"identity": str(selected), "before": old, "node": new or old, "bitrate": new_bitrate})
     else:
@@ -166,20 +167,3 @@ def show(found: list[LssIdentity], channel: str, as_json: bool) -> None:
             typer.echo(f"{one}  hyperbit node-id {channel} NODE --board {one}")
     if not found and not as_json:
         typer.echo(f"each board on {channel} has a node id; list them: hyperbit probe {channel}")
-
-
-@contextlib.contextmanager
-def opened(settings: BusWiring) -> Iterator[Lss]:
-    """Opens a bus for LSS.
-
-    Raises:
-        CommandFailed: the bus cannot be opened, or a board refuses a request.
-    """
-    bus = CanBus(settings)
-    try:
-        bus.open()
-        yield Lss(over(bus))
-    except (BusError, LssRefused) as error:
-        raise CommandFailed(f"{settings.name}: {error}") from None
-    finally:
-        bus.close()

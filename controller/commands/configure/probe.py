@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
 from typing import Annotated, Any
 
 import typer
 
 from controller.commands import common
 from controller.commands.common import AsJson, CommandFailed, print_json
-from controller.commands.configure.executor_absence import refuse_executor, running_on
+from controller.commands.configure.executor_absence import session_without_executor
 from drivers.canopen.boot.pdo_setup import PdoState, pdo_words
-from drivers.canopen.faults import BusError
 from drivers.canopen.pdo import carries
 from drivers.canopen.sdo import objects
-from drivers.canopen.tools.node_states import stopped
-from drivers.canopen.tools.probe import TEXTS, Probe, ProbedNode, probe_bus
+from drivers.canopen.tools.probe import TEXTS, ProbedNode, probe_bus
+from drivers.canopen.tools.session import Session, stopped
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import State
 from drivers.canopen.wiring import MASTER, BusWiring
@@ -44,8 +44,10 @@ def probe(
     without an executor. With --json it
     prints a line for each node; send this line in if hyperbit does not know the board.
     """
-    found = probed(channel, interface, bitrate)
-    nodes = [node for node in found.found if node.node != MASTER or node.answers]
+    bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
+    with session_on(bus) as session:
+        found = probe_bus(session, channel)
+    nodes = [node for node in found if node.node != MASTER or node.answers]
     for node in nodes:
         if as_json:
             print_json(as_mapping(node))
@@ -57,29 +59,21 @@ def probe(
         raise CommandFailed(f"no node answers on {channel} ({interface}): check power, cable, termination and bit rate")
 
 
-def probed(channel: str, interface: str, bitrate: int, *, in_full: bool = True) -> Probe:
-    """Returns the nodes of a bus without an executor.
-
-    Args:
-        channel: of the bus, such as "can0".
-        interface: interface of python-can.
-        bitrate: [bit/s].
-        in_full: read all objects of interest of each node, not only its state.
+@contextlib.contextmanager
+def session_on(bus: BusWiring) -> Iterator[Session]:
+    """Opens a session on a bus that the user has named.
 
     Raises:
         CommandFailed: the bus cannot be used, or an executor uses it.
     """
-    bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
     try:
-        refuse_executor([bus])
-        found = probe_bus(bus, in_full=in_full)
-    except BusError as error:
-        raise CommandFailed(str(error), f"check that {channel} is up and that its --interface is {interface}") from None
-    if found.fault is not None:
-        raise CommandFailed(found.fault.message)
-    if found.master_heard:
-        raise running_on(channel)
-    return found
+        with session_without_executor([bus]) as session:
+            yield session
+    except CommandFailed as error:
+        if "cannot open" not in str(error):
+            raise
+        advice = f"check that {bus.channel} is up and that its --interface is {bus.interface}"
+        raise CommandFailed(str(error), advice) from None
 
 
 def rows(it: ProbedNode, channel: str) -> Iterable[Row]:

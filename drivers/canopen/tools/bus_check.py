@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.canopen.boot import inspection, pdo_search
@@ -14,17 +13,11 @@ from drivers.canopen.layout import BoardLayout, lay_out
 from drivers.canopen.pdo import Pdo
 from drivers.canopen.sdo import objects
 from drivers.canopen.sdo.objects import Need
-from drivers.canopen.sdo.procedure import BoardError, Procedure, Runner
-from drivers.canopen.tools.conversation import converse
-from drivers.canopen.tools.node_states import NodeStates, stopped
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wire.cia301 import Frame, State
-from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
-from drivers.canopen.wire.link import Link
-from drivers.canopen.wiring import Timing, Wiring
+from drivers.canopen.sdo.procedure import BoardError, Procedure
+from drivers.canopen.tools.session import Node, Session, stopped
+from drivers.canopen.wire.cia301 import State
+from drivers.canopen.wiring import ErrorState, Timing, Wiring
 
-_STUCK_AFTER = 0.5  # [s]
 _BOARD_TIMEOUT = 1.0  # [s] for the first answer of a board
 _MOST_CHANGES = 4  # changes that the answer lists
 
@@ -49,139 +42,81 @@ class CheckedBoard:
         return not self.code
 
 
-class BusCheck:
-    """Asks all boards of a wiring in parallel; without I/O and clock, like the master.
+def check_bus(session: Session, wiring: Wiring, timing: Timing) -> list[CheckedBoard]:
+    """Asks all boards in parallel; returns their answers, after that of each bus that cannot be used.
 
-    It writes only values that the objects have already, to find read-only objects. So no frame that is lost, and no end
-    of the process, leaves another value on a board.
+    The check writes only values that the objects have already, to find read-only objects. So no frame that is lost, and
+    no end of the process, leaves another value on a board.
 
     Args:
+        session: with the buses of the wiring.
         wiring: buses and boards.
         timing: heartbeat times.
-        send: hands out a frame for a bus, by its name; must not call the check.
+
+    Raises:
+        MasterHeard: a master sends its heartbeat.
     """
+    boards = {(board.bus, board.node): board for board in lay_out(wiring).boards}
+    texts: dict[Node, CheckedBoard] = {}
+    faults = session.run(
+        {node: _ask(session, board, timing, wiring.error_state, texts) for node, board in boards.items()}
+    )
+    troubles = {bus.name: session.trouble(bus.name) for bus in wiring.buses}
+    answers = [CheckedBoard(bus, fault.message, fault.code) for bus, fault in troubles.items() if fault is not None]
+    for node, board in boards.items():
+        fault, trouble = faults[node], troubles[node[0]]
+        if fault is None:
+            answers.append(texts[node])
+        elif trouble is None:
+            answers.append(CheckedBoard(board.name, fault.message, fault.code))
+        else:
+            cause = trouble.message.partition(": check")[0]
+            answers.append(CheckedBoard(board.name, f"board {board.name} does not answer: {cause}", trouble.code))
+    return answers
 
-    def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
-        self._timing, self._error_state = timing, wiring.error_state
-        self._links = {bus.name: Link(bus, send, _STUCK_AFTER) for bus in wiring.buses}
-        self._states = {name: NodeStates(link) for name, link in self._links.items()}
-        self._boards = lay_out(wiring).boards
-        self._runners = {(b.bus, b.node): Runner(b.node, self._links[b.bus]) for b in self._boards}
-        self._answers: dict[str, CheckedBoard] = {}
 
-    @property
-    def answers(self) -> tuple[CheckedBoard, ...] | None:
-        """The answers in the order of the boards; None until all are there."""
-        if len(self._answers) < len(self._boards):
-            return None
-        return tuple(self._answers[board.name] for board in self._boards)
+def _ask(
+    session: Session, board: BoardLayout, timing: Timing, state: ErrorState | None, texts: dict[Node, CheckedBoard]
+) -> Procedure:
+    node = board.bus, board.node
+    try:
+        kind, _ = yield from find(board, _BOARD_TIMEOUT, None)
+    except BoardError as error:
+        if error.fault.code == "board-missing":
+            yield from _refuse_heard(session, board)
+        raise
+    it = Inspection(board)
+    yield from inspection.inspect(it, kind, timing, state)
+    yield from pdo_search.read_pdos(it, in_full=True)
+    unmet = it.unmet(it.needs) + it.unmet(it.error_mode)
+    changes = [f"{n.place} {n.words(it.values[n.index, n.sub])} -> {n.words(n.corrected(0))}" for n in unmet]
+    for need in unmet:
+        yield from _try(it, need)
+    for pdos in (it.rpdos, it.tpdos):
+        yield from _try_mappings(it, pdos)
+    for wanted, present in it.rpdos + it.tpdos:
+        if not present.fits(wanted):
+            index = present.parameters
+            changes.append(f"{index:04X}h and {index + 0x200:04X}h ({pdo_words(index)})")
+    register, errors, lost = yield from inspection.read_errors(it, None)
+    text = f"device type {kind:08X}h, {errors or 'error register 00h'}"
+    if changes:
+        text += f"; to be written: {'; '.join(changes[:_MOST_CHANGES])}"
+        text += f"; and {len(changes) - _MOST_CHANGES} more" * (len(changes) > _MOST_CHANGES)
+    text = "; ".join([text, *it.warnings])
+    texts[node] = CheckedBoard(board.name, text, "board-error" if register and not lost else "")
 
-    @property
-    def master_on(self) -> str | None:
-        """Name of a bus on which a master, such as an executor, sends its heartbeat; None if there is none."""
-        return next((name for name, states in self._states.items() if states.master_heard), None)
 
-    @property
-    def over(self) -> bool:
-        """Whether all boards have answered or timed out."""
-        return self.answers is not None
-
-    def start(self, now: float) -> None:
-        """Starts to ask. All buses are open."""
-        for link in self._links.values():
-            link.changed("active", "", None, now)
-        for board in self._boards:
-            self._runners[board.bus, board.node].start(self._ask(board), self._note(board), now)
-
-    def receive_event(self, event: Event, now: float) -> None:
-        """Takes an event of a bus."""
-        link = self._links[event.bus]
-        if isinstance(event, BusChanged):
-            if (fault := link.changed(event.state, event.why, event.errors, now)) is not None:
-                self._give_up(fault)
-        elif isinstance(event, FrameEchoed) and link.echoed(event.frame, now):
-            return
-        elif isinstance(event, FrameEchoed | FrameReceived):
-            self._states[event.bus].hear(event.frame)
-            function, node = cia301.split(event.frame.id)
-            runner = self._runners.get((event.bus, node))
-            if function == cia301.SDO_ANSWER and runner is not None and len(event.frame.data) == 8:
-                runner.receive_sdo(event.frame.data, now)
-                runner.check(now)
-
-    def send_failed(self, bus: str, frame: Frame, now: float) -> None:
-        """Records that a frame could not be sent."""
-        self._links[bus].send_failed(frame, now)
-
-    def tick(self, now: float) -> None:
-        """Call every millisecond: handles timeouts."""
-        for states in self._states.values():
-            states.tick(now)
-        for link in self._links.values():
-            link.armed = link.usable  # so that a stuck bus is found; nothing is switched here
-            if (fault := link.tick(now, now)) is not None:
-                self._give_up(fault)
-        for runner in self._runners.values():
-            runner.tick(now)
-
-    def _ask(self, board: BoardLayout) -> Procedure:
-        try:
-            kind, _ = yield from find(board, _BOARD_TIMEOUT, None)
-        except BoardError as error:
-            if error.fault.code == "board-missing":
-                yield from self._refuse_heard(board)
-            raise
-        it = Inspection(board)
-        yield from inspection.inspect(it, kind, self._timing, self._error_state)
-        yield from pdo_search.read_pdos(it, in_full=True)
-        unmet = it.unmet(it.needs) + it.unmet(it.error_mode)
-        changes = [f"{n.place} {n.words(it.values[n.index, n.sub])} -> {n.words(n.corrected(0))}" for n in unmet]
-        for need in unmet:
-            yield from _try(it, need)
-        for pdos in (it.rpdos, it.tpdos):
-            yield from _try_mappings(it, pdos)
-        for wanted, present in it.rpdos + it.tpdos:
-            if not present.fits(wanted):
-                changes.append(
-                    f"{present.parameters:04X}h and {present.parameters + 0x200:04X}h ({pdo_words(present.parameters)})"
-                )
-        register, errors, lost = yield from inspection.read_errors(it, None)
-        text = f"device type {kind:08X}h, "
-        text += errors or "error register 00h"
-        if changes:
-            text += f"; to be written: {'; '.join(changes[:_MOST_CHANGES])}"
-            text += f"; and {len(changes) - _MOST_CHANGES} more" * (len(changes) > _MOST_CHANGES)
-        for warning in it.warnings:
-            text += f"; {warning}"
-        code = "board-error" if register and not lost else ""
-        self._answers[board.name] = CheckedBoard(board.name, text, code)
-
-    def _refuse_heard(self, board: BoardLayout) -> Reading:
-        """Refuses a board that answers no SDO, but sends heartbeats or answers a remote frame."""
-        states = self._states[board.bus]
-        yield from states.learn(board.node)
-        state = states.states.get(board.node)
-        if state is State.STOPPED:
-            raise BoardError(ArmFault("board-stopped", board.name, stopped(board.name)))
-        if state is not None:
-            text = (
-                f"board {board.name} is {state.words}, but does not answer to 1000h sub 0 within {_BOARD_TIMEOUT:g} s"
-            )
-            raise BoardError(ArmFault("board-missing", board.name, text))
-
-    def _note(self, board: BoardLayout) -> Callable[[ArmFault | None, float], None]:
-        def ended(fault: ArmFault | None, now: float) -> None:
-            if fault is not None:
-                self._answers[board.name] = CheckedBoard(board.name, fault.message, fault.code)
-
-        return ended
-
-    def _give_up(self, fault: ArmFault) -> None:
-        for board in self._boards:
-            if board.bus == fault.source and board.name not in self._answers:
-                self._runners[board.bus, board.node].cancel()
-                text = f"board {board.name} does not answer: {fault.message}"
-                self._answers[board.name] = CheckedBoard(board.name, text, fault.code)
+def _refuse_heard(session: Session, board: BoardLayout) -> Reading:
+    """Refuses a board that answers no SDO, but sends heartbeats or answers a remote frame."""
+    node = board.bus, board.node
+    yield from session.poll_state(node)
+    state = session.states.get(node)
+    if state is State.STOPPED:
+        raise BoardError(ArmFault("board-stopped", board.name, stopped(board.name)))
+    if state is not None:
+        text = f"board {board.name} is {state.words}, but does not answer to 1000h sub 0 within {_BOARD_TIMEOUT:g} s"
+        raise BoardError(ArmFault("board-missing", board.name, text))
 
 
 def _try(it: Inspection, need: Need) -> Reading:
@@ -217,15 +152,3 @@ def _try_mapping(it: Inspection, wanted: Pdo, present: PdoState) -> Reading:
     if (abort := (yield from objects.write(it.name, need, present.entries))) == objects.READ_ONLY:
         text = f"board {it.name}: {why}; it refuses another mapping: {objects.abort_words(abort)}"
         raise BoardError(ArmFault("sdo-refused", it.name, text))
-
-
-def check_bus(wiring: Wiring, timing: Timing) -> BusCheck:
-    """Asks all boards; blocks until they have answered or timed out.
-
-    Raises:
-        BusError: a bus cannot be opened.
-    """
-    outbox: list[tuple[str, Frame]] = []
-    asking = BusCheck(wiring, timing, lambda bus, frame: outbox.append((bus, frame)))
-    converse(asking, outbox, [CanBus(settings) for settings in wiring.buses])
-    return asking

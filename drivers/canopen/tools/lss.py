@@ -1,59 +1,33 @@
-"""Node ids and bit rates by LSS, the layer setting services (CiA 305), with the LSS master of the package canopen."""
+"""Node ids and bit rates by LSS, the layer setting services (CiA 305)."""
 
 from __future__ import annotations
 
 import contextlib
-import time
-from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple, cast
+import struct
+from collections.abc import Callable, Collection
+from itertools import islice
+from typing import NamedTuple
 
-from canopen.lss import (
-    CS_FAST_SCAN,
-    CS_IDENTIFY_SLAVE,
-    CS_INQUIRE_PRODUCT_CODE,
-    CS_INQUIRE_REVISION_NUMBER,
-    CS_INQUIRE_SERIAL_NUMBER,
-    CS_INQUIRE_VENDOR_ID,
-    CS_SWITCH_STATE_SELECTIVE_RESPONSE,
-    CS_SWITCH_STATE_SELECTIVE_SERIAL_NUMBER,
-    ListMessageNeedResponse,
-    LssError,
-    LssMaster,
-)
-
-from drivers.canopen.wire.bus import CanBus
+from drivers.canopen.tools.session import Session
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
-_REQUEST, _ANSWER = LssMaster.LSS_TX_COBID, LssMaster.LSS_RX_COBID
-_LSS_TIMEOUT, _TRIES = 1.0, 3  # [s] for an answer, and attempts
+_REQUEST, _ANSWER = 0x7E5, 0x7E4  # COB-IDs
+_SWITCH, _SELECT, _SELECTED, _SCAN, _SCANNED = 0x04, (0x40, 0x41, 0x42, 0x43), 0x44, 0x51, 0x4F
+_NODE_ID, _BIT_TIMING, _STORE, _INQUIRE, _INQUIRE_NODE_ID = 0x11, 0x13, 0x17, (0x5A, 0x5B, 0x5C, 0x5D), 0x5E
+_WAITING, _CONFIGURATION = 0, 1
+_ANY, _WITHOUT_ID = 0x80, 0xFF  # bit check of a scan that each board answers, and node id of a board without one
+_TIMEOUT, _TRIES = 1.0, 3  # [s] for an answer, and attempts
 _SCAN_TIMEOUT = 0.2  # [s] for an answer in a fast scan, where silence is an answer
 _PAUSE = 0.02  # [s] after a request without an answer: some boards keep only one request
 _MORE = 0.05  # [s] for the answers of other boards after the first one
-_POLL = 0.001  # [s]
 _MOST_BOARDS = 127
-BIT_TIMINGS = {  # index by bit rate [bit/s]
-    1_000_000: 0,
-    800_000: 1,
-    500_000: 2,
-    250_000: 3,
-    125_000: 4,
-    50_000: 6,
-    20_000: 7,
-    10_000: 8,
-}
-
-_PARTS = (
-    CS_INQUIRE_VENDOR_ID,
-    CS_INQUIRE_PRODUCT_CODE,
-    CS_INQUIRE_REVISION_NUMBER,
-    CS_INQUIRE_SERIAL_NUMBER,
-)
-
-_ANSWERS = {  # first byte of an answer by that of its request, where the two differ
-    CS_SWITCH_STATE_SELECTIVE_SERIAL_NUMBER: CS_SWITCH_STATE_SELECTIVE_RESPONSE,
-    CS_FAST_SCAN: CS_IDENTIFY_SLAVE,
+_RATES = (1_000_000, 800_000, 500_000, 250_000, 125_000, 0, 50_000, 20_000, 10_000)
+BIT_TIMINGS = {rate: index for index, rate in enumerate(_RATES) if rate}  # index by bit rate [bit/s]
+_REFUSALS = {
+    (_NODE_ID, 1): "it is out of range",
+    (_BIT_TIMING, 1): "the board has no such bit rate",
+    (_STORE, 1): "it cannot store",
+    (_STORE, 2): "its memory cannot be written",
 }
 
 # Request, first byte of its answer (None: none is expected), time for the answer [s] -> answers since the last request.
@@ -88,48 +62,27 @@ class Lss:
     """
 
     def __init__(self, exchange: Exchange) -> None:
-        self._master = cast(Any, LssMaster())
-        self._master.network = self  # the package's master uses only send_message of its network
-        self._master.RESPONSE_TIMEOUT = 0.001  # the answers are there before it waits
-        self._exchange, self._timeout, self._tries = exchange, _LSS_TIMEOUT, _TRIES
-        self._silent = False  # whether the last request had no answer that was due
+        self._exchange, self._tries = exchange, _TRIES
         self._identity: dict[int, bytes] = {}  # answers with the parts of the selected board's identity, by first byte
 
-    def send_message(self, cob_id: int, data: bytes, remote: bool = False) -> None:
-        """Sends a request of the package's master and passes the answer to it.
-
-        Raises:
-            LssRefused: several boards answer differently.
-        """
-        self._silent = due = data[0] in ListMessageNeedResponse
-        code = _ANSWERS.get(data[0], data[0]) if due else None
-        for _ in range(self._tries if due else 1):
-            heard = {answer for answer in self._exchange(bytes(data), code, self._timeout) if answer}
-            own = [answer for answer in heard if answer[0] == code]
-            if len(own) > 1 or any(self._identity.get(late[0], late) != late for late in heard):
-                raise LssRefused("several boards answer: connect one alone, or name one by its identity")
-            if own:
-                if data[0] in _PARTS:
-                    self._identity[data[0]] = own[0]
-                self._silent = False
-                self._master.on_message_received(_ANSWER, own[0], 0.0)
-                return
-
     def unconfigured(self) -> list[LssIdentity]:
-        """Returns the boards without a node id, by LSS fast scan."""
-        self.release()  # an earlier session may have ended in the configuration state
-        self._timeout, self._tries = _SCAN_TIMEOUT, 1
-        found: list[LssIdentity] = []
+        """Returns the boards without a node id, by LSS fast scan.
+
+        A selected board is silent in a scan. So each board that was found is selected before the next scan. Some
+        boards answer all the same (CANopenNode), or have a node id and answer (Lely). So each one is asked alone.
+        """
+        found: dict[LssIdentity, int] = {}
         try:
-            while len(found) < _MOST_BOARDS:
-                one, numbers = self._master.fast_scan()
-                if not one:
+            while len(found) < _MOST_BOARDS and (one := self._scan(found)) is not None:
+                self.release()
+                try:
+                    self._switch(one)
+                    found[one] = self._ask("inquire node id", _INQUIRE_NODE_ID)[1]
+                except LssSilent:  # nobody has this identity: a selected board has answered
                     break
-                found.append(LssIdentity(*numbers))  # this board is silent in the next scan
         finally:
-            self._timeout, self._tries = _LSS_TIMEOUT, _TRIES
             self.release()
-        return found
+        return [one for one, node in found.items() if node == _WITHOUT_ID]
 
     def select(self, identity: LssIdentity | None) -> tuple[LssIdentity, int]:
         """Selects one board for configuration; returns its identity and node id.
@@ -151,16 +104,9 @@ class Lss:
                     raise
             finally:
                 self._tries = _TRIES
-        told = [self._ask("inquire identity", partial(self._master.inquire_lss_address, part)) for part in _PARTS]
-        return LssIdentity(*told), self._ask("inquire node id", self._master.inquire_node_id)
-
-    def _switch(self, identity: LssIdentity | None) -> None:
-        """Switches one board to the configuration state, which it must prove by an answer."""
-        if identity is None:
-            self._master.send_switch_state_global(LssMaster.CONFIGURATION_STATE)
-            self._ask("select", partial(self._master.inquire_lss_address, CS_INQUIRE_VENDOR_ID))
-        else:
-            self._ask(f"select {identity}", lambda: self._master.send_switch_state_selective(*identity))
+        parts = [self._ask("inquire identity", part) for part in _INQUIRE]
+        told = (int.from_bytes(part[1:5], "little") for part in parts)
+        return LssIdentity(*told), self._ask("inquire node id", _INQUIRE_NODE_ID)[1]
 
     def configure(self, old: int, node: int | None, bitrate: int | None) -> None:
         """Sets and stores node id and bit rate [bit/s] of the selected board; None: unchanged.
@@ -179,51 +125,95 @@ class Lss:
         stored = False
         try:
             if node is not None:
-                self._ask(f"node id {node}", lambda: self._master.configure_node_id(node))
+                self._set(f"node id {node}", _NODE_ID, node)
             if bitrate is not None:
-                timing = BIT_TIMINGS[bitrate]
-                self._ask(f"{bitrate} bit/s", lambda: self._master.configure_bit_timing(timing))
-            self._ask("store", self._master.store_configuration)
+                self._set(f"{bitrate} bit/s", _BIT_TIMING, 0, BIT_TIMINGS[bitrate])
+            self._set("store", _STORE)
             stored = True
         finally:
             if not stored and node is not None:
                 with contextlib.suppress(LssRefused):
-                    self._ask(f"node id {old}", lambda: self._master.configure_node_id(old))
+                    self._set(f"node id {old}", _NODE_ID, old)
 
     def release(self) -> None:
         """Returns all boards to the LSS waiting state."""
         self._identity.clear()
-        self._master.send_switch_state_global(LssMaster.WAITING_STATE)
+        self._send(_SWITCH, _WAITING)
 
-    def _ask(self, what: str, request: Callable[[], object]) -> int:
-        try:
-            answer = request()
-        except LssError as error:
-            if self._silent:
-                raise LssSilent(f"{what}: no board answers by LSS") from None
-            raise LssRefused(f"{what}: the board refuses ({error})") from None
-        return answer if isinstance(answer, int) else 0
+    def _switch(self, identity: LssIdentity | None) -> None:
+        """Switches one board to the configuration state, which it must prove by an answer."""
+        if identity is None:
+            self._send(_SWITCH, _CONFIGURATION)
+            self._ask("select", _INQUIRE[0])
+            return
+        for part, number in islice(zip(_SELECT, identity, strict=True), 3):
+            self._send(part, *number.to_bytes(4, "little"))
+        self._ask(f"select {identity}", _SELECT[3], *identity.serial.to_bytes(4, "little"), code=_SELECTED)
+
+    def _scan(self, selected: Collection[LssIdentity]) -> LssIdentity | None:
+        """Returns the identity of a board that answers a fast scan, bit by bit; None if none does."""
+        self.release()
+        for one in selected:
+            with contextlib.suppress(LssSilent):
+                self._switch(one)
+        if not self._scanned(0, _ANY, 0, 0):
+            return None
+        numbers: list[int] = []
+        for part in range(4):
+            number = 0
+            for bit in reversed(range(32)):
+                if not self._scanned(number, bit, part, part):
+                    number |= 1 << bit
+            if not self._scanned(number, 0, part, (part + 1) % 4):
+                return None
+            numbers.append(number)
+        return LssIdentity(*numbers)
+
+    def _scanned(self, number: int, bit: int, part: int, following: int) -> bool:
+        """Returns whether a board answers that this part of its identity is `number` from `bit` upwards."""
+        request = struct.pack("<BIBBB", _SCAN, number, bit, part, following)
+        return any(answer[:1] == bytes([_SCANNED]) for answer in self._exchange(request, _SCANNED, _SCAN_TIMEOUT))
+
+    def _set(self, what: str, *request: int) -> None:
+        """Sends a request that the selected board confirms or refuses."""
+        error = self._ask(what, *request)[1]
+        if error:
+            why = _REFUSALS.get((request[0], error), f"error {error}")
+            raise LssRefused(f"{what}: the board refuses: {why}")
+
+    def _send(self, *request: int) -> None:
+        """Sends a request that has no answer."""
+        self._exchange(bytes(request).ljust(8, b"\0"), None, 0.0)
+
+    def _ask(self, what: str, *request: int, code: int | None = None) -> bytes:
+        """Returns the answer of the selected board, whose first byte is `code`, or that of the request."""
+        code = request[0] if code is None else code
+        for _ in range(self._tries):
+            heard = {answer for answer in self._exchange(bytes(request).ljust(8, b"\0"), code, _TIMEOUT) if answer}
+            own = [answer for answer in heard if answer[0] == code and len(answer) == 8]
+            if len(own) > 1 or any(self._identity.get(late[0], late) != late for late in heard):
+                raise LssRefused("several boards answer: connect one alone, or name one by its identity")
+            if own:
+                if code in _INQUIRE:
+                    self._identity[code] = own[0]
+                return own[0]
+        raise LssSilent(f"{what}: no board answers by LSS")
 
 
-def over(bus: CanBus) -> Exchange:
-    """Returns an `Exchange` over an open bus."""
-
-    def heard() -> list[bytes]:
-        # The frames of a board that runs on this computer are echoes, as those of this process.
-        frames = [event.frame for event in bus.poll() if isinstance(event, FrameEchoed | FrameReceived)]
-        return [frame.data for frame in frames if frame.id == _ANSWER]
+def over(session: Session, bus: str) -> Exchange:
+    """Returns an `Exchange` over a bus of a session; it raises what the session raises."""
 
     def exchange(request: bytes, code: int | None, timeout: float) -> list[bytes]:
-        answers = heard()
-        answered = False
-        if (why := bus.send_frame(Frame(_REQUEST, request))) is not None:
-            raise LssRefused(f"{bus.name}: {why}")
-        until = time.monotonic() + (_PAUSE if code is None else timeout)
-        while time.monotonic() < until:
-            answers += (got := heard())
-            if not answered and any(answer[:1] == bytes((code,)) for answer in got if code is not None):
-                answered, until = True, time.monotonic() + _MORE
-            time.sleep(_POLL)
+        before = len(session.heard)
+        session.send_frame(bus, Frame(_REQUEST, request))
+
+        def answered() -> bool:
+            return any(frame.id == _ANSWER and frame.data[0] == code for frame in session.heard[before:] if frame.data)
+
+        if session.wait(answered, _PAUSE if code is None else timeout):
+            session.wait(lambda: False, _MORE)
+        answers = [frame.data for frame in session.heard if frame.id == _ANSWER]
+        session.heard.clear()
         return answers
 
     return exchange

@@ -7,28 +7,25 @@ from dataclasses import replace
 import pytest
 
 from drivers.canopen.faults import BusError
-from drivers.canopen.tools.bus_check import BusCheck, CheckedBoard, check_bus
+from drivers.canopen.tools.bus_check import CheckedBoard, check_bus
+from drivers.canopen.tools.session import MasterHeard, Session
 from drivers.canopen.wire import cia301
+from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import State
 from drivers.canopen.wire.events import BusChanged
 from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.objects import Objects
 from drivers.simulation.variants import VARIANTS
+from tests.drivers.canopen.tools.sessions import session
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 
-def asked(world: World, lose: str | None = None, timeout: float = 20.0, **changes: object) -> tuple[CheckedBoard, ...]:
-    world.run(0.05)
-    world.wiring = replace(world.wiring, **changes)
-    world.stalled = False
-    asking = BusCheck(world.wiring, world.timing, world.send)
-    world.use(asking)
-    world.frames()
-    asking.start(world.now)
-    if lose:
-        asking.receive_event(BusChanged(lose, "down", "it is down", None), world.now)
-    world.until(lambda: asking.answers is not None, timeout)
-    return asking.answers
+def asked(world: World, lose: str | None = None, **changes: object) -> list[CheckedBoard]:
+    with session(world) as asking:
+        world.frames()
+        if lose:
+            asking.lose(lose)
+        return check_bus(asking, replace(world.wiring, **changes), world.timing)
 
 
 def test_every_board_says_what_it_is_and_nothing_on_it_changes():
@@ -68,7 +65,7 @@ def test_no_write_changes_a_value_so_no_lost_frame_and_no_kill_leaves_one(monkey
             changed.append(f"{index:04X}h sub {sub}: {before.hex()} to {data.hex()}")
 
     monkeypatch.setattr(Objects, "set_data", watched)
-    asked(world, timeout=60.0, on_loss=on_loss)
+    asked(world, on_loss=on_loss)
     assert changed == []
 
 
@@ -107,16 +104,21 @@ def test_a_board_that_is_heard_and_does_not_answer_is_not_asked_for_its_power():
     assert (five.code, "board can0/5 is pre-operational, but does not answer" in five.text) == ("board-missing", True)
 
 
-def test_the_heartbeat_of_an_executor_is_heard():
+def test_the_heartbeat_of_an_executor_ends_the_check_at_once():
     world = World(two_boards())
-    world.run(0.05)
-    asking = BusCheck(world.wiring, world.timing, world.send)
-    world.use(asking)
-    asking.start(world.now)
-    assert asking.master_on is None
-    world.say(cia301.HEARTBEAT + 0x7F, b"\x05")
-    world.until(lambda: asking.over)
-    assert asking.master_on == "can0"
+    with session(world) as asking:
+        world.say(cia301.HEARTBEAT + 0x7F, b"\x05")
+        with pytest.raises(MasterHeard, match="can0"):
+            check_bus(asking, world.wiring, world.timing)
+
+
+def test_the_heartbeat_of_an_executor_is_heard_before_anything_is_sent():
+    world = World(two_boards())
+    world.after(0.5, lambda: world.say(cia301.HEARTBEAT + 0x7F, b"\x05"))
+    world.frames()
+    with pytest.raises(MasterHeard, match="can0"), session(world):
+        raise AssertionError
+    assert not any(cob_id & 0x780 == cia301.SDO_REQUEST for cob_id, _ in world.frames(sdo=True))
 
 
 def test_silent_boards_are_asked_in_parallel():
@@ -128,24 +130,40 @@ def test_silent_boards_are_asked_in_parallel():
     assert not any(answer.ok for answer in answers)
     assert "can0/1 neither booted nor answered" in answers[0].text
     assert {answer.code for answer in answers} == {"board-missing"}
-    assert world.now - begun < 2.5
+    assert world.now - begun < 4.0
 
 
-def test_boards_of_a_lost_bus_do_not_answer():
-    good, lost = asked(World(two_buses()), lose="can1")
+def test_a_lost_bus_is_told_once_and_before_its_boards():
+    bus, good, lost = asked(World(two_buses()), lose="can1")
+    assert (bus.board, bus.ok, bus.code, bus.text) == ("can1", False, "bus-down", "can1: it is down")
     assert (good.ok, lost.ok) == (True, False)
     assert "can1/5 does not answer: can1: it is down" in lost.text
 
 
+@pytest.mark.parametrize("passive", [True, False])
+def test_a_bus_that_takes_no_frame_is_to_blame_and_not_its_boards(passive):
+    world = World()
+    world.buses["can0"].stuck = True
+    world.boards.board("can0/5").silent = True
+    with session(world) as asking:
+        if passive:
+            asking.buses["can0"].events.append(BusChanged("can0", "passive", "", (128, 0)))
+        bus, five = check_bus(asking, world.wiring, world.timing)
+    assert bus.board == "can0"
+    assert "check cable, termination, bit rate, and that a board on this bus has power" in bus.text
+    assert ("error-passive" in bus.text) == passive
+    assert five.text.startswith("board can0/5 does not answer: no")
+    assert "check" not in five.text
+
+
 def test_a_bus_that_cannot_be_opened_is_told():
     bus = BusWiring("can0", "socketcan", "no-such-interface")
-    with pytest.raises(BusError, match="no-such-interface"):
-        check_bus(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
+    with pytest.raises(BusError, match="no-such-interface"), Session([CanBus(bus)]):
+        raise AssertionError("it is open")
 
 
 def test_an_empty_bus():
     bus = BusWiring("can0", "virtual", "test_probe")
-    asking = check_bus(Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
-    assert asking.master_on is None
-    [answer] = asking.answers
+    with Session([CanBus(bus)]) as asking:
+        [answer] = check_bus(asking, Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
     assert "can0/5 neither booted nor answered" in answer.text

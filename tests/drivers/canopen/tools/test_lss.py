@@ -8,14 +8,10 @@ from drivers.canopen.tools.lss import Lss, LssIdentity, LssRefused, over
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import FrameEchoed
 from drivers.simulation.lss import ANSWER, REQUEST, UNCONFIGURED, LssSlave
+from tests.drivers.canopen.tools.sessions import session
 from tests.drivers.canopen.world import World, two_boards
 
 ONE, TWO = LssIdentity(0x21, 337, 0x10000, 0xDEADBEEF), LssIdentity(0x21, 337, 0x10000, 0xDEADBEEE)
-
-
-@pytest.fixture(autouse=True)
-def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("canopen.lss.time.sleep", lambda seconds: None)
 
 
 class Wire:
@@ -24,8 +20,11 @@ class Wire:
     def __init__(self, *slaves: tuple[LssIdentity, int]) -> None:
         self.answers: list[bytes] = []
         self.requests: list[bytes] = []
-        self.slaves = [LssSlave(identity, node, lambda _, data: self.answers.append(data)) for identity, node in slaves]
+        self.slaves = [LssSlave(identity, node, self.hear) for identity, node in slaves]
         self.lss = Lss(self.exchange)
+
+    def hear(self, cob_id: int, data: bytes) -> None:
+        self.answers.append(data)
 
     def exchange(self, request: bytes, code: int | None, timeout: float) -> list[bytes]:
         self.requests.append(request)
@@ -75,7 +74,7 @@ def test_no_board_and_a_refusal_are_told() -> None:
         Wire((ONE, 3)).lss.select(TWO)
     wire = Wire((ONE, 3))
     wire.lss.select(None)
-    with pytest.raises(LssRefused, match=r"node id 200: the board refuses \(LSS Error: 1\)"):
+    with pytest.raises(LssRefused, match=r"node id 200: the board refuses: it is out of range"):
         wire.lss.configure(3, 200, None)
 
 
@@ -142,26 +141,47 @@ def test_a_board_that_does_not_store_keeps_its_node_id() -> None:
     assert (slave.stored, slave._pending) == ((3, 0), (3, 0))
 
 
-def test_a_board_on_this_computer_is_heard_though_its_frames_are_echoes(monkeypatch) -> None:
-    class Bus:
-        name = "can0"
+def test_a_board_on_this_computer_is_heard_though_its_frames_are_echoes() -> None:
+    world = World()
+    with session(world) as asking:
+        bus = asking.buses["can0"]
+        slave = LssSlave(ONE, 3, lambda cob_id, data: bus.events.append(FrameEchoed("can0", Frame(cob_id, data))))
+        send = bus.send_frame
+        bus.send_frame = lambda frame: slave.receive(frame.data) or send(frame)  # type: ignore[method-assign,func-returns-value]
+        world.boards.board("can0/5").silent = True
+        assert Lss(over(asking, "can0")).select(None) == (ONE, 3)
 
-        def __init__(self) -> None:
-            self.events: list[FrameEchoed] = []
-            self.slave = LssSlave(
-                ONE, 3, lambda cob_id, data: self.events.append(FrameEchoed("can0", Frame(cob_id, data)))
-            )
 
-        def send_frame(self, frame: Frame) -> None:
-            self.events.append(FrameEchoed("can0", frame))
-            self.slave.receive(frame.data)
+class CanopenNodeSlave(LssSlave):
+    """Answers each fast scan while it is selected, as CANopenNode does."""
 
-        def poll(self) -> list[FrameEchoed]:
-            events, self.events = self.events, []
-            return events
+    def _scan(self, *request: int) -> None:
+        if self.state:
+            self._answer(b"\x4f")
+        else:
+            super()._scan(*request)
 
-    monkeypatch.setattr("drivers.canopen.tools.lss._MORE", 0.0)
-    assert Lss(over(Bus())).select(None) == (ONE, 3)
+
+class LelySlave(LssSlave):
+    """Answers fast scans whatever its node id is, as Lely does."""
+
+    def _scan(self, *request: int) -> None:
+        node, self.node = self.node, UNCONFIGURED
+        super()._scan(*request)
+        self.node = node
+
+
+def test_a_board_that_answers_each_scan_is_listed_once() -> None:
+    wire = Wire()
+    wire.slaves = [CanopenNodeSlave(ONE, UNCONFIGURED, wire.hear)]
+    assert wire.lss.unconfigured() == [ONE]
+    assert len(wire.requests) < 400
+
+
+def test_boards_with_node_ids_that_answer_scans_are_not_listed() -> None:
+    wire = Wire()
+    wire.slaves = [LelySlave(ONE, 3, wire.hear), LelySlave(TWO, UNCONFIGURED, wire.hear)]
+    assert wire.lss.unconfigured() == [TWO]
 
 
 def test_boards_without_a_node_id_are_listed() -> None:

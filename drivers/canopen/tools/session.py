@@ -1,0 +1,243 @@
+"""A session of a command with the boards of some buses, while no executor uses these buses."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from types import TracebackType
+from typing import Protocol
+
+from drivers.canopen.faults import ArmFault, BusError
+from drivers.canopen.sdo.procedure import Order, Procedure, Runner, Wait
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.bus import CanBus
+from drivers.canopen.wire.cia301 import STATES, Command, Frame, State
+from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
+from drivers.canopen.wire.link import Link, Outgoing
+from drivers.canopen.wiring import MASTER
+
+LISTEN, PERIODS = 1.2, 1.5  # [s], and heartbeats of the master, for which a session listens before it sends
+_STUCK_AFTER = 0.5  # [s]
+_POLL = 0.001  # [s] between two polls of the buses
+_ANSWER = 0.3  # [s] for the answer to a remote frame
+_STATE = 0x7F  # bits of the answer to a remote frame; the bit above alternates
+_CHECK = "check cable, termination, bit rate, and that a board on this bus has power"
+
+Node = tuple[str, int]  # name of the bus, and node id
+
+
+class Clock(Protocol):
+    """The time; the module `time` is one."""
+
+    def monotonic(self) -> float:
+        """Returns the time [s]."""
+
+    def sleep(self, seconds: float, /) -> None:
+        """Waits."""
+
+
+class MasterHeard(Exception):
+    """A master, such as an executor, sends its heartbeat on a bus; the text is the bus's name."""
+
+
+class Session:
+    """Open buses, and the procedures with their nodes. Use it in a `with` statement; each method blocks until its end.
+
+    Attributes:
+        states: last NMT state of each node, from heartbeats and answers to remote frames (CiA 301, 7.2.8.3.2).
+        heard: frames of others since the last `exchange`.
+
+    Args:
+        buses: the buses, still closed.
+        heartbeat: period of a master's heartbeat [s], if it is known.
+        clock: the time.
+    """
+
+    def __init__(self, buses: Iterable[CanBus], heartbeat: float = 0.0, clock: Clock = time) -> None:
+        self.states: dict[Node, State] = {}
+        self.heard: list[Frame] = []
+        self._buses = {bus.name: bus for bus in buses}
+        self._listen, self._clock = max(LISTEN, PERIODS * heartbeat), clock
+        self._outbox: list[tuple[str, Frame]] = []
+        self._links = {
+            bus.name: Link(bus.wiring, lambda name, frame: self._outbox.append((name, frame)), _STUCK_AFTER)
+            for bus in self._buses.values()
+        }
+        self._faults: dict[str, ArmFault] = {}
+        self._runners: dict[Node, Runner] = {}
+        self._came_back: set[str] = set()  # buses from which a frame came, or the echo of one
+        self._master: str | None = None
+
+    def __enter__(self) -> Session:
+        try:
+            for bus in self._buses.values():
+                bus.open()
+                self._links[bus.name].changed("active", "", None, self._clock.monotonic())
+            self.listen()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the buses."""
+        for bus in self._buses.values():
+            bus.close()
+
+    def listen(self) -> None:
+        """Listens for a master; call it again after each question to the user.
+
+        Raises:
+            MasterHeard: a master sends its heartbeat.
+        """
+        self.wait(lambda: False, self._listen)
+
+    def wait(self, until: Callable[[], bool], seconds: float) -> bool:
+        """Waits until a condition holds, at most for a time [s]; returns whether it holds.
+
+        Raises:
+            MasterHeard: a master sends its heartbeat.
+        """
+        end = self._clock.monotonic() + seconds
+        while not until():
+            now = self._clock.monotonic()
+            if now >= end:
+                return False
+            for bus in self._buses.values():
+                for event in bus.poll():
+                    self._receive(event, now)
+                    self._flush(now)
+            if self._master is not None:
+                raise MasterHeard(self._master)
+            self._tick(now)
+            self._flush(now)
+            self._clock.sleep(_POLL)
+        return True
+
+    def run(self, procedures: Mapping[Node, Procedure]) -> dict[Node, ArmFault | None]:
+        """Runs procedures with nodes in parallel; returns the fault of each, or None.
+
+        Raises:
+            MasterHeard: a master sends its heartbeat.
+        """
+        ended: dict[Node, ArmFault | None] = {}
+        now = self._clock.monotonic()
+        for node, procedure in procedures.items():
+            runner = self._runners[node] = Runner(node[1], self._links[node[0]])
+            runner.start(procedure, lambda fault, _, node=node: ended.update({node: fault}), now)  # type: ignore[misc]
+        self._flush(now)
+
+        def over() -> bool:
+            for node in procedures:
+                if node not in ended and node[0] in self._faults:
+                    self._runners[node].cancel()
+                    ended[node] = self._faults[node[0]]
+            return len(ended) == len(procedures)
+
+        self.wait(over, math.inf)
+        return ended
+
+    def trouble(self, bus: str) -> ArmFault | None:
+        """Returns why no board of a bus can be reached, or None: call it after `run`."""
+        link = self._links[bus]
+        if bus in self._faults:
+            return self._faults[bus]
+        passive = link.passive()
+        if passive is not None:
+            return ArmFault(passive.code, bus, f"no frame leaves {bus}, its controller is error-passive: {_CHECK}")
+        if bus not in self._came_back:
+            return ArmFault("bus-busy", bus, f"nothing came back from {bus}, not even a frame of its own: {_CHECK}")
+        return None
+
+    def poll_state(self, node: Node) -> Procedure:
+        """Polls a node by a remote frame, unless it was heard already; waits 0.3 s for the answer.
+
+        Call this only for a node that answers no SDO: the remote frame starts the node guarding of an operational node.
+        """
+        if node not in self.states:
+            poll = Outgoing(Frame(cia301.REMOTE | cia301.HEARTBEAT + node[1]))
+            self._links[node[0]].queue(poll, self._clock.monotonic())
+            yield Wait(lambda: node in self.states, _ANSWER)
+            poll.cancelled = True
+
+    def reset(self, node: Node, timeout: float) -> float | None:
+        """Resets a node by NMT; returns the time to its boot-up message [s], or None (CiA 301, 7.2.8.3.1).
+
+        Raises:
+            BusError: the bus does not take the command.
+            MasterHeard: a master sends its heartbeat.
+        """
+        self.states.pop(node, None)
+        began = self._clock.monotonic()
+
+        def steps() -> Procedure:
+            yield Order(Command.RESET_NODE)
+            yield Wait(lambda: self.states.get(node) is State.BOOT_UP, timeout)
+
+        self.run({node: steps()})
+        if (fault := self.trouble(node[0])) is not None:
+            raise BusError(fault.message)
+        return self._clock.monotonic() - began if node in self.states else None
+
+    def send_frame(self, bus: str, frame: Frame) -> None:
+        """Sends a frame at once, outside procedures.
+
+        Raises:
+            BusError: the bus does not take it.
+        """
+        if (why := self._buses[bus].send_frame(frame)) is not None:
+            raise BusError(f"{bus}: {why}")
+
+    def _receive(self, event: Event, now: float) -> None:
+        link = self._links[event.bus]
+        if isinstance(event, BusChanged):
+            self._note(link.changed(event.state, event.why, event.errors, now))
+            return
+        if not isinstance(event, FrameEchoed | FrameReceived):
+            return
+        self._came_back.add(event.bus)
+        if isinstance(event, FrameEchoed) and link.echoed(event.frame, now):
+            return
+        frame = event.frame  # of a board, also of one on this computer, whose frames are echoes
+        self.heard.append(frame)
+        function, node = cia301.split(frame.id)
+        if function == cia301.HEARTBEAT and len(frame.data) == 1:
+            state = STATES.get(frame.data[0] & _STATE)
+            if node == MASTER and frame.data[0] == State.OPERATIONAL:  # a board with this id is not operational
+                self._master = event.bus
+            elif node and state is not None:
+                self.states[event.bus, node] = state
+        runner = self._runners.get((event.bus, node))
+        if runner is not None:
+            if function == cia301.SDO_ANSWER and len(frame.data) == 8:
+                runner.receive_sdo(frame.data, now)
+            runner.check(now)
+
+    def _tick(self, now: float) -> None:
+        for link in self._links.values():
+            link.armed = link.usable  # so that a stuck bus is found; nothing is switched here
+            self._note(link.tick(now, now))
+        for runner in self._runners.values():
+            runner.tick(now)
+
+    def _flush(self, now: float) -> None:
+        while self._outbox:
+            bus, frame = self._outbox.pop(0)
+            if self._buses[bus].send_frame(frame) is not None:
+                self._links[bus].send_failed(frame, now)
+
+    def _note(self, fault: ArmFault | None) -> None:
+        if fault is not None:
+            self._faults.setdefault(fault.source, fault)
+
+
+def stopped(board: str) -> str:
+    """Returns the sentence for a stopped board; `board` is its name, e.g. "can0/5"."""
+    return (
+        f"board {board} is stopped, as after the end of an executor with on_loss: contract; it answers no SDO: start"
+        f" the executor, or reset the board: hyperbit board ARM.yaml {board} reset"
+    )

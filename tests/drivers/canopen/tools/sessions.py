@@ -1,0 +1,71 @@
+"""Sessions with the simulated boards of a world, on its clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+from drivers.canopen.tools.session import Session
+from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import BusChanged, Event
+from drivers.canopen.wiring import BusWiring
+from tests.drivers.canopen.world import World
+
+
+class WorldBus:
+    """A bus of a world in place of one of python-can."""
+
+    def __init__(self, world: World, wiring: BusWiring) -> None:
+        self.wiring, self.name = wiring, wiring.name
+        self.events: deque[Event] = deque()
+        self._world = world
+
+    def open(self) -> None:
+        self._world.after(0.0, lambda: None)
+
+    def close(self) -> None:
+        self.events.clear()
+
+    def poll(self) -> list[Event]:
+        events = list(self.events)
+        self.events.clear()
+        return events
+
+    def send_frame(self, frame: Frame) -> str | None:
+        return self._world.buses[self.name].send_frame(frame)
+
+
+class SessionInWorld(Session):
+    """A session that takes the place of the world's master."""
+
+    def __init__(self, world: World) -> None:
+        self.buses = {bus.name: WorldBus(world, bus) for bus in world.wiring.buses}
+        self._world = world
+        world.use(self)
+        super().__init__(self.buses.values(), 0.0, self)  # type: ignore[arg-type]
+
+    def monotonic(self) -> float:
+        return self._world.now
+
+    def sleep(self, seconds: float) -> None:
+        self._world.run(seconds)
+
+    def receive_event(self, event: Event, now: float) -> None:
+        self.buses[event.bus].events.append(event)
+
+    def send_failed(self, bus: str, frame: Frame, now: float) -> None:
+        raise AssertionError(f"{bus}: a session sends by itself")
+
+    def tick(self, now: float) -> None:
+        pass
+
+    def lose(self, bus: str) -> None:
+        """The interface goes down."""
+        self.buses[bus].events.append(BusChanged(bus, "down", "it is down", None))
+
+
+def session(world: World, **changes: Any) -> SessionInWorld:
+    """Returns a session with the boards of a world that have long booted."""
+    world.run(0.05)
+    world.stalled = False
+    return SessionInWorld(world)
