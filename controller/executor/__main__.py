@@ -24,6 +24,7 @@ from controller.executor.process.switch_journal import FileJournal, default_path
 from controller.flight_recorder import FlightRecorder, Label
 from controller.host.notify import Notifier
 from controller.host.sockets import socket_path
+from drivers.canopen.faults import BusError
 
 if TYPE_CHECKING:
     from controller.executor.process.embedded_boards import EmbeddedBoards
@@ -46,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
     except InputFaults as error:
         print(error, file=sys.stderr)
         return 2
-    except (SocketInUse, JournalInUse, OSError) as error:
+    except (SocketInUse, JournalInUse, BusError, OSError) as error:
         print(error, file=sys.stderr)
         return 1
     if options.list_modules:
@@ -68,6 +69,7 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         InputFaults: the arm's file is wrong, a board or variant is unknown, or a variant is given without `simulate`.
         SocketInUse: another executor uses the socket.
         JournalInUse: another executor uses the journal.
+        BusError: another executor is on a bus.
         OSError: socket or journal cannot be created.
     """
     arm = read_arm(file)
@@ -92,7 +94,12 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         label = Label("executor", arm.name, arm.digest)
         recorder = closing.enter_context(FlightRecorder(label, path.parent, batch=MOST_PENDING))
         core.reports.real_time = enter_real_time(arm.real_time)
-        buses: Buses = boards or CanBuses(arm.wiring.buses)
+        buses: Buses
+        if boards:
+            buses = boards
+        else:
+            buses = can = CanBuses(arm.wiring.buses)
+            can.listen(arm.timing.heartbeat)
         log.info("the boards of %s are %s", arm.name, "simulated in this process" if boards else "on CAN buses")
         EventLoop(core, buses, server, notifier, recorder=recorder).run_until_signal()
 

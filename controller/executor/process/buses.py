@@ -2,20 +2,25 @@
 
 import logging
 import math
+import time
 from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
 
 from drivers.canopen.faults import BusError
+from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Event, SendFailed
-from drivers.canopen.wiring import BusWiring
+from drivers.canopen.wire.cia301 import Frame, State
+from drivers.canopen.wire.events import Event, FrameEchoed, FrameReceived, SendFailed
+from drivers.canopen.wiring import MASTER, BusWiring
 
 log = logging.getLogger(__name__)
 
 OPEN_EVERY = 1.0  # [s] between two attempts to open a bus that does not exist
 POLL_EVERY = 0.002  # [s] where a bus has no file descriptor
+LISTEN, PERIODS = 0.25, 2.5  # [s] for another master before the first frame, and periods of the own heartbeat
+APART = 0.01  # [s] between two heartbeats of a master; what the kernel kept of a dead one comes at once
+MASTER_BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 
 
 class Buses(Protocol):
@@ -52,7 +57,29 @@ class CanBuses:
         self._buses = {one.name: CanBus(one) for one in settings}
         self._unopened = set(self._buses)
         self._next_try = 0.0
-        self._failed: deque[Event] = deque()
+        self._waiting: deque[Event] = deque()
+
+    def listen(self, heartbeat: float) -> None:
+        """Listens for another master; blocks, so call it before the loop. Other frames are dropped.
+
+        Args:
+            heartbeat: period of the own heartbeat [s].
+
+        Raises:
+            BusError: another master sends its heartbeat.
+        """
+        until = time.monotonic() + max(LISTEN, PERIODS * heartbeat)
+        first: dict[str, float] = {}  # time of the first heartbeat, by bus
+        while (now := time.monotonic()) < until:
+            for event in self.poll(now):
+                if not isinstance(event, FrameEchoed | FrameReceived):
+                    self._waiting.append(event)
+                elif event.frame == MASTER_BEAT and now - first.setdefault(event.bus, now) > APART:
+                    raise BusError(
+                        f"{event.bus}: another executor is on this bus (the heartbeat of node {MASTER}): stop it first,"
+                        " only one may switch the boards of a bus"
+                    )
+            time.sleep(POLL_EVERY)
 
     def filenos(self) -> list[int]:
         """See `Buses`."""
@@ -61,7 +88,7 @@ class CanBuses:
 
     def wait(self, now: float) -> float:
         """See `Buses`."""
-        if self._failed:
+        if self._waiting:
             return 0.0
         return math.inf if all(bus.fileno() is not None for bus in self._buses.values()) else POLL_EVERY
 
@@ -69,8 +96,8 @@ class CanBuses:
         """See `Buses`."""
         if self._unopened and now >= self._next_try:
             self._open(now)
-        events = list(self._failed)
-        self._failed.clear()
+        events = list(self._waiting)
+        self._waiting.clear()
         for bus in self._buses.values():
             events += bus.poll()
         return events
@@ -79,7 +106,7 @@ class CanBuses:
         """See `Buses`."""
         why = self._buses[bus].send_frame(frame)
         if why is not None:
-            self._failed.append(SendFailed(bus, frame, why))
+            self._waiting.append(SendFailed(bus, frame, why))
 
     def play_fault(self, text: str) -> str:
         """See `Buses`."""
