@@ -107,6 +107,12 @@ def map_actuators(
     """
     buses = [bus.name for bus in settings.buses]
     faults += [f"buses[{k}].name: {b!r} is already taken" for k, b in enumerate(buses) if b in buses[:k]]
+    channels = [(bus.interface, bus.channel) for bus in settings.buses]
+    faults += [
+        f"buses[{k}].channel: {place[1]!r} is the channel of {buses[channels.index(place)]}; each bus needs its own"
+        for k, place in enumerate(channels)
+        if place in channels[:k]
+    ]
     found: dict[str, ActuatorSettings] = {}
     for k, entry in enumerate(settings.actuators):
         path, label = f"actuators[{k}]", f"{entry.module}.{entry.actuator}"

@@ -199,8 +199,8 @@ class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
 class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):
     """Settings of all boards; `nodes` has those of single boards. Times are seconds."""
 
-    heartbeat: Annotated[float, Meta(ge=0.01, le=10, description="in seconds")] = 0.1
-    heartbeat_timeout: Annotated[float, Meta(ge=0.02, le=30, description="in seconds")] = 0.35
+    heartbeat: Annotated[float, Meta(ge=0.02, le=10, description="in seconds")] = 0.1
+    heartbeat_timeout: Annotated[float, Meta(ge=0.03, le=30, description="in seconds")] = 0.35
     boot_timeout: Annotated[float, Meta(gt=0, le=120, description="in seconds")] = 3.0
     on_loss: OnLoss = "hold"
     error_state: ErrorState | None = None

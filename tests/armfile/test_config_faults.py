@@ -59,7 +59,7 @@ FAULTS = [
     ("method", "ipop", "method: 'ipop' is unknown"),
     ("planning", {"seconds_per_switch": -0.1}, "planning.seconds_per_switch: Expected `float` >= 0.0 (given: -0.1)"),
     ("planning", {"seconds_per_switch": 61}, "planning.seconds_per_switch: Expected `float` <= 60.0 (given: 61)"),
-    ("boards.heartbeat", 0.001, "boards.heartbeat: Expected `float` >= 0.01 (given: 0.001)"),
+    ("boards.heartbeat", 0.01, "boards.heartbeat: Expected `float` >= 0.02 (given: 0.01)"),
     (
         "boards.heartbeat_timeout",
         0.15,
@@ -68,6 +68,7 @@ FAULTS = [
     ("boards.on_loss", "extend", "boards.on_loss: 'extend' is unknown"),
     ("buses.0.bitrate", 2_000_000, "buses[1].bitrate: Expected `int` <= 1000000 (given: 2000000)"),
     ("buses.0.interface", "serial", "buses[1].interface: 'serial' is unknown"),
+    ("buses.1.channel", "can0", "buses[2].channel: 'can0' is the channel of can0; each bus needs its own"),
     ("buses.1.name", "can0", "buses[2].name: 'can0' is already taken"),
     ("actuators.0.node", 127, "actuators[1].node: Expected `int` <= 126 (given: 127)"),
     ("actuators.0.node", 0, "actuators[1].node: Expected `int` >= 1 (given: 0)"),

@@ -83,7 +83,9 @@ class Heartbeat:
         if not without:
             return None
         self._paused_at = last
-        text = f"the executor was halted for {clock - last:.2f} s, and the boards lost their master: the arm holds"
+        text = (
+            f"the executor was halted for {clock - last:.2f} s: the boards lost their master and did what on_loss says"
+        )
         return ArmFault("halted", "executor", text)
 
 

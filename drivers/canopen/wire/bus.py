@@ -22,7 +22,7 @@ _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # the interface is down or 
 _NOTHING = (errno.EAGAIN, errno.EINTR)  # no frame waits
 
 # Error frames of SocketCAN, from linux/can/error.h.
-_CONTROLLER = 0x04  # a class, in the identifier
+_CONTROLLER, _COUNTERS = 0x04, 0x200  # a class, and whether the error counters are told, in the identifier
 _OVERRUN = 0x01  # a detail: the receive buffer of the controller ran over
 _WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40  # details, in data[1]
 
@@ -53,7 +53,9 @@ def read_error(identifier: int, data: bytes) -> ErrorFrame:
     if identifier & BUS_OFF:
         state = "bus-off"
     controller = bool(identifier & _CONTROLLER)
-    return ErrorFrame(state, (data[6], data[7]) if controller else None, controller and bool(data[1] & _OVERRUN))
+    # Drivers before Linux 6.1 tell the counters with a state, and without the flag.
+    told = identifier & _COUNTERS or (controller and (state is not None or any(data[6:8])))
+    return ErrorFrame(state, (data[6], data[7]) if told else None, controller and bool(data[1] & _OVERRUN))
 
 
 class CanBus:

@@ -16,7 +16,9 @@ from drivers.canopen.wire.bus import read_error
         (0x204, "00 24 00 00 00 00 82 07", "passive", (130, 7)),  # passive in sending is past warning in receiving
         (0x04, "00 40 00 00 00 00 5f 00", "active", (95, 0)),
         (0x04, "00 01 00 00 00 00 02 03", None, (2, 3)),  # its buffer ran over
-        (0x04, "", None, (0, 0)),
+        (0x04, "00 01 00 00 00 00 00 00", None, None),  # likewise; this driver tells no counters
+        (0x204, "00 01 00 00 00 00 00 00", None, (0, 0)),
+        (0x04, "", None, None),
         (0x40, "00 00 00 00 00 00 00 00", "bus-off", None),
         (0x44, "00 20 00 00 00 00 ff 00", "bus-off", (255, 0)),
         (0x100, "", "active", None),
