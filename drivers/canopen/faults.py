@@ -31,6 +31,15 @@ class ArmFault:
     message: str
 
 
+def board_error(board: str, text: str) -> ArmFault:
+    """Returns the fault of a board whose error register is set; `text` says what was read from it."""
+    advice = (
+        f"Remove its cause, then reset. An error without a cause ends with a restart of the board: switch its"
+        f" supply off and on, or stop the executor, and: hyperbit board ARM.yaml {board} reset"
+    )
+    return ArmFault("board-error", board, f"board {board} reports an error: {text}. {advice}")
+
+
 class FaultLog:
     """Faults that the caller has not taken yet. Each pair of code and source is reported once, until `clear`.
 

@@ -66,6 +66,8 @@ class Emergencies:
         self._set_register()
 
     def _log(self, newest: int) -> None:
+        if not self._objects.has(0x1003):
+            return
         history = [newest, *(self._objects.number(0x1003, sub) for sub in _HISTORY[:-1])]
         for sub, entry in zip(_HISTORY, history, strict=True):
             self._objects.set_number(0x1003, sub, entry)

@@ -245,6 +245,11 @@ VARIANTS: Mapping[str, Variant] = {
     "kept-loss": Variant(
         "1001h = 11h stands after the loss of the master, also when its heartbeats return (Lely)", keeps_loss=True
     ),
+    "kept-loss-without-history": Variant(
+        "1001h = 11h stands after the loss of the master, and there is no 1003h",
+        absent=frozenset({0x1003}),
+        keeps_loss=True,
+    ),
     "inverted-outputs": Variant(
         "an inverted polarity is stored: 6202h = FFh", stored={(0x6202, sub): 0xFF for sub in range(1, 9)}
     ),

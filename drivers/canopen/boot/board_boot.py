@@ -10,7 +10,7 @@ from drivers.canopen.boot import configuration, inspection, pdo_search
 from drivers.canopen.boot.inspection import Inspection
 from drivers.canopen.boot.pins import settle
 from drivers.canopen.boot.undo import Undo
-from drivers.canopen.faults import ArmFault
+from drivers.canopen.faults import ArmFault, board_error
 from drivers.canopen.layout import BoardLayout
 from drivers.canopen.pdo import INPUTS, Pdo, carries, subs_of
 from drivers.canopen.run.board import Board
@@ -243,8 +243,7 @@ def _check_errors(boot: Boot) -> Procedure:
             return
         yield Wait(lambda: False, _ERROR_TIMEOUT / 5)
     if not lost:
-        text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
-        raise BoardError(ArmFault("board-error", board.name, text))
+        raise BoardError(board_error(board.name, text))
     it.warn(f"it keeps an error from before this boot: {text}")
     it.standing_errors = register
 

@@ -23,6 +23,7 @@ _PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 4
 _NO_PROFILE = (0, 0xFFFF)  # low words of 1000h: no profile, or several devices (CiA 301, 7.5.2.1)
 _MASTER_LOST, _GENERIC, _COMMUNICATION = 0x8130, 0x01, 0x10  # error code, and the bits of 1001h that it sets
 _MOST_ENTRIES = 8  # of the error history that are read
+_NO_HISTORY = objects.ABSENT - {objects.NO_SUB_INDEX, objects.NO_DATA}  # abort codes of a board without 1003h
 
 
 @dataclass
@@ -113,26 +114,34 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, SdoOutco
     register &= ~it.quirk.ignored_errors
     if not register:
         return 0, "", False
-    lost = False
     text = f"error register 1001h sub 0 is {register:02X}h; 00h is needed"
-    sub, entry = yield from _newest_error(it)
+    reported = None if board is None else board.emergency
+    place, entry = yield from _newest_error(it)
     if entry:
-        text += f"; 1003h sub {sub} is {entry:08X}h, {cia301.emergency_words(entry & 0xFFFF)}"
-        lost = entry & 0xFFFF == _MASTER_LOST and register & ~_GENERIC == _COMMUNICATION
-    if board is not None and board.emergency is not None:
-        text += f"; it reported {cia301.emergency_words(board.emergency)}"
-    return register, text, lost
+        text += f"; 1003h sub {place} is {entry:08X}h, {cia301.emergency_words(entry & 0xFFFF)}"
+        cause: int | None = entry & 0xFFFF
+    elif place is None:
+        text += "; it has no 1003h (error history)"
+        cause = _MASTER_LOST if reported is None else reported  # the likely cause, as it has just lost a master
+    else:
+        cause = None
+    if reported is not None:
+        text += f"; it reported {cia301.emergency_words(reported)}"
+    return register, text, cause == _MASTER_LOST and register & ~_GENERIC == _COMMUNICATION
 
 
-def _newest_error(it: Inspection) -> Generator[Step, SdoOutcome, tuple[int, int]]:
-    """Returns sub-index and value of the newest error in 1003h; value 0 if there is none, or it cannot be read.
+def _newest_error(it: Inspection) -> Generator[Step, SdoOutcome, tuple[int | None, int]]:
+    """Returns sub-index and value of the newest error in 1003h.
 
-    Some stacks also enter the ends of errors, with the code 0000h.
+    The value is 0 if there is none, or it cannot be read. The sub-index is None if the board has no 1003h. Some stacks
+    also enter the ends of errors, with the code 0000h.
     """
     for sub in range(1, 1 + _MOST_ENTRIES):
-        entry = (yield Transfer(0x1003, sub, fresh=True)).data
-        if not entry or int.from_bytes(entry, "little") & 0xFFFF:
-            return sub, int.from_bytes(entry or b"", "little")
+        outcome = yield Transfer(0x1003, sub, fresh=True)
+        if outcome.abort in _NO_HISTORY:
+            return None, 0
+        if not outcome.data or int.from_bytes(outcome.data, "little") & 0xFFFF:
+            return sub, int.from_bytes(outcome.data or b"", "little")
     return 0, 0
 
 

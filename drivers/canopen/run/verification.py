@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 
-from drivers.canopen.faults import ArmFault
+from drivers.canopen.faults import ArmFault, board_error
 from drivers.canopen.pdo import subs_of
 from drivers.canopen.run.board import Board
 from drivers.canopen.run.boards import Boards
@@ -236,8 +236,7 @@ class Verification:
             code = int.from_bytes(history.data[:2], "little")
             text += f"; 1003h sub 1 tells {cia301.emergency_words(code)}"
         if board.ready:
-            text = f"board {board.name} reports an error: {text}. Remove its cause, then reset"
-            board.report(ArmFault("board-error", board.name, text))
+            board.report(board_error(board.name, text))
 
     def _new_error(self, board: Board) -> Generator[Step, SdoOutcome, bool]:
         """Returns whether the error history, 1003h sub 1, has a new error since the boot; an entry 0000h is an end."""

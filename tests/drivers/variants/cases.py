@@ -131,6 +131,7 @@ CASES = (
     Case("padded-tpdo"),
     Case("kept-loss"),
     Case("kept-loss", options=_CONTRACT, label="contract"),
+    Case("kept-loss-without-history"),
     Case("inverted-outputs", ("has FFh in 6202h sub 1 (polarity of the outputs); FCh is needed",)),
     Case("masked-inputs"),
     Case(
