@@ -171,8 +171,9 @@ class CanBus:
 
     def _open(self) -> can.BusABC:
         s = self.wiring
+        echo = s.interface != "pcan"  # its driver for Linux refuses to echo
         bus = can.Bus(
-            interface=s.interface, channel=s.channel, bitrate=s.bitrate, receive_own_messages=True, ignore_config=True
+            interface=s.interface, channel=s.channel, bitrate=s.bitrate, receive_own_messages=echo, ignore_config=True
         )
         if (raw := getattr(bus, "socket", None)) is not None:
             raw.setblocking(False)  # a full send buffer must fail, not block
@@ -189,7 +190,7 @@ class CanBus:
         self._next_try = self._clock() + self._pause
         self._pause = min(2 * self._pause, _LONGEST_PAUSE)
         self._down = True
-        self._events.append(BusChanged(self.name, "down", f"{why}; it is opened again until it works", None))
+        self._events.append(BusChanged(self.name, "down", why, None))
 
 
 def _message(frame: Frame) -> can.Message:
