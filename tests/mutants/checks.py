@@ -52,7 +52,7 @@ def warm_up() -> None:
 
 
 def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
-    """Runs worlds of both kinds in turn until one fails, or until they have run all steps.
+    """Runs worlds of all kinds in turn until one fails, or until they have run all steps.
 
     Args:
         mutant: the planted defect; None: none.
@@ -62,9 +62,8 @@ def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
     if mutant is not None:
         sitecustomize.plant(mutant.module, str(ROOT / mutant.file), mutant.source)
     try:
-        from tests.simulation.__main__ import KINDS, STEPS_A_SEED
+        from tests.simulation.__main__ import KINDS, STEPS_A_SEED, world_of
         from tests.simulation.whole.planner_process import LOGS
-        from tests.simulation.world import World
     except Exception as error:
         return {"found": True, "why": f"import: {_told(error)}"}
     if mutant is not None and mutant.module not in sys.modules:
@@ -79,7 +78,7 @@ def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
                 return {"found": False, "why": "", "steps": done}
             watch, why = _Watch(), ""
             try:
-                world = watch.world = World(seed, whole=kind == "whole")
+                world = watch.world = world_of(seed, kind)
                 world.run(most)
             except Stuck:
                 why = "does not end"

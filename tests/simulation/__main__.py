@@ -1,6 +1,7 @@
 """Runs worlds on a simulated clock: `python -m tests.simulation --seed N --steps M`.
 
-Each seed has two worlds: one with a scripted planner before the executor, and one with the whole daemon.
+Each seed has three worlds: one with a scripted planner before the executor, one with the whole daemon, and one with
+boards and the CANopen master alone.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ from collections import Counter
 from pathlib import Path
 
 from tests.simulation import events
+from tests.simulation.fieldbus.world import BoardWorld
 from tests.simulation.whole.planner_process import LOGS
 from tests.simulation.world import World
 
-KINDS = ("scripted", "whole")
+KINDS = ("scripted", "whole", "boards")
 STEPS_A_SEED = 5_000  # of each kind: many arms find more than long lives
 MOST_FAILED = 20  # failed seeds, after which the run ends
 
@@ -27,7 +29,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, help="run only this seed; without it, many seeds from 0")
     parser.add_argument("--steps", type=int, default=STEPS_A_SEED, help="number of steps of all seeds")
     parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--kind", choices=KINDS, help="only worlds of this kind; without it, both in turn")
+    parser.add_argument("--kind", choices=KINDS, help="only worlds of this kind; without it, all in turn")
     parser.add_argument("--events", type=Path, metavar="FILE", help="replay the recorded events of a process instead")
     options = parser.parse_args()
     for log in LOGS:
@@ -54,18 +56,28 @@ def main() -> int:
     return bool(failed)
 
 
+def world_of(seed: int, kind: str) -> World | BoardWorld:
+    """Returns a world.
+
+    Args:
+        seed: of all random numbers.
+        kind: one of `KINDS`.
+    """
+    return BoardWorld(seed) if kind == "boards" else World(seed, whole=kind == "whole")
+
+
 def run(seed: int, kind: str, most: int, told: bool, counts: Counter[str], failed: list[str]) -> int:
     """Runs one world; returns the number of its steps.
 
     Args:
         seed: of the world.
-        kind: "scripted" or "whole".
+        kind: one of `KINDS`.
         most: number of steps.
         told: whether to print all events and raise the exception if it fails.
         counts: counts what happened.
         failed: takes the name of the world if it fails.
     """
-    world, name = World(seed, whole=kind == "whole"), f"{seed} {kind}"
+    world, name = world_of(seed, kind), f"{seed} {kind}"
     try:
         world.run(most)
     except Exception as error:
@@ -76,10 +88,7 @@ def run(seed: int, kind: str, most: int, told: bool, counts: Counter[str], faile
         if told:
             print(world.arm)
             raise
-    counts += world.record.counts + world.trouble.made
-    counts += Counter({f"sent {word}": count for word, count in world.planner.connection.sent.items()})
-    if world.daemon is not None:
-        counts += world.daemon.counts
+    counts += world.counts()
     counts["simulated seconds"] += round(world.agenda.now - 1000.0)
     return world.agenda.steps
 

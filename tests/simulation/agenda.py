@@ -29,6 +29,10 @@ class Agenda:
         self._number += 1
         heapq.heappush(self._entries, (max(time, self.now), self._number, happen))
 
+    def clear(self) -> None:
+        """Forgets all future events."""
+        self._entries.clear()
+
     def run(self, seconds: float) -> None:
         """Runs all events of a time [s]."""
         end = self.now + seconds

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from random import Random
 
@@ -252,6 +252,12 @@ class World:
     def note(self, event: object) -> None:
         """Stores an event for the story."""
         self.events.append((self.agenda.now, event))
+
+    def counts(self) -> Counter[str]:
+        """Returns how often each thing happened."""
+        counts = self.record.counts + self.trouble.made
+        counts += Counter({f"sent {word}": count for word, count in self.planner.connection.sent.items()})
+        return counts if self.daemon is None else counts + self.daemon.counts
 
     def story(self) -> str:
         """Returns the last events, one a line."""

@@ -165,7 +165,7 @@ def _find_pdo(
     base, bits = _carried_object(it, first)
     needed = carried_bits([wanted], base) & bits
     further = it.quirk.further_rpdos if first == 0x1400 else 2
-    chosen, others = None, list[PdoState]()
+    chosen, others, carries_all = None, list[PdoState](), False
     for number in range(1, 1 + _MOST_PDOS):
         parameters = first + number - 1
         if parameters in taken:
@@ -178,9 +178,11 @@ def _find_pdo(
             if number >= _LAST_TRIED:
                 break
             continue
-        if not needed & ~carried_bits([present.pdo], base) or (main and it.layout.shared):
-            chosen = present
-            break
+        if not carries_all and (not needed & ~carried_bits([present.pdo], base) or (main and it.layout.shared)):
+            chosen, carries_all = present, True
+            if present.valid and present.pdo.cob_id == wanted.cob_id:
+                break  # no other PDO has its COB-ID
+            continue
         others.append(present)
         if chosen is None and (main or (number >= further and not (present.entries and present.valid))):
             chosen = present

@@ -245,7 +245,7 @@ class Board:
             self.restarted = True
             self._toggle = None
         if state is State.BOOT_UP and self._booted:  # also if it was lost before that
-            self.ready = self._booted = False
+            self.ready = self._booted = self.released = False
             self._fault("board-rebooted", "it has restarted, its outputs are unknown: check its supply, then reset")
         elif self._ready and state is not State.OPERATIONAL:
             self.ready = False

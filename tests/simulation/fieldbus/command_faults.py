@@ -1,0 +1,246 @@
+"""Commands that cannot be carried out, or are given up."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from drivers.canopen.faults import Busy
+from tests.simulation.fieldbus.expected import Expected, Fault
+from tests.simulation.fieldbus.fault_maker import FaultMaker
+from tests.simulation.judge.verdict import require
+
+if TYPE_CHECKING:
+    from tests.simulation.fieldbus.world import BoardWorld
+
+AT_ONCE = 0.05
+
+
+class CommandFaults(FaultMaker):
+    """Makes faults of one command."""
+
+    def __init__(self, world: BoardWorld) -> None:
+        super().__init__(world)
+        self._states = world.use.possible(
+            world.random.getrandbits(world.wiring.lines.bit_length()) & world.wiring.lines
+        )
+        self._before = world.switching.states
+        self._changed = self._before ^ self._states
+        self._fit = bool(self._changed) and not self._before & world.wiring.pulsed
+
+    def _commit(self, states: int) -> None:
+        self._site.call(lambda m: m.commit(states, self._world.agenda.now))
+
+    def _refused(self, states: int, why: type[Exception]) -> str:
+        try:
+            self._commit(states)
+        except why as error:
+            return str(error)
+        require(False, f"a command of {states:b} is not refused by {why.__name__}")
+        return ""
+
+    def _waits(self) -> bool:
+        """Returns whether all boards that the command switches wait for SYNC."""
+        names = [n for n, b in self._world.wiring.boards.items()]
+        return all(part.waits for name in names for part in self._world.switching.parts_of(name))
+
+    def _unswitched(self, *why: str) -> None:
+        """Requires that nothing has switched, and that the master says so."""
+        master = self._world.master
+        driven = self._world.switching.driven()
+        require(
+            driven == self._before,
+            f"the pins are {driven:b} after a command that was given up; {self._before:b} before",
+        )
+        failed = master.commit_failed
+        require(failed is not None and any(w in failed for w in why), f"the failure is {failed!r}, must be {why}")
+        require(not master.drain_switched(), "switches of a command that was given up are told")
+        require(master.outputs == self._before, f"outputs {master.outputs:b} are told; {self._before:b} are driven")
+
+    def command_is_given_up(self) -> Fault | None:
+        if not (self._fit and self._waits()):
+            return None
+        master, world = self._world.master, self._world
+
+        def cause() -> None:
+            self._commit(self._states)
+            require(master.committing and master.collecting, "a command has begun, and is not told")
+            master.give_up("the test says so")
+            require(not master.committing, "a command was given up, and is told")
+
+        def check() -> None:
+            self._unswitched("the test says so")
+            world.switching.booted()  # what the boards have latched, nobody knows
+            self._site.call(lambda m: m.commit(self._states, world.agenda.now))
+            world.wait(lambda: not master.committing, 0.6 + world.watching.slack, "committed")
+            world.switching.forget(self._states)
+            require(world.switching.driven() == self._states, f"the pins are {world.switching.driven():b}")
+            require(master.commit_failed is None, f"the next command has failed: {master.commit_failed}")
+            switched = sum(mask for mask, _ in master.drain_switched())
+            require(switched == self._changed, f"{switched:b} is told as switched, {self._changed:b} has")
+
+        return Fault(cause, lambda: world.use.release_quietly(), Expected((), within=AT_ONCE), check)
+
+    def command_is_given_up_after_its_SYNC(self) -> Fault | None:
+        if not (self._fit and self._waits()):
+            return None
+        master, world = self._world.master, self._world
+
+        def cause() -> None:
+            self._commit(self._states)
+            world.wait(lambda: not master.collecting, 0.1, "past its RPDOs")
+            leaving = master.leaving
+            require(not leaving & ~self._changed, f"{leaving:b} are leaving, {self._changed:b} change")
+            require(leaving == self._changed, f"{leaving:b} are leaving, {self._changed:b} change")
+            require(not master.outputs_known, "outputs are known while SYNCs leave")
+            master.give_up("too late")
+            world.wait(lambda: not master.committing, 0.6 + world.watching.slack, "committed")
+
+        def check() -> None:
+            require(master.commit_failed is None, f"a command whose SYNC was sent has failed: {master.commit_failed}")
+            require(world.switching.driven() == self._states == master.outputs, f"outputs {master.outputs:b} are told")
+            world.switching.forget(self._states)
+            master.drain_switched()
+
+        return Fault(cause, lambda: world.use.release_quietly(), Expected((), within=AT_ONCE), check)
+
+    def command_during_a_command(self) -> Fault | None:
+        if not self._fit:
+            return None
+        master, world = self._world.master, self._world
+
+        def cause() -> None:
+            self._commit(self._states)
+            why = self._refused(self._before, Busy)
+            require("previous commit" in why, f"a second command is refused by {why!r}")
+            world.wait(lambda: not master.committing, 0.6 + world.watching.slack, "committed")
+
+        def check() -> None:
+            require(world.switching.driven() == self._states, f"the pins are {world.switching.driven():b}")
+            world.switching.forget(self._states)
+            master.drain_switched()
+
+        return Fault(cause, lambda: world.use.release_quietly(), Expected((), within=AT_ONCE), check)
+
+    def command_of_lines_that_are_not_there(self) -> Fault:
+        wrong = 1 << self._world.wiring.lines.bit_length()
+
+        def cause() -> None:
+            self._refused(wrong, ValueError)
+            self._refused(-1, ValueError)
+
+        return Fault(cause, lambda: None, Expected((), within=AT_ONCE))
+
+    def command_of_the_present_states(self) -> Fault:
+        """Nothing is sent."""
+        world = self._world
+
+        def cause() -> None:
+            sent: list[Any] = []
+            keep = self._site.hands_out
+            self._site.hands_out = lambda bus, frame: sent.append(frame)
+            self._commit(self._before)
+            self._site.hands_out = keep
+            require(not sent and not world.master.committing, f"a command that changes nothing sends {sent}")
+
+        return Fault(cause, lambda: None, Expected((), within=AT_ONCE))
+
+    def RPDO_is_not_sent(self) -> Fault | None:
+        if not (self._fit and self._waits()):
+            return None
+        buses = [bus for bus in self._site.buses.values() if self._world.switching.lines_on(bus.name) & self._changed]
+        bus = self._random.choice(buses)
+
+        def cause() -> None:
+            bus.room = 0
+            self._commit(self._states)
+            bus.room = None
+
+        def check() -> None:
+            self._unswitched("was not sent")
+            self._world.switching.booted()
+
+        return Fault(cause, lambda: None, Expected((), within=AT_ONCE, calm=False), check)
+
+    def RPDOs_stay_in_the_controller(self) -> Fault | None:
+        if not (self._fit and self._waits()):
+            return None
+        buses = [bus for bus in self._site.buses.values() if self._world.switching.lines_on(bus.name) & self._changed]
+        bus = self._random.choice(buses)
+        timing = self._world.drawn.timing
+
+        def cause() -> None:
+            bus.holds_rpdos = True
+            self._commit(self._states)
+
+        def check() -> None:
+            self._unswitched("were not sent for", f"{bus.name} was lost")
+
+        late = timing.heartbeat_timeout / 2 + 0.03
+        lost = tuple(n for n, b in self._world.wiring.boards.items() if b.bus == bus.name)
+        also = ("bus-busy",)
+        return Fault(cause, bus.restore, Expected((), within=late, lost=lost, also=also, calm=False), check)
+
+    def bus_is_lost_with_a_SYNC(self) -> Fault | None:
+        if not (self._fit and self._waits()):
+            return None
+        world, master = self._world, self._world.master
+        buses = [bus for bus in self._site.buses.values() if world.switching.lines_on(bus.name) & self._changed]
+        bus = self._random.choice(buses)
+        doubtful = world.switching.lines_on(bus.name) & self._changed
+        lost = tuple(n for n, b in world.wiring.boards.items() if b.bus == bus.name)
+
+        def cause() -> None:
+            keep = self._site.hands_out
+
+            def look(name: str, frame: Any) -> None:
+                keep(name, frame)
+                if name == bus.name and frame.id == 0x80:
+                    world.agenda.at(world.agenda.now, bus.go_down)
+
+            self._site.hands_out = look
+            self._commit(self._states)
+            world.wait(lambda: bus.state == "down", 0.2, "down")
+            self._site.hands_out = keep
+
+        def check() -> None:
+            failed = master.commit_failed
+            require(failed is not None and "was lost while its SYNC" in failed, f"the failure is {failed!r}")
+            require(master.doubtful == doubtful, f"{master.doubtful:b} are doubtful, {doubtful:b} may have switched")
+            require(not master.outputs_known, "outputs are known, and a SYNC was lost")
+            world.wait(lambda: not master.committing, 0.6, "over on the other bus")
+            why = self._refused(self._states, Busy)
+            require(bus.name in why, f"a command on a lost bus is refused by {why!r}")
+
+        expected = Expected(("bus-down",), bus.name, (), AT_ONCE, lost, calm=False)
+        return Fault(cause, bus.restore, expected, check)
+
+    def command_without_a_board(self) -> Fault | None:
+        """A command is refused while a board is lost; lines of other boards can still be switched off."""
+        world, master = self._world, self._world.master
+        name = self._random.choice(list(world.looks))
+        timing = world.drawn.timing
+
+        def check() -> None:
+            why = self._refused(self._before ^ 1, Busy)
+            require(name in why and "not ready" in why, f"a command without {name} is refused by {why!r}")
+            others = [b for n, b in world.wiring.boards.items() if n != name and b.lines & master.outputs]
+            if not others or not self._waits():
+                return
+            off = others[0].lines & master.outputs
+            before = {n: look.pins() for n, look in world.looks.items()}
+            self._site.call(lambda m: m.commit(~off & world.wiring.lines, world.agenda.now, release=True))
+            world.wait(lambda: not master.committing, 0.6 + world.watching.slack, "released")
+            now = world.switching.driven()
+            require(not now & off, f"{off:b} are switched off without {name}, the pins are {now:b}")
+            others_changed = [
+                n for n, look in world.looks.items() if n not in (name, others[0].name) and look.pins() != before[n]
+            ]
+            require(not others_changed, f"the pins of {others_changed} have changed, {off:b} are switched off")
+
+        lost = Expected(("board-lost",), name, (), timing.heartbeat_timeout + 0.05, (name,))
+        return Fault(
+            lambda: self._site.boards.fault("silence", name),
+            lambda: self._site.boards.fault("unsilence", name),
+            lost,
+            check,
+        )

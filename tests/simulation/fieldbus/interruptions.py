@@ -1,0 +1,227 @@
+"""Boots in which one thing goes wrong: lost and late frames, restarts, lost buses, other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from drivers.canopen.wire.cia301 import Command, Frame, State
+from tests.simulation.fieldbus import changes
+from tests.simulation.fieldbus.found import found_of
+from tests.simulation.judge.verdict import require
+
+if TYPE_CHECKING:
+    from tests.simulation.fieldbus.world import BoardWorld
+
+LONGEST = 25.0  # [s] of a boot with repeated requests
+SDO_TIMEOUT = 0.5  # [s] of one request
+MOST_RESTARTS = 5  # of one board in a boot
+AGAIN = 3  # boots without trouble after which the boards are ready
+
+
+class Interruptions:
+    """Draws what goes wrong in a boot.
+
+    Args:
+        world: of boards.
+    """
+
+    def __init__(self, world: BoardWorld) -> None:
+        self._world = world
+
+    def happen(self) -> None:
+        """Boots the boards with one interruption, and judges what becomes of them."""
+        world, random = self._world, self._world.random
+        self._name = random.choice(list(world.looks))
+        self._board, self._judged = world.site.board(self._name), world.wiring.boards[self._name]
+        self._place = random.choice([0, 1, 2, 3, random.randrange(40), random.randrange(100)])
+        if random.random() < 0.7:
+            world.site.master, world.calm, world.ready = None, False, False
+            changes.happen(world, self._name)
+        kinds: list[Callable[[], None]] = [self._frames, self._frames, self._frames, self._restart, self._restarts]
+        kinds += [self._bus, self._command, self._reset, self._stall]
+        kind = random.choice(kinds)
+        world.made[f"boot with: {kind.__name__[1:]}"] += 1
+        world.note(f"boot with {kind.__name__[1:]} of {self._name} at {self._place}")
+        kind()
+        self._end()
+
+    def _end(self) -> None:
+        """Ends the trouble; boots until the boards are ready."""
+        world = self._world
+        world.site.intercept = lambda bus, frame: ""
+        for bus in world.site.buses.values():
+            bus.restore()
+        if not world.ready:
+            world.ready = world.calm = False
+            changes.mend(world)
+            world.boot(new=True)
+
+    def _begin(self) -> float:
+        """Begins a boot; returns the time."""
+        world = self._world
+        world.prepare(new=True)
+        world.start_boot(new=True)
+        return world.agenda.now
+
+    def _is_sdo(self, bus: str, frame: Frame) -> bool:
+        return bus == self._judged.bus and frame.id in (0x600 + self._judged.node, 0x580 + self._judged.node)
+
+    def _at_place(self, happen: Callable[[], str]) -> None:
+        """Calls a function at the drawn SDO frame."""
+        count = [0]
+
+        def look(bus: str, frame: Frame) -> str:
+            if not self._is_sdo(bus, frame):
+                return ""
+            count[0] += 1
+            master = self._world.site.master
+            return happen() if count[0] == self._place + 1 and master is not None and master.booting else ""
+
+        self._world.site.intercept = look
+
+    def _frames(self) -> None:
+        """One SDO frame is lost, late or doubled: the boot ends as without it, a time-out later."""
+        world = self._world
+        kind = world.random.choice(["lose", "lose", "late", "twice"])
+        if self._board.state is not State.OPERATIONAL:
+            self._place += 6  # a board that was stopped is asked once more only
+        self._at_place(lambda: kind)
+        began = self._begin()
+        world.boots.allowance += SDO_TIMEOUT + 0.1
+        world.boots.repeats = 2
+        world.wait(lambda: not world.master.booting, LONGEST, "booted")
+        world.judge_boot(world.master, world.agenda.now - began)
+        world.boots.repeats = 0
+
+    def _restart(self) -> None:
+        """The board restarts: it boots anew."""
+        world = self._world
+        name = self._name
+
+        def restart() -> str:
+            world.agenda.after(1e-6, cut)
+            return "lose"
+
+        def cut() -> None:
+            if not world.boots.running:
+                return
+            world.site.boards.fault("power_cut", name)
+            world.site.boards.fault("power_on", name)
+            world.found[name] = world.boots.found[name] = found_of(self._board, self._judged)
+            world.boots.again(name)
+
+        self._at_place(restart)
+        began = self._begin()
+        world.boots.allowance += 2.0 + self._board.variant.boot_time + LONGEST * bool(self._board.variant.answer_delay)
+        world.boots.repeats = 3
+        world.wait(lambda: not world.master.booting, LONGEST, "booted")
+        world.judge_boot(world.master, world.agenda.now - began)
+        world.boots.repeats = 0
+
+    def _restarts(self) -> None:
+        """The board restarts again and again."""
+        world, name = self._world, self._name
+        if self._board.variant.boot_time or self._board.silent or not self._board.powered:
+            return
+        restarts = [0]
+
+        def look(bus: str, frame: Frame) -> str:
+            if self._is_sdo(bus, frame) and frame.data[1:4] == b"\x05\x10\x00" and frame.id >= 0x600:
+                restarts[0] += 1
+                world.agenda.after(1e-6, cut)
+                return "lose"
+            return ""
+
+        def cut() -> None:
+            world.site.boards.fault("power_cut", name)
+            world.site.boards.fault("power_on", name)
+
+        world.site.intercept = look
+        self._begin()
+        world.boots.running = False
+        world.wait(lambda: not world.master.booting, LONGEST, "booted")
+        ours = [fault for fault in world.master.boot_faults if fault.source == name]
+        require(len(ours) == 1, f"{name} restarts again and again, told is {world.master.boot_faults}")
+        if restarts[0]:
+            words = f"restarted {MOST_RESTARTS + 1} times"
+            right = ours[0].code == "board-rebooted" and words in ours[0].message and restarts[0] > MOST_RESTARTS
+            require(right, f"{name} restarted {restarts[0]} times, told is {ours[0]}")
+        require(not world.master.ready, "the master is ready")
+
+    def _bus(self) -> None:
+        """A bus fails: its fault is told, and none of its boards."""
+        world = self._world
+        bus = world.site.buses[self._judged.bus]
+        fail, code = world.random.choice([(bus.go_down, "bus-down"), (bus.go_off, "bus-off")])
+        failed: list[bool] = []
+
+        def happen() -> str:
+            world.agenda.after(1e-6, lambda: (failed.append(True), fail()))
+            return ""
+
+        self._at_place(happen)
+        self._begin()
+        world.boots.running = world.calm = False
+        world.wait(lambda: not world.master.booting, LONGEST, "booted")
+        if not failed:
+            return
+        here = [f for f in world.master.boot_faults if f.source.split("/")[0] == bus.name]
+        right = [(f.code, f.source) for f in here] == [(code, bus.name)]
+        lost = world.master.ready is False and not world.master.back
+        require(right and lost, f"{bus.name} fails in a boot, told is {here}")
+
+    def _command(self) -> None:
+        """Another program sends an NMT command: the boot ends, and the next one is without fault."""
+        world = self._world
+        command = world.random.choice(
+            [Command.STOP, Command.PRE_OPERATIONAL, Command.RESET_COMMUNICATION, Command.RESET_NODE]
+        )
+
+        def happen() -> str:
+            world.agenda.after(1e-6, lambda: world.site.order(self._name, command))
+            return ""
+
+        self._at_place(happen)
+        self._begin()
+        world.boots.running = False
+        world.wait(lambda: not world.master.booting, LONGEST, "booted")
+
+    def _reset(self) -> None:
+        """The boot begins again."""
+        world = self._world
+        over: list[bool] = []
+
+        def happen() -> str:
+            world.agenda.after(1e-6, lambda: over.append(True))
+            return ""
+
+        self._at_place(happen)
+        self._begin()
+        world.wait(lambda: over or not world.master.booting, LONGEST, "booted")
+        world.boots.running = False
+        world.site.intercept = lambda bus, frame: ""
+        world.boot(new=False)
+
+    def _stall(self) -> None:
+        """The executor stands still: the boot begins again by itself."""
+        world, timing = self._world, self._world.drawn.timing
+        over: list[bool] = []
+
+        def happen() -> str:
+            world.site.stalled = True
+            world.agenda.after(1.5 * timing.heartbeat_timeout, lambda: over.append(True))
+            return ""
+
+        self._at_place(happen)
+        self._begin()
+        world.boots.running = world.calm = False
+        world.wait(lambda: over or not (world.master.booting or world.site.stalled), LONGEST, "booted")
+        if not over:
+            return
+        begins = world.master.booting
+        found = world.master.find_pause(world.agenda.now)
+        require((found is None) == begins, f"a pause in a boot is told as {found}")
+        require(world.master.booting == begins, "a boot has ended by a pause")
+        world.site.go_on()
+        world.wait(lambda: not world.master.booting, LONGEST, "booted")

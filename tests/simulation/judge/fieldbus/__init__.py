@@ -1,0 +1,1 @@
+"""The judge of boards, buses and the CANopen master."""
