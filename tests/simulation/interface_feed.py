@@ -43,7 +43,9 @@ def interface_judge(
             (executed.locked_states >> k & 1) if executed.locked >> k & 1 else 255
             for k in range(len(executed.actuators))
         )
-        of.bias = None if arm.settings.tracker is None else (0.0, 0.0)
+        if (tracker := arm.settings.tracker) is not None:
+            of.bias, of.offset, of.clamp, of.hold = (0.0, 0.0), daemon.offset, tracker.clamp, tracker.hold
+        made.searches.prepares = arm.settings.method == "minimum-switch"
         of.silent_after = 2.0 * executed.planner_timeout + SILENCE_NOTICED
 
         def sure() -> bool:

@@ -272,11 +272,10 @@ class Clients:
         step()
 
     def _measure(self) -> None:
-        tip = [x + self._random.gauss(0.0, 1e-5) for x in self.position()]
-        if self._daemon.snapshot is not None:
-            code = unpack(self._daemon.snapshot.measured)
-            tip = [float(x) for x in self._daemon.space.tips[self._daemon.space.index.get(code, 0)]]
-        stamp = self._daemon.wall() - self._random.choice([0.0, 0.001, 2.0])
+        code = -1 if self._daemon.snapshot is None else unpack(self._daemon.snapshot.measured)
+        computed = self._daemon.space.tips[self._daemon.space.index.get(code, 0)]
+        tip = [float(x) + b + self._random.gauss(0.0, 1e-5) for x, b in zip(computed, self._daemon.offset, strict=True)]
+        stamp = self._daemon.wall() - self._random.choice([0.0, 0.001, 0.001, 2.0, -1.0])
         data = json.dumps({"position": tip, "stamp": stamp}).encode()
         self._daemon.zenoh.send(self._client, f"{self._prefix}/measured_tip", data, query=False)
 

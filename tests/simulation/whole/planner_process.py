@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 from controller.gateway import outbox as outbox_module
 from controller.gateway import server as server_module
+from controller.gateway import daemon as daemon_module
 from controller.gateway.arrivals import Clocks, RepeatedGoals
+from controller.gateway.daemon import Warnings
 from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import GatewayParts, Server
 from controller.host.process import Quit
@@ -22,6 +24,7 @@ from controller.planning.core.tasks import Tables, VersionedScene
 from controller.planning.link import ExecutorLink
 from controller.planning.loop import Loop, PlannerFailed, Services
 from controller.planning.planner import Planner
+from controller.program import Fault
 from tests.simulation.judge.verdict import require
 from tests.simulation.network import SimulatedLink
 from tests.simulation.whole.planner_storage import SimulatedLedger
@@ -38,6 +41,7 @@ UNIX = 1.7e9  # [s] between the two clocks
 SENDS_WITHIN = 0.0003  # [s], time of the outbox for a message
 
 LOGS = (
+    daemon_module.log,
     loop_module.log,
     outbox_module.log,
     server_module.log,
@@ -134,7 +138,9 @@ class PlannerProcess:
         self.outbox = SteppedOutbox(self.session, f"hyperbit/{name}", hooks, self._never, clock=self._now)  # type: ignore[arg-type]
         self._outbox_at = math.inf
         self.outbox.wake_at = self._send_within
-        services = Services(self.inbox, self.ledger, storage, self.outbox, self, tuple, self._never)  # type: ignore[arg-type]
+        network = daemon.zenoh
+        warnings = Warnings(lambda: not network.lost, self._ledger_faults, daemon.wall, self._now)
+        services = Services(self.inbox, self.ledger, storage, self.outbox, self, warnings.active, self._never)  # type: ignore[arg-type]
         locked = bytes(
             (daemon.executed.locked_states >> k & 1) if daemon.executed.locked >> k & 1 else 255
             for k in range(len(daemon.executed.actuators))
@@ -198,6 +204,15 @@ class PlannerProcess:
 
     def notify(self, assignment: str) -> None:
         """Takes what the loop tells systemd."""
+        self._daemon.judge.at(self._agenda.now)
+        self._daemon.judge.journal.notifies(assignment)
+
+    def _ledger_faults(self) -> tuple[Fault, ...]:
+        """Returns the warning of a ledger that cannot be written."""
+        waits = self.ledger.waits
+        self._daemon.judge.at(self._agenda.now)
+        self._daemon.judge.warnings.ledger(waits)
+        return (Fault("ledger-unwritten", "ledger", "the disk is full"),) if waits else ()
 
     # --- rounds
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from controller.program import Ended, Program, Settled, Snapshot, unpack
 from tests.simulation.judge.interface.modules import Cube, JudgedModules
+from tests.simulation.judge.verdict import require
 
 Payload = dict[str, Any]
 DELAY = 0.1  # [s], awake, from an event of the world to a `state` that tells it: 20 states a second, and the outbox
+TAKEN_WITHIN = 0.01  # [s], awake, from the arrival of a request to the core
+BIAS_WITHIN = 2e-4  # from the tracker's offset
 
 
 @dataclass(eq=False)
@@ -78,6 +81,10 @@ class Ran:
         heard_at: time at which the planner heard of its end.
         recorded: whether the ledger has its result.
         given_up: whether the planner has refused it and canceled it.
+        told_awake: awake time of the publication of its result [s].
+        planned: switches that its answer told.
+        replaced: whether the planner has sent other stages.
+        deviations: of the transitions to its points, as a worker has told; None: not known.
         switches: switched by SYNC.
         request: to which it belongs, as soon as that is answered.
     """
@@ -108,6 +115,10 @@ class Ran:
     feedback: list[Payload] = field(default_factory=list)
     results: list[Payload] = field(default_factory=list)
     given_up: bool = False
+    told_awake: float = math.inf
+    planned: int | None = None
+    replaced: bool = False
+    deviations: tuple[float | None, ...] = ()
 
     @property
     def key(self) -> tuple[int, int]:
@@ -139,6 +150,10 @@ class InterfaceAccount:
         bias: tip bias that the daemon tells; None: no tracker.
         shown_obstacles: number in the last state.
         scenes: number of scenes that workers build.
+        slow: whether rounds of the planner's loop take long.
+        congested: whether peers read slowly.
+        offset: of the tracker's tips from the computed ones; `clamp` and `hold` are of the arm's file.
+        tip_at: time of the last measured tip, of whatever age [s]; `good_tip_at` of the last one that surely counts.
 
     Args:
         modules: the arm.
@@ -155,6 +170,8 @@ class InterfaceAccount:
         self.silent_after = math.inf
         self.sure = clear
         self.bias: tuple[float, ...] | None = None
+        self.offset, self.clamp, self.hold = (0.0, 0.0), 0.0, 0.0
+        self.slow = self.congested = False
         self.ledger_counts: tuple[int, ...] = ()
         self.disk_failed = False
         self.numbers = 0
@@ -167,12 +184,13 @@ class InterfaceAccount:
 
     def begin(self, process: int) -> None:
         """A process of the planner begins."""
-        self.process, self.began_at = process, self.now
+        self.process, self.began_at, self.began_awake = process, self.now, self.awake
         self.requests = []
         self.heard = deque([Heard(self.now, self.awake, None)], maxlen=400)
         self.cubes: tuple[Cube, ...] = ()
         self.cubes_number, self.cubes_at = 0, self.now
         self.quits = False
+        self.tip_at = self.good_tip_at = -math.inf
         self.scenes = self.shown_obstacles = 0
         self.setpoints = 0
         self.counts_at_start: int | None = None
@@ -267,6 +285,41 @@ class InterfaceAccount:
     def build_failed(self) -> bool:
         """Whether the last attempt to build tables has failed."""
         return self._failed or self.had("task failed", self.now - 1.0)
+
+    @property
+    def tables(self) -> bytes:
+        """The locked states for which tables were built last."""
+        return self._tables
+
+    def obstacles_in_force(self) -> list[Request | None]:
+        """Returns the requests whose obstacles may be in force now; None: those that were confirmed last."""
+        found = list[Request | None]()
+        for request in reversed(self.requests):
+            if request.key != "obstacles" or not isinstance(request.body.get("regions"), list):
+                continue
+            if request.answer is not None and not request.accepted:
+                if request.answer.get("reason") == "obstacles-not-checked":
+                    found.append(request)
+                continue
+            found.append(request)
+            taken = self.awake - request.awake > TAKEN_WITHIN and not self.slow and not self.lately("still", 0.1)
+            if request.accepted or (taken and not self.had("task failed", request.at)):
+                return found
+        return [*found, None]
+
+    def in_force(self) -> list[set[Cube]]:
+        """Returns the sets of obstacles that may be in force now."""
+        return [set(self.cubes if request is None else request.cubes) for request in self.obstacles_in_force()]
+
+    def judge_bias(self, bias: Sequence[float], text: str) -> None:
+        """Compares a tip bias with that of the tracker: it is used for a while after a measured tip, and zero else."""
+        length, apart = math.hypot(*bias), math.dist(bias, self.offset)
+        require(length <= self.clamp + 1e-9, f"{text} has a bias of {length}")
+        require(length == 0.0 or apart <= BIAS_WITHIN, f"{text} has the bias {bias}, the tracker has {self.offset}")
+        silent = self.now - self.tip_at > self.hold + 2.0
+        require(not silent or length == 0.0, f"{text} has the bias {bias} without a measured tip")
+        fresh = self.now - self.good_tip_at < self.hold - 0.5
+        require(not fresh or length > 0.0, f"{text} has no bias after a measured tip")
 
     def known_cubes(self, request: Request | None) -> set[Cube]:
         """Returns all obstacles that may be in force, or were since a request came."""

@@ -11,8 +11,10 @@ from controller.program import (
     Acknowledge,
     Begun,
     Declined,
+    Diagnostics,
     Ended,
     Program,
+    Replacement,
     Setpoint,
     Settled,
     Snapshot,
@@ -20,12 +22,16 @@ from controller.program import (
     unpack,
 )
 from tests.simulation.judge.interface.account import InterfaceAccount, Ran, Request
+from tests.simulation.judge.interface.diagnostics import JudgedDiagnostics
+from tests.simulation.judge.interface.journal import Journal
 from tests.simulation.judge.interface.messages import body_of, well_formed
 from tests.simulation.judge.interface.modules import JudgedModules
 from tests.simulation.judge.interface.motion import Motion
 from tests.simulation.judge.interface.requests import Requests, cubes_of
 from tests.simulation.judge.interface.results import Results, unanswered
+from tests.simulation.judge.interface.searches import Searches
 from tests.simulation.judge.interface.states import States
+from tests.simulation.judge.interface.warnings import JudgedWarnings
 from tests.simulation.judge.verdict import require
 
 TICK = 0.02  # [s] between two looks for what does not come
@@ -48,6 +54,9 @@ class InterfaceJudge:
         self.account = InterfaceAccount(modules, wall, driven, clear)
         self.requests, self.results = Requests(self.account), Results(self.account)
         self.states, self.motion = States(self.account), Motion(self.account)
+        self.searches, self.journal = Searches(self.account), Journal(self.account)
+        self.warnings = JudgedWarnings(self.account)
+        self.diagnostics = JudgedDiagnostics(self.account, self.warnings)
         self.requests.barred = self.motion.bars
         self._asked: Program | None = None
         self._running: Ran | None = None
@@ -63,6 +72,9 @@ class InterfaceJudge:
             self.requests.tick()
             self.results.tick()
             self.states.tick()
+            self.searches.tick()
+            self.journal.tick()
+            self.diagnostics.tick()
 
     def begins(self, process: int) -> None:
         """A process of the planner begins; 0: it has ended."""
@@ -72,6 +84,9 @@ class InterfaceJudge:
         self.requests.begin()
         self.states.begin()
         self.motion.begin()
+        self.searches.begin()
+        self.journal.begin()
+        self.diagnostics.begin()
 
     def ends_in_order(self) -> None:
         """The process has ended in order: everybody has an answer."""
@@ -96,7 +111,9 @@ class InterfaceJudge:
             a.setpoints += 1
             a.note("setpoint")
             self.motion.setpoint(request)
-        elif key != "measured_tip":
+        elif key == "measured_tip":
+            self._tip(request)
+        else:
             if key == "obstacles" and well_formed(request, a.modules):
                 request.cubes, request.shown = cubes_of(request), a.shown_obstacles
             if key == "reset":
@@ -104,10 +121,25 @@ class InterfaceJudge:
             self.requests.arrives(request)
         return request
 
+    def _tip(self, request: Request) -> None:
+        """Records a measured tip, and whether it surely counts."""
+        a, snapshot = self.account, self.account.snapshot
+        if "*" in request.name or a.bias is None:
+            return
+        a.tip_at, age = a.now, a.wall() - float(request.body.get("stamp", 0.0))
+        rests = snapshot is not None and not snapshot.moving and snapshot.mode == "ready" and a.clear()
+        standing = rests and not a.had("moved", a.now - 0.3) and not a.lately("still", 1.0) and not a.slow
+        if standing and not a.building and 0.0 <= age < 0.1 and not a.had("clock", a.now - 10.0):
+            a.note("good tip")
+            a.good_tip_at = a.now
+    
     def replies(self, request: object, data: bytes) -> None:
         """A reply leaves the process."""
         assert isinstance(request, Request)
-        self.requests.answers(request, msgspec.json.decode(data))
+        answer = msgspec.json.decode(data)
+        self.requests.answers(request, answer)
+        if request.key in ("goal", "jog") and answer["accepted"] is False and request.original is None:
+            self.journal.refused(answer)
 
     def publishes(self, key: str, data: bytes) -> None:
         """A publication leaves the process."""
@@ -115,12 +147,17 @@ class InterfaceJudge:
         match key:
             case "state":
                 self.states.state(payload)
+                self.warnings.state(payload)
+                self.journal.state(payload)
             case "diagnostics":
-                self.states.diagnostics(payload)
+                self.diagnostics.tasks = self.searches.count()
+                self.diagnostics.diagnostics(payload)
             case "feedback":
                 self.results.feedback(payload)
             case "result":
                 self.results.result(payload)
+                if payload["status"] != "refused":
+                    self.journal.result(payload)
 
     # --- the executor
 
@@ -141,6 +178,8 @@ class InterfaceJudge:
         match message:
             case Program():
                 self._asked = message
+            case Replacement() if (ran := self._of(message.program)) is not None:
+                ran.replaced = True
             case Setpoint():
                 self.motion.follows(message)
             case Acknowledge():
@@ -198,6 +237,8 @@ class InterfaceJudge:
             case Snapshot():
                 self._compare(a.snapshot, message)
                 a.hears(message)
+            case Diagnostics():
+                self.diagnostics.hears(message)
             case Welcome():
                 if a.counts_at_start is None:
                     a.counts_at_start = sum(map(max, a.ledger_counts, message.counts or a.ledger_counts))
@@ -228,6 +269,7 @@ class InterfaceJudge:
         """The process's connection to the executor has ended."""
         self.account.note("link")
         self.account.hears(None)
+        self.diagnostics.hears(None)
 
     # --- what the workers and the disk do
 

@@ -63,6 +63,8 @@ class Requests:
         """Records a request, and which one it repeats."""
         a = self._a
         a.requests.append(request)
+        if request.key in ("goal", "jog"):
+            a.note("motion asked")
         if request.key == "goal":
             self._find_original(request)
 
@@ -133,7 +135,8 @@ class Requests:
             known = {**answer, "accepted": known["accepted"], "id": known["id"]}
         if known is None or known == answer:
             return original.answer is not None or not request.doubtful
-        require(request.doubtful, f"{request} repeats {original}, which was answered by {original.answer}: {answer}")
+        refused_before = not known["accepted"] and original.answered_at >= request.at  # and forgotten, as its id
+        require(request.doubtful or refused_before, f"{request} repeats {original}, which was answered by {original.answer}: {answer}")
         request.original = None
         return False
 
@@ -162,7 +165,7 @@ class Requests:
         require(words is not None, f"{text} has other words")
         assert words is not None
         planned = switches_of(ran.program) if ran.program.final else None
-        told = int(words[1]) if jog else int(words[2])
+        told = ran.planned = int(words[1]) if jog else int(words[2])
         require(planned is None or told == planned, f"{text}; the program has {planned} switches")
         require(jog or int(words[1]) == len(request.body["waypoints"]), f"{text} has another number of waypoints")
         if jog:
@@ -209,7 +212,7 @@ class Requests:
             not_running = "is not running" in answer["message"]
             runs = [ran for ran in a.ran(request.goal) if ran.process == a.process and ran.ended is None]
             runs = [r for r in runs if r.request is not None and r.at < request.at]
-            runs = [r for r in runs if r.instance == a.instance and not r.results]
+            runs = [r for r in runs if r.instance == a.instance and not r.results and self._shown(r)]
             require(not (not_running and runs), f"{text}, but it runs")
 
         def ended() -> None:
@@ -220,6 +223,10 @@ class Requests:
                 require(not runs or not a.clear(), f"{text}; {ran.goal} still runs {ENDS_WITHIN} s later")
 
         self._later(ENDS_WITHIN, ended)
+
+    def _shown(self, ran: Ran) -> bool:
+        """Returns whether the newest snapshot shows a program: the result of one that has ended may still wait."""
+        return self._a.snapshot is not None and self._a.snapshot.program == ran.program.program
 
     def _take_obstacles(self, request: Request, answer: Payload, text: str) -> None:
         a = self._a

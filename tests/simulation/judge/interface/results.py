@@ -10,6 +10,7 @@ from tests.simulation.judge.interface.account import InterfaceAccount, Payload, 
 from tests.simulation.judge.interface.grounds import barring, wanted
 from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.interface.refusals import judge_refusal
+from tests.simulation.judge.interface.words import Words
 from tests.simulation.judge.verdict import require
 
 TOLD_WITHIN = 1.5  # [s], awake, from the executor's report to the publication: deviations, ledger and outbox
@@ -27,7 +28,7 @@ class Results:
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
-        self._a = account
+        self._a, self._words = account, Words(account)
 
     # --- feedback
 
@@ -104,10 +105,12 @@ class Results:
             return
         require(not payload.get("repeated") or a.had("planner ended", ran.at), f"{text}, for the first time")
         ran.results.append(payload)
+        ran.told_awake = a.awake
         ended = ran.ended if ran.heard_at <= a.now and payload["status"] != "lost" else None
         if payload["status"] != "lost" and not (payload["status"] == "aborted" and ended is None):
             require(ended is not None, f"{text}, but the executor has told no end")
         self._judge_status(ran, ended, payload, text)
+        self._words.judge_message(ran, ended, payload, text)
         if ended is None:
             told = max((settled.switches for settled, _ in ran.settled.values()), default=0)
             least, most = (told, ran.switches) if ran.process == a.process else (0, ran.switches)
