@@ -39,6 +39,7 @@ def interface_judge(
         of.tolerance, of.length = arm.tolerance, modules.farthest
         longest = max(max(travel) for travel in judge.arm.travel) + max(judge.arm.margin) + executed.rest
         of.longest_transition = 2 * len(executed.actuators) * (longest + 0.1)
+        of.lead, of.rests = daemon.pace.lead, arm.travel_time + executed.rest
         of.declared = bytes(
             (executed.locked_states >> k & 1) if executed.locked >> k & 1 else 255
             for k in range(len(executed.actuators))

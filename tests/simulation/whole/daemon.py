@@ -22,7 +22,9 @@ from controller.planning.core.events import (
     Hurry,
     Payload,
     Record,
+    SetpointArrived,
     Start,
+    TipArrived,
     ToExecutor,
 )
 from controller.planning.core.tasks import Answer, BuildScene, BuildTables, Failed, SceneBuilt, Tables, Task
@@ -261,6 +263,12 @@ class Daemon:
                     self._note(("planner hears", message))
             case Answered(number, answer, _):
                 self._note(("worker answers", number, answer))
+            case SetpointArrived(payload, arrival, sender):
+                self.judge.at(self.agenda.now)
+                self.judge.streams.setpoint(payload, arrival.at, sender, now)
+            case TipArrived(payload):
+                self.judge.at(self.agenda.now)
+                self.judge.streams.tip(payload, now)
             case _:
                 pass
 

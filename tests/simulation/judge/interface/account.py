@@ -15,6 +15,7 @@ from tests.simulation.judge.verdict import require
 Payload = dict[str, Any]
 DELAY = 0.1  # [s], awake, from an event of the world to a `state` that tells it: 20 states a second, and the outbox
 TAKEN_WITHIN = 0.01  # [s], awake, from the arrival of a request to the core
+STOOD_STILL, SETTLES = 0.9, 1.2  # [s] of a standstill, and after it, in which what was sent before may arrive
 BIAS_WITHIN = 2e-4  # from the tracker's offset
 
 
@@ -152,6 +153,7 @@ class InterfaceAccount:
         scenes: number of scenes that workers build.
         slow: whether rounds of the planner's loop take long.
         congested: whether peers read slowly.
+        lead: time of one stage [s]; `rests` is the longest time for which an actuator travels and rests.
         offset: of the tracker's tips from the computed ones; `clamp` and `hold` are of the arm's file.
         tip_at: time of the last measured tip, of whatever age [s]; `good_tip_at` of the last one that surely counts.
 
@@ -166,7 +168,7 @@ class InterfaceAccount:
     ) -> None:
         self.modules, self.wall, self.driven, self.clear = modules, wall, driven, clear
         self.now, self.process, self.instance = 0.0, 0, 0
-        self.tolerance = self.length = self.longest_transition = 0.0
+        self.tolerance = self.length = self.longest_transition = self.lead = self.rests = 0.0
         self.silent_after = math.inf
         self.sure = clear
         self.bias: tuple[float, ...] | None = None
@@ -211,6 +213,11 @@ class InterfaceAccount:
             self._still += max(self._still_until - self._still_from, 0.0)
             self._still_from, self._still_until = self.now, until
         self.note("still", until)
+
+    def sent_since(self, request: Request) -> float:
+        """Returns when a request may have been sent [s]: perhaps while the process stood still."""
+        stood = self._still_until - self._still_from > STOOD_STILL and request.at < self._still_until + SETTLES
+        return min(request.sent_at, self._still_from) if stood else request.sent_at
 
     def note(self, kind: str, at: float | None = None) -> None:
         """Records the time of an event [s]."""

@@ -116,7 +116,7 @@ def _too_long(a: InterfaceAccount, request: Request) -> bool:
 
 
 def _too_late_to_begin(a: InterfaceAccount, request: Request) -> bool:
-    return a.now - request.sent_at >= patience(request) - 0.5
+    return a.now - a.sent_since(request) >= patience(request) - 0.5
 
 
 def patience(request: Request) -> float:

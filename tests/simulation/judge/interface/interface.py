@@ -27,10 +27,12 @@ from tests.simulation.judge.interface.journal import Journal
 from tests.simulation.judge.interface.messages import body_of, well_formed
 from tests.simulation.judge.interface.modules import JudgedModules
 from tests.simulation.judge.interface.motion import Motion
+from tests.simulation.judge.interface.offers import Offers
 from tests.simulation.judge.interface.requests import Requests, cubes_of
 from tests.simulation.judge.interface.results import Results, unanswered
 from tests.simulation.judge.interface.searches import Searches
 from tests.simulation.judge.interface.states import States
+from tests.simulation.judge.interface.streams import Streams
 from tests.simulation.judge.interface.warnings import JudgedWarnings
 from tests.simulation.judge.verdict import require
 
@@ -55,7 +57,8 @@ class InterfaceJudge:
         self.requests, self.results = Requests(self.account), Results(self.account)
         self.states, self.motion = States(self.account), Motion(self.account)
         self.searches, self.journal = Searches(self.account), Journal(self.account)
-        self.warnings = JudgedWarnings(self.account)
+        self.offers = Offers(self.account)
+        self.warnings, self.streams = JudgedWarnings(self.account), Streams(self.account)
         self.diagnostics = JudgedDiagnostics(self.account, self.warnings)
         self.requests.barred = self.motion.bars
         self._asked: Program | None = None
@@ -75,6 +78,7 @@ class InterfaceJudge:
             self.searches.tick()
             self.journal.tick()
             self.diagnostics.tick()
+            self.streams.tick()
 
     def begins(self, process: int) -> None:
         """A process of the planner begins; 0: it has ended."""
@@ -87,6 +91,7 @@ class InterfaceJudge:
         self.searches.begin()
         self.journal.begin()
         self.diagnostics.begin()
+        self.streams.begin()
 
     def ends_in_order(self) -> None:
         """The process has ended in order: everybody has an answer."""
@@ -152,6 +157,7 @@ class InterfaceJudge:
             case "diagnostics":
                 self.diagnostics.tasks = self.searches.count()
                 self.diagnostics.diagnostics(payload)
+                self.streams.diagnostics(payload)
             case "feedback":
                 self.results.feedback(payload)
             case "result":
@@ -178,10 +184,12 @@ class InterfaceJudge:
         match message:
             case Program():
                 self._asked = message
+                self.offers.gets(message)
             case Replacement() if (ran := self._of(message.program)) is not None:
                 ran.replaced = True
             case Setpoint():
                 self.motion.follows(message)
+                self.streams.follows(message)
             case Acknowledge():
                 self.motion.acknowledges(message)
 

@@ -1,0 +1,144 @@
+"""Programs as the executor gets them: of which request, from where, among what, when, and until when."""
+
+from __future__ import annotations
+
+import math
+
+from controller.program import Program, Stage, unpack
+from tests.simulation.judge.interface.account import InterfaceAccount, Request
+from tests.simulation.judge.interface.grounds import patience, wanted
+from tests.simulation.judge.verdict import require
+
+EXACT = 1e-6  # [s]
+STANDS = 1.3  # [s]: what arrives so long after a standstill counts as sent before it
+MADE_WITHIN = 0.01  # [s] from the making of a program to the executor
+WAITS = 0.2  # [s] added to the travel times before the first stage
+
+
+class Offers:
+    """Judges programs.
+
+    Args:
+        account: of the planner's side.
+    """
+
+    def __init__(self, account: InterfaceAccount) -> None:
+        self._a = account
+
+    def gets(self, program: Program) -> None:
+        """The executor gets a program."""
+        a = self._a
+        kind, _, goal = program.name.partition(" ")
+        text = f"the program of {program.name}"
+        require(kind in ("goal", "jog"), f"{text} has another name")
+        mine = [r for r in a.requests if r.key == kind and r.at <= a.now and (r.goal == goal or r.goal is None)]
+        mine = [r for r in mine if r.original is None or r.doubtful]
+        require(mine, f"{text}, for which nobody asked")
+        self._judge_until(program, mine, text)
+        self._judge_start(program, text)
+        if kind == "jog":
+            self._judge_jog(program, mine, text)
+        else:
+            require(unpack(program.homed) == 0, f"{text} homes {program.homed.hex()}")
+            named = [r for r in mine if r.goal == goal]
+            if len(named) == 1:
+                self._judge_times(program, named[0], text)
+                self._judge_places(program, named[0], text)
+
+    def _judge_until(self, program: Program, mine: list[Request], text: str) -> None:
+        a = self._a
+        ends = [r.at + patience(r) for r in mine]
+        stood = a.had("still", a.now - 20.0) and any(program.until <= end + EXACT for end in ends)
+        known = any(abs(program.until - end) < EXACT for end in ends)
+        require(known or stood, f"{text} may begin until {program.until}, its request until {ends}")
+
+    def _judge_start(self, program: Program, text: str) -> None:
+        a = self._a
+        calm = a.clear() and not a.slow and not a.lately("still", 0.5)
+        snapshots = [h.snapshot for h in a.truths(0.02) if h.snapshot is not None]
+        if not calm or not snapshots:
+            return
+        require(any(program.start == s.outputs for s in snapshots), f"{text} starts from {program.start.hex()}")
+        epochs = {s.epoch for s in snapshots}
+        require(program.epoch in epochs or a.had("epoch", a.now - 0.2), f"{text} has epoch {program.epoch}: {epochs}")
+        among = {bool(cubes) for cubes in a.in_force()} | {program.strict for _ in range(a.had("cubes", a.now - 0.1))}
+        unknown = {False} if program.name.startswith("jog") and not self._sure(snapshots) else set[bool]()
+        require(program.strict in among | unknown, f"{text} is strict: {program.strict}; obstacles: {among}")
+        locked, start = unpack(snapshots[0].locked), unpack(program.start)
+        moved = [stage.states.hex() for stage in program.stages if (unpack(stage.states) ^ start) & locked]
+        require(not moved or len({s.locked for s in snapshots}) > 1, f"{text} switches locked actuators: {moved}")
+
+    def _sure(self, snapshots: list[object]) -> bool:
+        """Returns whether the planner knows the configuration of the arm."""
+        everything = (1 << len(self._a.modules.labels)) - 1
+        return all(
+            unpack(s.known) == everything and not unpack(s.homing) and unpack(s.measured) in self._a.modules.tips  # type: ignore[attr-defined]
+            for s in snapshots
+        )
+
+    def _judge_jog(self, program: Program, mine: list[Request], text: str) -> None:
+        labels = self._a.modules.labels
+        homed = unpack(program.homed)
+        masks = [
+            sum(1 << labels.index(label) for label in r.body["actuators"] if label in labels)
+            for r in mine
+            if isinstance(r.body.get("actuators"), dict)
+        ]
+        require(homed in masks, f"{text} homes {homed:b}, asked for are {masks}")
+        require(program.begin == 0.0, f"{text} begins at {program.begin}")
+        marks = [stage.mark for stage in program.stages]
+        require(marks == [-1] * (len(marks) - 1) + [0], f"{text} has the marks {marks}")
+
+    def _judge_times(self, program: Program, request: Request, text: str) -> None:
+        """Compares begin and waypoints with the times of the request; all are shifted by the time of the first stages."""
+        a, body = self._a, request.body
+        times = [float(waypoint.get("t", 0.0)) for waypoint in body["waypoints"]]
+        stamp = float(body.get("stamp") or 0.0)
+        settled = [(stage.mark, stage.settled) for stage in program.stages if stage.mark >= 0]
+        lined = bool(body.get("path_tolerance"))
+        require(lined or all(mark < len(times) for mark, _ in settled), f"{text} has the marks {settled}, of {times}")
+        if stamp:
+            begin = stamp - (a.wall() - a.now)
+            require(abs(program.begin - begin) < EXACT or a.had("clock", a.now - 5.0), f"{text} begins at {begin}")
+        else:
+            require(program.begin == 0.0, f"{text} begins at {program.begin}")
+        if lined or not settled:
+            return
+        delays = [at - times[mark] for mark, at in settled]
+        require(max(delays) - min(delays) < EXACT, f"{text} shifts its waypoints by {delays}")
+        require(-EXACT <= delays[0] and (not stamp or delays[0] < EXACT), f"{text} comes {delays[0]:g} s later")
+        count = next(k for k, stage in enumerate(program.stages) if stage.mark >= 0) + 1
+        most = max(count * (a.lead + EXACT) + self._rest() - times[0], 0.0)
+        least = 0.0 if stamp else max(count * a.lead - times[0], 0.0)
+        require(least - EXACT <= delays[0] <= most + EXACT, f"{text} is {delays[0]:g} s late; {least:g} to {most:g}")
+        self._judge_stages(program.stages, text)
+
+    def _rest(self) -> float:
+        """Returns how long actuators may have to travel and to rest before the first stage [s]."""
+        return self._a.rests + WAITS
+
+    def _judge_stages(self, stages: tuple[Stage, ...], text: str) -> None:
+        """Stages before a waypoint begin one lead apart, the last one a lead before the waypoint, none before another."""
+        lead, ends, group = self._a.lead, -1e12, list[Stage]()
+        for stage in stages:
+            group.append(stage)
+            if stage.mark < 0:
+                continue
+            for j, other in enumerate(group):
+                at = max(stage.settled - lead * (len(group) - j), ends)
+                require(abs(other.at - at) < EXACT, f"{text} begins a stage at {other.at:g}, not {at:g}")
+            ends, group = group[-1].at, []
+
+    def _judge_places(self, program: Program, request: Request, text: str) -> None:
+        """Each waypoint is a configuration that serves it, unless the search erred."""
+        a = self._a
+        if a.had("search errs", a.now - 10.0) or a.building:
+            return
+        known_bias, stages = a.bias, program.stages
+        sets = wanted(a, request) if not request.body.get("path_tolerance") else []
+        locked = 0 if a.snapshot is None else unpack(a.snapshot.locked)
+        held = 0 if a.snapshot is None else unpack(a.snapshot.measured) & locked
+        for stage in stages:
+            if 0 <= stage.mark < len(sets) and not (known_bias and math.hypot(*known_bias)):
+                code = unpack(stage.states) & ~locked | held
+                require(code in sets[stage.mark], f"{text} brings the arm to {code:b} at waypoint {stage.mark}")
