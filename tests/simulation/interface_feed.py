@@ -36,7 +36,7 @@ def interface_judge(
         modules = JudgedModules(facts, manipulator.base, executed.actuators, daemon.weights, most)
         made = InterfaceJudge(modules, daemon.wall, lambda: judge.ground.states, lambda: account.clear)
         of = made.account
-        of.tolerance, of.length = arm.tolerance, modules.farthest
+        of.tolerance, of.angle_tolerance, of.length = arm.tolerance, arm.angle_tolerance, modules.farthest
         longest = max(max(travel) for travel in judge.arm.travel) + max(judge.arm.margin) + executed.rest
         of.longest_transition = 2 * len(executed.actuators) * (longest + 0.1)
         of.lead, of.rests = daemon.pace.lead, arm.travel_time + executed.rest

@@ -43,6 +43,7 @@ DAEMON_KINDS = {
         "clients read slowly": 0.5,
         "planner stands still": 0.15,
         "network is lost": 0.4,
+        "searches err": 0.8,
     },
 }
 
@@ -200,6 +201,9 @@ class Trouble:
                 self._later(3.0, daemon.mend)
             case "planner stands still":
                 daemon.stall(random.choice([5.0, 12.0, LONGEST_STANDSTILL]))
+            case "searches err":
+                daemon.search.errs = True
+                self._later(4.0, lambda: setattr(daemon.search, "errs", False))
             case "network is lost":
                 daemon.lose_network(True)
                 self._later(3.0, lambda: daemon.lose_network(False))

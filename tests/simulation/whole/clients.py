@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from random import Random
 from typing import TYPE_CHECKING, Any
 
@@ -129,7 +130,8 @@ class Clients:
             case "plan":
                 self.ask("plan", self.goal())
             case "jog":
-                self.ask("jog", {"actuators": self._some_states()})
+                wait = {"begin_within": random.choice([0.2, 3.0])} if random.random() < 0.2 else {}
+                self.ask("jog", {"actuators": self._some_states(), **wait})
                 self._crowd_in(1)
             case "cancel" | "stop" | "reset" | "arm":
                 payload = b'{"with": ["running"]}' if act == "arm" else b"{}"
@@ -198,17 +200,49 @@ class Clients:
                 waypoints[-1] = {"configuration": row, "t": time}
             time += pace.shortest * random.choice([1.0, 2.0, 4.0, len(self._labels)])
         message: dict[str, Any] = {"waypoints": waypoints}
-        if random.random() < 0.9:
+        if random.random() < 0.12:
+            self._follow_lines(message)
+        elif random.random() < 0.25:
+            self._turn(message)
+        if random.random() < 0.9 or "path_tolerance" in message:
             message["id"] = f"g{self._numbers}"
         if random.random() < 0.15:
             message["stamp"] = self._daemon.wall() + random.uniform(-0.5, 1.0)
         if random.random() < 0.5:
-            message["tolerance"] = {"position": random.choice([0.05, 0.3, 1.0])}
+            chosen = {"position": random.choice([0.05, 0.3, 1.0])}
+            message["tolerance"] = {**message.get("tolerance", {}), **chosen}
         if random.random() < 0.1:
             message["deadline"] = random.choice([0.1, 1.0, 5.0])
         if HAS_BEGIN_WITHIN and random.random() < 0.2:
             message["begin_within"] = random.choice([0.2, 1.0, 5.0])
         return message
+
+    def _turn(self, message: dict[str, Any]) -> None:
+        """Asks for orientations at some positions: mostly those of configurations."""
+        random, space = self._random, self._daemon.space
+        for waypoint in message["waypoints"]:
+            if "position" in waypoint and random.random() < 0.6:
+                k = random.choice(self._free() or range(len(space.tips)))
+                waypoint["position"] = [float(x) for x in space.tips[k]]
+                waypoint["orientation"] = float(space.angles[k]) + random.choice([0.0, 0.0, 0.02, 2 * math.pi])
+        message["tolerance"] = {"orientation": random.choice([0.05, 0.5, 4.0])}
+
+    def _follow_lines(self, message: dict[str, Any]) -> None:
+        """Asks for straight lines between positions, mostly slow enough."""
+        random, waypoints = self._random, message["waypoints"]
+        tolerance, time = random.choice([0.4, 1.0]), 0.0
+        for k, waypoint in enumerate(waypoints):
+            if random.random() < 0.95:
+                waypoint.pop("configuration", None)
+                waypoint.setdefault("position", self.position())
+            if k and "position" in waypoint and "position" in waypoints[k - 1]:
+                length = math.dist(waypoint["position"], waypoints[k - 1]["position"])
+                parts = math.ceil(length / (tolerance / 2)) + 1
+                time += self._daemon.pace.shortest * parts * random.choice([1.0, 1.0, 2.0, 0.3])
+            elif k:
+                time += self._daemon.pace.shortest
+            waypoint["t"] = time
+        message["path_tolerance"] = tolerance
 
     def simple_goal(self) -> dict[str, Any]:
         """Returns a goal that the arm can reach with its locked actuators."""

@@ -100,6 +100,7 @@ class Daemon:
         self.network = self.connection = Network(executed.name, agenda, drawn("network"), executor)
         self.storage, self.mood = Storage(len(executed.actuators)), Mood()
         self.search = ExactSearch(arm, self.space, drawn("search"))
+        self.search.erred = self._search_errs
         self.state: Payload | None = None
         self.results: dict[str, Payload] = {}
         self.snapshot: Snapshot | None = None
@@ -303,6 +304,10 @@ class Daemon:
         if self.process is not None:
             self.process.quit()
 
+    def _search_errs(self) -> None:
+        self.judge.at(self.agenda.now)
+        self.judge.account.note("search errs")
+
     def lose_network(self, lost: bool) -> None:
         """Loses the connections to all peers, or brings them back."""
         self.zenoh.lost = lost
@@ -334,6 +339,7 @@ class Daemon:
     def mend(self) -> None:
         """Ends all faults; a halt continues to its end."""
         self.mood.mend()
+        self.search.errs = False
         self.hold_up()
         self.lose_network(False)
         self.storage.full, self.storage.fills_at = False, None

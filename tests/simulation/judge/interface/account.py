@@ -85,6 +85,7 @@ class Ran:
         told_awake: awake time of the publication of its result [s].
         planned: switches that its answer told.
         replaced: whether the planner has sent other stages.
+        places: mark of each waypoint, if straight lines are followed.
         deviations: of the transitions to its points, as a worker has told; None: not known.
         switches: switched by SYNC.
         request: to which it belongs, as soon as that is answered.
@@ -120,6 +121,17 @@ class Ran:
     planned: int | None = None
     replaced: bool = False
     deviations: tuple[float | None, ...] = ()
+    places: dict[int, int] = field(default_factory=dict)
+
+    def mark(self, waypoint: int) -> int:
+        """Returns the mark of a waypoint: points between waypoints have marks, too, if straight lines are followed."""
+        return self.places.get(waypoint, waypoint)
+
+    def waypoint(self, mark: int) -> int:
+        """Returns the last waypoint at or before a mark; -1 before the first."""
+        if not self.places:
+            return mark
+        return max((k for k, place in self.places.items() if place <= mark), default=-1)
 
     @property
     def key(self) -> tuple[int, int]:
@@ -168,7 +180,7 @@ class InterfaceAccount:
     ) -> None:
         self.modules, self.wall, self.driven, self.clear = modules, wall, driven, clear
         self.now, self.process, self.instance = 0.0, 0, 0
-        self.tolerance = self.length = self.longest_transition = self.lead = self.rests = 0.0
+        self.tolerance = self.angle_tolerance = self.length = self.longest_transition = self.lead = self.rests = 0.0
         self.silent_after = math.inf
         self.sure = clear
         self.bias: tuple[float, ...] | None = None
@@ -213,6 +225,11 @@ class InterfaceAccount:
             self._still += max(self._still_until - self._still_from, 0.0)
             self._still_from, self._still_until = self.now, until
         self.note("still", until)
+
+    def turned(self, request: Request, waypoint: Payload) -> float | None:
+        """Returns the orientation that a waypoint asks for; None: any serves, also if the tolerance is half a turn."""
+        angle = float((request.body.get("tolerance") or {}).get("orientation") or self.angle_tolerance)
+        return None if angle >= math.pi else waypoint.get("orientation")
 
     def sent_since(self, request: Request) -> float:
         """Returns when a request may have been sent [s]: perhaps while the process stood still."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from controller.program import Snapshot, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount, Request
+from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Request
 from tests.simulation.judge.interface.messages import well_formed
 
 EPOCH_IN_FLIGHT = 0.1  # [s] from a new epoch of the executor to the planner, which may still be reading
@@ -160,6 +160,27 @@ def _running(a: InterfaceAccount, request: Request) -> bool:
 # --- what is asked for
 
 
+def lined(request: Request) -> bool:
+    """Returns whether the tip shall follow straight lines."""
+    return bool(request.body.get("path_tolerance"))
+
+
+def _too_fast(a: InterfaceAccount, request: Request) -> bool:
+    """A line is divided into parts of half a tolerance at most, each of which takes a transition."""
+    waypoints, tolerance = request.body["waypoints"], float(request.body.get("path_tolerance") or math.inf)
+    pairs = zip(waypoints, waypoints[1:], strict=False)
+    return any(
+        second["t"] - first["t"]
+        < a.longest_transition * (2 * math.dist(first["position"], second["position"]) / tolerance + 1)
+        for first, second in pairs
+    )
+
+
+def _line_with_pose(a: InterfaceAccount, request: Request) -> bool:
+    posed = any("configuration" in w or "orientation" in w for w in request.body["waypoints"])
+    return lined(request) and posed
+
+
 def _malformed(a: InterfaceAccount, request: Request) -> bool:
     return not well_formed(request, a.modules)
 
@@ -187,18 +208,26 @@ def _times(a: InterfaceAccount, request: Request) -> bool:
 
 def wanted(a: InterfaceAccount, request: Request) -> list[set[int]]:
     """Returns the codes that serve each waypoint."""
-    tolerance = float((request.body.get("tolerance") or {}).get("position") or a.tolerance)
-    return [
-        {a.modules.codes[w["configuration"]]}
-        if "configuration" in w
-        else a.modules.near(tuple(x - b for x, b in zip(w["position"], a.bias or (0.0, 0.0), strict=True)), tolerance)
-        for w in request.body["waypoints"]
-    ]
+    asked, most = request.body.get("tolerance") or {}, float(request.body.get("path_tolerance") or math.inf)
+    tolerance = min(float(asked.get("position") or a.tolerance), most)
+    angle = float(asked.get("orientation") or a.angle_tolerance)
+
+    def serving(waypoint: Payload) -> set[int]:
+        if "configuration" in waypoint:
+            return {a.modules.codes[waypoint["configuration"]]}
+        bias = a.bias or (0.0, 0.0)
+        near = a.modules.near(tuple(x - b for x, b in zip(waypoint["position"], bias, strict=True)), tolerance)
+        turned = a.turned(request, waypoint)
+        return near if turned is None else near & a.modules.turned(turned, angle)
+
+    return [serving(waypoint) for waypoint in request.body["waypoints"]]
 
 
 def _out_of_reach(a: InterfaceAccount, request: Request) -> bool:
     """No configuration with the present locks is within the tolerance of a waypoint."""
     sets = wanted(a, request)
+    if lined(request):
+        return True  # the points between the waypoints are not known
 
     def none(snapshot: Snapshot) -> bool:
         return a.modules.unreachable(sets, unpack(snapshot.measured), unpack(snapshot.locked))
@@ -319,6 +348,8 @@ GROUNDS: dict[str, Callable[[InterfaceAccount, Request], bool]] = {
     "module-without-state": _without_state,
     "unknown-goal": _unknown_goal,
     "not-named": _not_named,
+    "line-with-pose": _line_with_pose,
+    "line-too-fast": _too_fast,
     "plan-canceled": _plan_canceled,
     "not-simulated": lambda a, request: request.key == "fault",
     "interlock-open": _interlock,

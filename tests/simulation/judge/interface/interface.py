@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 
 import msgspec
 
@@ -18,11 +19,13 @@ from controller.program import (
     Setpoint,
     Settled,
     Snapshot,
+    Stage,
     Welcome,
     unpack,
 )
 from tests.simulation.judge.interface.account import InterfaceAccount, Ran, Request
 from tests.simulation.judge.interface.diagnostics import JudgedDiagnostics
+from tests.simulation.judge.interface.grounds import lined
 from tests.simulation.judge.interface.journal import Journal
 from tests.simulation.judge.interface.messages import body_of, well_formed
 from tests.simulation.judge.interface.modules import JudgedModules
@@ -187,6 +190,8 @@ class InterfaceJudge:
                 self.offers.gets(message)
             case Replacement() if (ran := self._of(message.program)) is not None:
                 ran.replaced = True
+                if ran.places and ran.request is not None:
+                    ran.places |= places_of((*ran.program.stages[:1], *message.stages), ran.request)
             case Setpoint():
                 self.motion.follows(message)
                 self.streams.follows(message)
@@ -220,6 +225,9 @@ class InterfaceJudge:
         cubes = tuple(sorted({*a.cubes, *a.known_cubes(None)}))
         ran = Ran(a.instance, a.process, program, goal, kind == "jog", a.now, a.awake, states, locked, cubes, exact)
         a.programs[ran.key] = self._running = ran
+        asked = next((r for r in reversed(a.requests) if r.key == "goal" and r.goal == goal), None)
+        if asked is not None and lined(asked):
+            ran.places = places_of(program.stages, asked)
         self.requests.accepted(ran)
         ran.accepted_awake = a.awake
         ran.marks = [stage.mark for stage in program.stages]
@@ -300,6 +308,14 @@ class InterfaceJudge:
         """A worker has built a scene, or has failed."""
         self.account.scenes -= 1
         self.account.note("cubes" if right else "task failed")
+
+
+def places_of(stages: Sequence[Stage], request: Request) -> dict[int, int]:
+    """Returns the mark of each waypoint, found by the times of the stages; the first point is the first waypoint."""
+    settled = {stage.mark: stage.settled for stage in stages if stage.mark >= 0}
+    times = [float(waypoint.get("t", 0.0)) for waypoint in request.body["waypoints"]]
+    delay = settled.get(0, math.nan) - times[0]
+    return {k: mark for k, t in enumerate(times) for mark, at in settled.items() if abs(at - delay - t) < 1e-6}
 
 
 __all__ = ["InterfaceJudge", "cubes_of"]

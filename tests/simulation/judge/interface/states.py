@@ -6,7 +6,7 @@ import math
 
 from controller.program import Snapshot, unpack
 from tests.simulation.judge.interface.account import DELAY, Heard, InterfaceAccount, Payload, Ran
-from tests.simulation.judge.interface.modules import Cube
+from tests.simulation.judge.interface.modules import Cube, turn
 from tests.simulation.judge.interface.words import Words
 from tests.simulation.judge.verdict import require
 
@@ -180,14 +180,25 @@ class States:
         marks = [mark for mark, awake in ran.begun_marks if awake < a.awake - DELAY]
         least = max(marks, default=-1)
         most = max((mark for mark, _ in ran.begun_marks), default=-1)
+        least, most = ran.waypoint(least), ran.waypoint(most)
         told = -1 if waypoint is None else waypoint
         require(least <= told <= most, f"state of {ran.goal} tells waypoint {waypoint}; {least} to {most} has begun")
         if ran.request is None:
             return
         asked = ran.request.body["waypoints"][max(told, 0)]
         place = asked.get("position") or a.modules.tips[a.modules.codes[asked["configuration"]]].position
+        if ran.places:
+            waypoints = ran.request.body["waypoints"]
+            after = waypoints[min(max(told, 0) + 1, len(waypoints) - 1)]["position"]
+            detour = math.dist(target["position"], place) + math.dist(target["position"], after)
+            require(detour - math.dist(place, after) < 1e-6, f"state tells the target {target}, not from {asked}")
+            return
         apart = math.dist(target["position"], place)
         require(apart < 1e-6, f"state tells the target {target} of waypoint {waypoint}; it is {asked}")
+        wanted, turned = a.turned(ran.request, asked), target["orientation"]
+        require((turned is None) == (wanted is None), f"state tells the target {target}; it is {asked}")
+        fits = turned is None or wanted is None or abs(turn(turned, wanted)) < 1e-6
+        require(fits, f"state tells the target {target}; it is {asked}")
 
     # --- time
 

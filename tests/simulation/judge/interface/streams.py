@@ -17,7 +17,6 @@ OLDEST, AHEAD = 0.2, 0.02  # [s], age and lead of a set-point
 TIP_OLDEST = 1.0  # [s], age of a measured tip
 TOLD_WITHIN = 0.1  # [s], awake, from a count to its publication
 SENT_WITHIN = 0.1  # [s], awake, longest time between two commands for an open stream
-LEAST_APART = 0.004  # [s] between two commands
 DWELLED = 1.0  # [s] for which a target must stand still until the arm is there
 ENDING = ("goal", "jog", "stop", "cancel", "reset", "degrade")
 
@@ -136,8 +135,6 @@ class Streams:
             strict = {bool(cubes) for cubes in a.in_force()} | ({True} if a.scene_building else set())
             lately = a.had("cubes", a.now - 0.1)
             require(message.strict in strict or lately, f"{text}; there are obstacles: {strict}")
-            apart = awake - self._sent_at
-            require(apart >= LEAST_APART or lately, f"{text} comes {apart:g} s after the last one")
         self._sent_at = awake
 
     # --- measured tips
