@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 Payload = dict[str, Any]
 OWED_WITHIN = 12.0  # [s]: results of an earlier process wait until clients have reconnected
 MOST_TRIES = 6  # goals, until one is accepted; some cannot be reached
+TRIED_AGAIN = 0.3  # [s]: what arrives within a second after a standstill may be refused as too late
 MOST_PROGRAMS = 30  # programs, one each 0.1 s, until one is accepted: the last switch may still be read back
 RESTARTED_WITHIN = 10.0  # [s] until a planner or an executor that was killed has started again
 HUNG_WITHIN = 200.0  # [s] until a planner with a hung worker has started again
@@ -48,6 +49,7 @@ def run_a_goal(world: World, daemon: Daemon) -> None:
         answer = send_goal(world, daemon)
         if answer is not None and answer["accepted"]:
             break
+        world.pass_time(TRIED_AGAIN)
     else:
         raise Violation(f"no goal was accepted after all trouble: {answer}")
     name = answer["id"]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 ACTS = {
     **{"goal": 40, "jog": 8, "plan": 4, "cancel": 3, "cancel goal": 4, "stop": 1.5, "reset": 3, "degrade": 3},
     **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 4, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
+    **{"poses": 2.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
     **{"burst": 4, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 0.3},
 }
 BURSTS = (
@@ -37,6 +38,15 @@ BURSTS = (
     ("obstacles", "goal", "obstacles"),
 )
 NAMES = {"stop": ("hyperbit/*/stop", "**/hyperbit/*/stop"), "cancel": ("hyperbit/*/cancel",), "arm": ("hyperbit/**",)}
+DESCRIPTIONS = (
+    b'{"with": ["running"]}',
+    b'{"with": ["running"]}',
+    b"",
+    b'{"with": ["drawing"]}',
+    b"\xff",
+    b'{"with": "x"}',
+)
+POSES = ("pick", "place", "a b", "P1")
 CLIENTS = 4  # the last one attaches the same bytes to each of its requests
 AWAY = 2.0  # [s], longest time for which a client is away
 HAS_BEGIN_WITHIN = "begin_within" in GoalMessage.__struct_fields__
@@ -76,6 +86,8 @@ class Clients:
         name = f"{self._prefix}/{key}"
         if not self.calm and key in NAMES and self._random.random() < 0.1:
             name = self._random.choice(NAMES[key])
+        elif not self.calm and self._random.random() < 0.02:
+            name = f"hyperbit/*/{key}"
         sent = self._daemon.zenoh.send(self._client, name, data, self._attachment(key), query)
         self._sent = [*self._sent[-9:], sent]
         return sent
@@ -133,9 +145,25 @@ class Clients:
                 wait = {"begin_within": random.choice([0.2, 3.0])} if random.random() < 0.2 else {}
                 self.ask("jog", {"actuators": self._some_states(), **wait})
                 self._crowd_in(1)
-            case "cancel" | "stop" | "reset" | "arm":
-                payload = b'{"with": ["running"]}' if act == "arm" else b"{}"
-                self.ask(act, payload, query=act == "arm" or random.random() < 0.9)
+            case "cancel" | "stop" | "reset":
+                self.ask(act, query=random.random() < 0.9)
+            case "arm":
+                self.ask("arm", random.choice(DESCRIPTIONS))
+            case "poses":
+                self.ask("poses", self._pose(), query=random.random() < 0.9)
+            case "flood":
+                key, data = random.choice([("goal", b"\xff"), ("goal", b"[1]"), ("obstacles", b"{}"), ("jog", b"")])
+                query = random.random() < 0.5
+                for _ in range(random.choice([30, 100])):
+                    self.ask(key, data, query=query)
+            case "crowd":
+                for k in range(random.choice([5, 20])):
+                    self._daemon.zenoh.send(
+                        self._client, f"{self._prefix}/setpoint", self._setpoint(), b"crowd%d" % k, query=False
+                    )
+            case "many arms":
+                for _ in range(130):
+                    self.ask("arm", b"")
             case "result":
                 self.ask("result", {"id": f"g{max(self._numbers - random.choice([0, 1, 2, 5]), 0)}"})
             case "cancel goal":
@@ -304,6 +332,18 @@ class Clients:
             self._agenda.after(period, step)
 
         step()
+
+    def _setpoint(self) -> bytes:
+        return json.dumps({"position": self.position()}).encode()
+
+    def _pose(self) -> dict[str, Any]:
+        """Returns a request on poses; a few are malformed."""
+        random = self._random
+        name = random.choice([*POSES, "home"]) if random.random() < 0.9 else random.choice(["", " a", "x" * 41, "a/b"])
+        goal = {key: value for key, value in self.simple_goal().items() if key != "id"}
+        goal |= random.choice([{}] * 8 + [{"id": "p"}, {"stamp": 5.0}, {"waypoints": []}])
+        message = random.choice([{"save": name, "goal": goal}] * 4 + [{"remove": name}] * 4)
+        return message if random.random() < 0.9 else random.choice([{"save": name}, {"goal": goal}, {}, {"remove": 5}])
 
     def _measure(self) -> None:
         code = -1 if self._daemon.snapshot is None else unpack(self._daemon.snapshot.measured)

@@ -41,6 +41,7 @@ from tests.simulation.whole.configurations import Configurations
 from tests.simulation.whole.exact_search import ExactSearch
 from tests.simulation.whole.planner_process import UNIX, PlannerProcess
 from tests.simulation.whole.planner_storage import Storage
+from tests.simulation.whole.saved_poses import SavedPoses
 from tests.simulation.whole.searcher import Mood
 from tests.simulation.whole.tasks_seen import seen
 from tests.simulation.whole.zenoh_model import Sent, ZenohModel
@@ -58,6 +59,7 @@ class Daemon:
         connection: its connections to the executor.
         zenoh: the network between clients and process.
         judge: judges what clients see.
+        saved: the saved poses, which survive the processes.
         storage: what survives the processes.
         mood: of its workers.
         state: the last payload of `state`; None without a process.
@@ -111,6 +113,8 @@ class Daemon:
         self.awake_since, self.slow, self.congestion, self._offset = 0.0, 0.0, 0.0, UNIX
         self.judge = judge(self)
         self.zenoh = ZenohModel(agenda, drawn("zenoh"), self, lambda: self.awake_since)
+        self.saved = SavedPoses(drawn("poses"), self.judge.gateway)
+        self.judge.gateway.recorded = self.zenoh.matching.matching
         self.clients = Clients(self, drawn("clients"))
         self.process: PlannerProcess | None = None
         self._processes = 0
@@ -317,6 +321,7 @@ class Daemon:
     def fill_disk(self, records: int) -> None:
         """Makes the disk full after some further records."""
         self.storage.fills_at = records
+        self.saved.fill(True)
         self.judge.account.note("disk", self.agenda.now + 4.0)
         self.judge.account.disk_failed = True
 
@@ -343,6 +348,7 @@ class Daemon:
         self.hold_up()
         self.lose_network(False)
         self.storage.full, self.storage.fills_at = False, None
+        self.saved.fill(False)
         if self.process is not None:
             self.process._actions_left = None
             self.process.ledger.flush()

@@ -15,6 +15,7 @@ from tests.simulation.judge.verdict import require
 Payload = dict[str, Any]
 DELAY = 0.1  # [s], awake, from an event of the world to a `state` that tells it: 20 states a second, and the outbox
 TAKEN_WITHIN = 0.01  # [s], awake, from the arrival of a request to the core
+LEASE, RECONNECTED = 4.0, 5.0  # [s] of the simulated session; after a standstill, for clients to reconnect
 STOOD_STILL, SETTLES = 0.9, 1.2  # [s] of a standstill, and after it, in which what was sent before may arrive
 BIAS_WITHIN = 2e-4  # from the tracker's offset
 
@@ -50,6 +51,7 @@ class Request:
     doubtful: bool = False  # whether it may count as a repetition or as new
     cubes: tuple[Cube, ...] = ()  # of obstacles
     shown: int = 0  # number of obstacles in the state before
+    expected: str = ""  # reason of the refusal of a request on poses; "": it is carried out
 
     @property
     def accepted(self) -> bool:
@@ -226,6 +228,19 @@ class InterfaceAccount:
             self._still_from, self._still_until = self.now, until
         self.note("still", until)
 
+    @property
+    def reconnecting(self) -> bool:
+        """Whether clients may not have reconnected after a standstill: results wait, and what follows them."""
+        return (
+            self._still_until - self._still_from > LEASE / 2 - 0.3 and self.now < self._still_until + RECONNECTED + 2.0
+        )
+
+    @property
+    def unreached(self) -> bool:
+        """Whether clients surely have not had the time to reconnect after a standstill."""
+        stood = self._still_until - self._still_from
+        return stood > LEASE / 2 + 0.3 and self._still_until < self.now < self._still_until + RECONNECTED - 0.3
+
     def turned(self, request: Request, waypoint: Payload) -> float | None:
         """Returns the orientation that a waypoint asks for; None: any serves, also if the tolerance is half a turn."""
         angle = float((request.body.get("tolerance") or {}).get("orientation") or self.angle_tolerance)
@@ -319,7 +334,8 @@ class InterfaceAccount:
         """Returns the requests whose obstacles may be in force now; None: those that were confirmed last."""
         found = list[Request | None]()
         for request in reversed(self.requests):
-            if request.key != "obstacles" or not isinstance(request.body.get("regions"), list):
+            regions = request.body.get("regions")
+            if request.key != "obstacles" or "*" in request.name or not isinstance(regions, list):
                 continue
             if request.answer is not None and not request.accepted:
                 if request.answer.get("reason") == "obstacles-not-checked":

@@ -58,7 +58,9 @@ class JudgedDiagnostics:
         planning = queues["planning"]
         require(least <= planning <= len(waiting), f"diagnostics {queues}, {least} to {len(waiting)} requests wait")
         least, most = self.tasks
-        require(stood or least <= queues["inbox"] <= most, f"diagnostics {queues}; workers have {least} to {most} tasks")
+        require(
+            stood or least <= queues["inbox"] <= most, f"diagnostics {queues}; workers have {least} to {most} tasks"
+        )
         require(queues["outbox"] >= 0, f"diagnostics {queues}")
 
     def _latest(self) -> list[Diagnostics | None]:

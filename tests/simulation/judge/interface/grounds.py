@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 
 from controller.program import Snapshot, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Request
@@ -168,7 +169,7 @@ def lined(request: Request) -> bool:
 def _too_fast(a: InterfaceAccount, request: Request) -> bool:
     """A line is divided into parts of half a tolerance at most, each of which takes a transition."""
     waypoints, tolerance = request.body["waypoints"], float(request.body.get("path_tolerance") or math.inf)
-    pairs = zip(waypoints, waypoints[1:], strict=False)
+    pairs = pairwise(waypoints)
     return any(
         second["t"] - first["t"]
         < a.longest_transition * (2 * math.dist(first["position"], second["position"]) / tolerance + 1)

@@ -25,6 +25,7 @@ from controller.program import (
 )
 from tests.simulation.judge.interface.account import InterfaceAccount, Ran, Request
 from tests.simulation.judge.interface.diagnostics import JudgedDiagnostics
+from tests.simulation.judge.interface.gateway import Gateway
 from tests.simulation.judge.interface.grounds import lined
 from tests.simulation.judge.interface.journal import Journal
 from tests.simulation.judge.interface.messages import body_of, well_formed
@@ -60,7 +61,7 @@ class InterfaceJudge:
         self.requests, self.results = Requests(self.account), Results(self.account)
         self.states, self.motion = States(self.account), Motion(self.account)
         self.searches, self.journal = Searches(self.account), Journal(self.account)
-        self.offers = Offers(self.account)
+        self.offers, self.gateway = Offers(self.account), Gateway(self.account)
         self.warnings, self.streams = JudgedWarnings(self.account), Streams(self.account)
         self.diagnostics = JudgedDiagnostics(self.account, self.warnings)
         self.requests.barred = self.motion.bars
@@ -82,6 +83,7 @@ class InterfaceJudge:
             self.journal.tick()
             self.diagnostics.tick()
             self.streams.tick()
+            self.gateway.tick()
 
     def begins(self, process: int) -> None:
         """A process of the planner begins; 0: it has ended."""
@@ -95,6 +97,7 @@ class InterfaceJudge:
         self.journal.begin()
         self.diagnostics.begin()
         self.streams.begin()
+        self.gateway.begin()
 
     def ends_in_order(self) -> None:
         """The process has ended in order: everybody has an answer."""
@@ -126,6 +129,7 @@ class InterfaceJudge:
                 request.cubes, request.shown = cubes_of(request), a.shown_obstacles
             if key == "reset":
                 self.motion.resets()
+            self.gateway.arrives(request)
             self.requests.arrives(request)
         return request
 
@@ -140,12 +144,15 @@ class InterfaceJudge:
         if standing and not a.building and 0.0 <= age < 0.1 and not a.had("clock", a.now - 10.0):
             a.note("good tip")
             a.good_tip_at = a.now
-    
+
     def replies(self, request: object, data: bytes) -> None:
         """A reply leaves the process."""
         assert isinstance(request, Request)
         answer = msgspec.json.decode(data)
         self.requests.answers(request, answer)
+        self.gateway.answers(request, answer)
+        if request.key == "arm" and "accepted" not in answer:
+            self.gateway.description(request, answer)
         if request.key in ("goal", "jog") and answer["accepted"] is False and request.original is None:
             self.journal.refused(answer)
 
@@ -157,6 +164,9 @@ class InterfaceJudge:
                 self.states.state(payload)
                 self.warnings.state(payload)
                 self.journal.state(payload)
+                self.gateway.state(payload)
+            case "@request":
+                self.gateway.note(payload)
             case "diagnostics":
                 self.diagnostics.tasks = self.searches.count()
                 self.diagnostics.diagnostics(payload)

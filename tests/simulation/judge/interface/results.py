@@ -111,6 +111,8 @@ class Results:
             require(all(fields[name] == value for name, value in first.items()), f"{text} differs from {first}")
             return
         require(not payload.get("repeated") or a.had("planner ended", ran.at), f"{text}, for the first time")
+        unreached = a.unreached and not a.quits and ran.heard_at < a.now
+        require(not unreached, f"{text} is published before clients have reconnected")
         ran.results.append(payload)
         ran.told_awake = a.awake
         ended = ran.ended if ran.heard_at <= a.now and payload["status"] != "lost" else None
@@ -143,7 +145,8 @@ class Results:
         a = self._a
         puts = [r for r in a.requests if not r.query and r.answer is None]
         if payload["id"] is None:
-            puts = [r for r in puts if r.key not in ("goal", "jog") or not well_formed(r, a.modules)]
+            motions = ("goal", "jog")
+            puts = [r for r in puts if r.key not in motions or "*" in r.name or not well_formed(r, a.modules)]
         else:
             named = [r for r in puts if r.key == "goal" and r.goal == payload["id"]]
             puts = named or [r for r in puts if r.key in ("goal", "jog") and r.goal is None]
@@ -266,7 +269,12 @@ class Results:
                 continue
             waited = a.awake - ran.heard_awake
             longest = TOLD_WITHIN + RECONNECTS_WITHIN * a.had("still", a.now - 2 * RECONNECTS_WITHIN)
-            late = waited > longest and not a.had("slow search", a.now - 10.0) and not a.had("disk", a.now - 5.0)
+            late = (
+                waited > longest
+                and not a.reconnecting
+                and not a.had("slow search", a.now - 10.0)
+                and not a.had("disk", a.now - 5.0)
+            )
             require(not late, f"goal {ran.goal} has ended, and has no result after {waited:g} s")
 
 

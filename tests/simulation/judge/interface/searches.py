@@ -15,11 +15,9 @@ AT_ONCE = 0.005  # [s], awake, from what makes a search possible to its begin, i
 READ_WITHIN, HELD_UP = 0.003, 0.5  # [s], awake, from the arrival of a snapshot to the core, also if rounds are slow
 STALE = 0.03  # [s], awake, for which a search from elsewhere, or of a goal that is answered, may go on
 HURRIED = 0.03  # [s], awake, from a second goal to the word that the search of the first one must end
-IDLE, PREPARED = 0.02, 0.15  # [s] without requests before the next search is prepared, and until it surely is
+WAITED = 0.2  # [s], awake, after which a goal without an answer surely waits
 REHEARSED = 2.0  # [s] after a goal, in which it is planned again without effect
-REHEARSED_EVERY = 0.3  # [s], awake, longest time between two of these
 MOST_PREPARED = 60  # in a second
-GOAL_LANE = ("goal", "prepare", "improve")
 
 
 @dataclass(eq=False)
@@ -176,7 +174,9 @@ class Searches:
         """The next search is prepared only while no request waits; a goal is rehearsed only soon after it."""
         a, goal = self._a, search.goal
         require(self.prepares, f"{text} is of no use for this method")
-        late = [r for r in a.requests if self._waits(r) and a.awake - r.awake > STALE]
+        searched = [o for o in self._running.values() if o.kind == "goal" and not o.abandoned]
+        require(not searched, f"{text} is prepared during {searched}")
+        late = [r for r in a.requests if self._waits(r) and a.awake - r.awake > WAITED]
         free = not a.had("still", a.now - 1.0) and not a.congested and not a.lately("congested", 0.5)
         require(not late or not free, f"{text} is prepared while {late[:1]} waits")
         second = int(a.now)

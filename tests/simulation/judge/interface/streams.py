@@ -228,7 +228,9 @@ class Streams:
         self._opened_at = min(self._opened_at, a.awake)
         if a.awake - self._opened_at > SENT_WITHIN:
             late = a.awake - self._sent_at
-            require(late <= SENT_WITHIN, f"the stream of {self._now.sender!r} is open, without a command for {late:g} s")
+            require(
+                late <= SENT_WITHIN, f"the stream of {self._now.sender!r} is open, without a command for {late:g} s"
+            )
         snapshot = a.snapshot
         stood = now - max(self._stands_since, self._now.begun)
         if snapshot is None or snapshot.moving or stood < DWELLED + a.longest_transition or a.had("cubes", now - 5.0):
