@@ -46,6 +46,7 @@ def interface_judge(
         )
         if (tracker := arm.settings.tracker) is not None:
             of.bias, of.offset, of.clamp, of.hold = (0.0, 0.0), daemon.offset, tracker.clamp, tracker.hold
+        made.link.timeout = executed.planner_timeout
         made.searches.prepares = arm.settings.method == "minimum-switch"
         of.silent_after = 2.0 * executed.planner_timeout + SILENCE_NOTICED
 

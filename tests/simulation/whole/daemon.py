@@ -12,11 +12,13 @@ import msgspec
 from controller.arm.arm import Arm
 from controller.executor.core.arm import ExecutedArm
 from controller.host.process import Log, Quit
+from controller.motion.stages.feed import Improved
 from controller.motion.stages.pacing import pace_of
 from controller.planning.core.events import (
     Abandon,
     Action,
     Answered,
+    Disconnect,
     Event,
     FromExecutor,
     Hurry,
@@ -27,7 +29,17 @@ from controller.planning.core.events import (
     TipArrived,
     ToExecutor,
 )
-from controller.planning.core.tasks import Answer, BuildScene, BuildTables, Failed, SceneBuilt, Tables, Task
+from controller.planning.core.tasks import (
+    Answer,
+    BuildScene,
+    BuildTables,
+    Deviations,
+    Failed,
+    Planned,
+    SceneBuilt,
+    Tables,
+    Task,
+)
 from controller.program import Alive, Counted, Diagnostics, Snapshot, Up, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
@@ -225,7 +237,7 @@ class Daemon:
     def _task_ends(self, number: int, task: Task, answer: Answer) -> None:
         """Takes the last answer of a worker."""
         self.judge.at(self.agenda.now)
-        self.judge.searches.ends(number)
+        self.judge.searches.ends(number, isinstance(answer, Planned))
         if isinstance(answer, Failed):
             self.judge.account.note("task failed")
         if isinstance(task, BuildTables):
@@ -237,6 +249,8 @@ class Daemon:
         """Takes an action before it is carried out."""
         match action:
             case ToExecutor(message):
+                self.judge.at(self.agenda.now)
+                self.judge.link.sends(message)
                 if not isinstance(message, Alive):
                     self._note(("planner sends", message))
             case Start(number, task):
@@ -247,6 +261,9 @@ class Daemon:
                 if isinstance(task, BuildScene):
                     self.judge.scene_begun()
                 self.judge.searches.begins(seen(number, task))
+            case Disconnect(reason):
+                self.judge.at(self.agenda.now)
+                self.judge.link.gives_up(reason)
             case Hurry(number):
                 self.judge.searches.hurries(number)
             case Abandon(number):
@@ -267,6 +284,9 @@ class Daemon:
                 if not isinstance(message, Snapshot):
                     self._note(("planner hears", message))
             case Answered(number, answer, _):
+                if isinstance(answer, Deviations | Improved):
+                    self.judge.at(self.agenda.now)
+                    self.judge.searches.improves(number, getattr(answer, "values", None))
                 self._note(("worker answers", number, answer))
             case SetpointArrived(payload, arrival, sender):
                 self.judge.at(self.agenda.now)

@@ -277,7 +277,8 @@ class ExactSearch:
 
     def _improve(self, task: ImprovePlan) -> Iterator[Answer]:
         plan: FoundPlan = task.plan
-        yield Deviations(tuple(0.1 if self._random.random() < 0.8 else None for _ in plan.goals))
+        known = [self._random.random() < 0.9 for _ in plan.goals]
+        yield Deviations(tuple(round(self._random.uniform(0.01, 0.3), 3) if told else None for told in known))
         graph, start = self._graph(task.tables, task.scene), self._space.index[unpack(plan.start.states)]
         goals = plan.goals
         for _ in range(self._random.choice([0, 1, 1, 2, 3]) if task.search else 0):

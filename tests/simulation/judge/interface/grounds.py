@@ -11,6 +11,7 @@ from tests.simulation.judge.interface.account import InterfaceAccount, Payload, 
 from tests.simulation.judge.interface.messages import well_formed
 
 EPOCH_IN_FLIGHT = 0.1  # [s] from a new epoch of the executor to the planner, which may still be reading
+EXACT = 0.001  # [s]
 SILENT = 2.0  # [s] after which an executor without an answer counts as silent
 MOST_WAITING, MOST_PLANS, MOST_UNANSWERED = 16, 4, 100  # goals and jogs; plan queries; requests on one key
 LONGEST_PLANNING = 60.0  # [s]
@@ -117,7 +118,10 @@ def _too_long(a: InterfaceAccount, request: Request) -> bool:
 
 
 def _too_late_to_begin(a: InterfaceAccount, request: Request) -> bool:
-    return a.now - a.sent_since(request) >= patience(request) - 0.5
+    waited = a.now - request.at
+    planned = request.body.get("deadline")
+    over = waited >= patience(request) - EXACT or (planned is not None and waited >= float(planned) - EXACT)
+    return over or a.now - a.sent_since(request) >= patience(request) - 0.5 > request.at - request.sent_at
 
 
 def patience(request: Request) -> float:
@@ -349,6 +353,8 @@ GROUNDS: dict[str, Callable[[InterfaceAccount, Request], bool]] = {
     "module-without-state": _without_state,
     "unknown-goal": _unknown_goal,
     "not-named": _not_named,
+    "unknown-pose": lambda a, request: request.expected == "unknown-pose",
+    "poses-unwritten": lambda a, request: request.expected == "poses-unwritten",
     "line-with-pose": _line_with_pose,
     "line-too-fast": _too_fast,
     "plan-canceled": _plan_canceled,

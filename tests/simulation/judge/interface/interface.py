@@ -28,6 +28,7 @@ from tests.simulation.judge.interface.diagnostics import JudgedDiagnostics
 from tests.simulation.judge.interface.gateway import Gateway
 from tests.simulation.judge.interface.grounds import lined
 from tests.simulation.judge.interface.journal import Journal
+from tests.simulation.judge.interface.link import Link
 from tests.simulation.judge.interface.messages import body_of, well_formed
 from tests.simulation.judge.interface.modules import JudgedModules
 from tests.simulation.judge.interface.motion import Motion
@@ -61,6 +62,7 @@ class InterfaceJudge:
         self.requests, self.results = Requests(self.account), Results(self.account)
         self.states, self.motion = States(self.account), Motion(self.account)
         self.searches, self.journal = Searches(self.account), Journal(self.account)
+        self.link = Link(self.account)
         self.offers, self.gateway = Offers(self.account), Gateway(self.account)
         self.warnings, self.streams = JudgedWarnings(self.account), Streams(self.account)
         self.diagnostics = JudgedDiagnostics(self.account, self.warnings)
@@ -84,6 +86,7 @@ class InterfaceJudge:
             self.diagnostics.tick()
             self.streams.tick()
             self.gateway.tick()
+            self.link.tick()
 
     def begins(self, process: int) -> None:
         """A process of the planner begins; 0: it has ended."""
@@ -98,6 +101,7 @@ class InterfaceJudge:
         self.diagnostics.begin()
         self.streams.begin()
         self.gateway.begin()
+        self.link.begin()
 
     def ends_in_order(self) -> None:
         """The process has ended in order: everybody has an answer."""
@@ -259,6 +263,7 @@ class InterfaceJudge:
     def hears(self, message: object) -> None:
         """The process gets a message of the executor."""
         a = self.account
+        self.link.hears(isinstance(message, Welcome))
         match message:
             case Snapshot():
                 self._compare(a.snapshot, message)
@@ -296,6 +301,7 @@ class InterfaceJudge:
         self.account.note("link")
         self.account.hears(None)
         self.diagnostics.hears(None)
+        self.link.ends()
 
     # --- what the workers and the disk do
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from controller.program import Program, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Ran, Request
-from tests.simulation.judge.interface.grounds import barring, ends_at, patience, wanted
+from tests.simulation.judge.interface.grounds import barring, ends_at, lined, patience, wanted
 from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.interface.modules import Cube
 from tests.simulation.judge.interface.refusals import judge_refusal
@@ -184,6 +184,7 @@ class Requests:
         """Judges when a goal or jog has begun, and after what."""
         a = self._a
         ran.request = request
+        ran.places = ran.places if lined(request) else {}
         for barrier in self._barriers:
             bars = barrier.number > request.number and barrier.answered_at < ran.at and barrier.process == a.process
             mine = barring(barrier) or barrier.goal == ran.goal

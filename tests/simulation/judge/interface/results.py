@@ -50,11 +50,22 @@ class Results:
         require(payload["switches"] == settled.switches, f"{text}; the executor tells {settled.switches} switches")
         stages = sum(s.stages for m, (s, _) in ran.settled.items() if last < m <= mark)
         require(payload["stages"] == stages, f"{text}; the executor tells {stages} stages")
+        self._judge_excursion(ran, payload, last, mark, text)
         self._judge_pose(payload, settled, text)
         if ran.request is not None:
             waypoints = ran.request.body["waypoints"]
             require(payload["waypoints"] == len(waypoints), f"{text}; the goal has {len(waypoints)} waypoints")
             self._judge_error(payload, ran.request, waypoint, text)
+
+    def _judge_excursion(self, ran: Ran, payload: Payload, last: int, mark: int, text: str) -> None:
+        """Compares the excursion with the greatest deviation of the transitions since the waypoint before."""
+        told = payload["excursion"]
+        if ran.replaced:
+            return
+        transitions = [(m, settled.planned) for m, (settled, _) in ran.settled.items() if last < m <= mark]
+        known = [ran.deviations[m] if planned and m < len(ran.deviations) else None for m, planned in transitions]
+        greatest = None if None in known else max((value for value in known if value is not None), default=0.0)
+        require(told == greatest, f"{text}; the deviations are {known}")
 
     def _judge_pose(self, payload: Payload, told: Settled | Ended, text: str) -> None:
         """Compares configuration, position and orientation with measured states."""

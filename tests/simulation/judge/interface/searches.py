@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from controller.program import Snapshot, pack, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Request
+from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Ran, Request
+from tests.simulation.judge.interface.grounds import patience
 from tests.simulation.judge.interface.modules import Cube
 from tests.simulation.judge.verdict import require
 
 AT_ONCE = 0.005  # [s], awake, from what makes a search possible to its begin, if nothing stands in its way
 READ_WITHIN, HELD_UP = 0.003, 0.5  # [s], awake, from the arrival of a snapshot to the core, also if rounds are slow
+ANSWERED = 0.03  # [s] from a decision to the answer that leaves
 STALE = 0.03  # [s], awake, for which a search from elsewhere, or of a goal that is answered, may go on
 HURRIED = 0.03  # [s], awake, from a second goal to the word that the search of the first one must end
 WAITED = 0.2  # [s], awake, after which a goal without an answer surely waits
@@ -46,6 +48,7 @@ class Search:
     hurried: bool = False
     abandoned: bool = False
     stale_from: float = math.inf
+    ran: Ran | None = None  # that is improved
 
 
 class Searches:
@@ -67,7 +70,7 @@ class Searches:
         """Forgets the last process."""
         self._running: dict[int, Search] = {}
         self._prepared: Search | None = None  # the last one
-        self._prepared_ends = -math.inf
+        self._planned: tuple[Search, float] | None = None  # the last plan, until something is done with it
         self._second, self._in_second = 0, 0
         self._busy_until = self._a.awake  # awake time at which a request waited last
         self._last_goal: tuple[Payload, float] | None = None  # of one waypoint, and until when it may be rehearsed
@@ -97,7 +100,10 @@ class Searches:
             require(set(search.cubes) in sets, f"{text} is among {search.cubes}, in force are {sets}")
         match search.kind:
             case "goal":
+                self._planned = None
                 self._judge_goal(search, text)
+            case "improve":
+                search.ran = next(reversed(a.programs.values()), None)
             case "prepare":
                 self._judge_prepared(search, text)
             case "standing":
@@ -119,12 +125,22 @@ class Searches:
         if search is not None:
             search.abandoned = True
 
-    def ends(self, number: int) -> None:
-        """A worker gives its last answer."""
+    def improves(self, number: int, deviations: tuple[float | None, ...] | None) -> None:
+        """A worker tells the deviations of a running plan, or a better plan: None."""
+        search = self._running.get(number)
+        if search is None or search.ran is None or search.abandoned:
+            return
+        if deviations is None:
+            search.ran.replaced = True
+        else:
+            search.ran.deviations = deviations
+
+    def ends(self, number: int, planned: bool = False) -> None:
+        """A worker gives its last answer; `planned`: a plan."""
         search = self._running.pop(number, None)
         self.least = min(self.least, len(self._running))
-        if search is not None and search.kind == "prepare":
-            self._prepared_ends = self._a.awake
+        if search is not None and search.kind == "goal" and planned and not search.abandoned:
+            self._planned = search, self._a.awake
 
     # --- a task
 
@@ -204,9 +220,45 @@ class Searches:
         if a.slow or a.lately("still", 0.1) or not a.process or a.quits:
             return
         waiting = [r for r in a.requests if self._waits(r)]
+        self._find_late(waiting)
         for search in self._running.values():
             if search.kind == "goal" and not search.abandoned:
                 self._judge_needed(search, waiting)
+
+    def _find_late(self, waiting: list[Request]) -> None:
+        """Finds a goal that is neither searched nor refused, a plan that is not offered, and a goal without time."""
+        a = self._a
+        calm = a.clear() and not a.congested and not a.lately("congested", 1.0) and not a.building
+        if not calm or a.scene_building or a.had("disk", a.now - 5.0):
+            return
+        for request in waiting:
+            late = a.now - request.at - patience(request)
+            require(late < ANSWERED, f"{request} waits {late:g} s after its time")
+        if self._planned is not None:
+            search, awake = self._planned
+            goal = search.goal
+            assert goal is not None
+            mine = [r for r in a.requests if r.key == "goal" and asks(r, goal)]
+            over = (
+                not mine
+                or any(r.answer is not None for r in mine)
+                or any(r.at >= search.at - 20.0 for r in a.ran(goal["id"] or "?"))
+            )
+            require(over or goal["id"] is None or a.awake - awake < ANSWERED, f"the plan of {goal} is not offered")
+        first = min(
+            (r for r in a.requests if r.key in ("goal", "jog", "degrade") and r.answer is None),
+            default=None,
+            key=lambda r: r.number,
+        )
+        if first is None or first not in waiting or first.key != "goal" or a.now - first.at < ANSWERED:
+            return
+        snapshot = a.snapshot
+        ready = snapshot is not None and snapshot.mode in ("ready", "executing") and self._planned is None
+        searched = any(s.kind == "goal" and s.goal is not None and asks(first, s.goal) for s in self._running.values())
+        epoch = a.had("epoch", a.now - 0.3) or a.waiting("stop", "cancel", "reset")
+        offered = any(r.goal == first.goal and r.at >= first.at for r in a.programs.values())
+        declined = any(a.had(f"declined {why}", a.now - 0.3) for why in ("moved-since-planned", "switch-not-confirmed"))
+        require(not ready or searched or epoch or offered or declined, f"{first} is not searched")
 
     def _judge_needed(self, search: Search, waiting: list[Request]) -> None:
         a, text = self._a, f"the task {search.number} of the goal {search.goal}"
