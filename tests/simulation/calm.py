@@ -9,6 +9,7 @@ import msgspec
 from tests.simulation.judge.interface.results import unanswered
 from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
+from tests.simulation.whole.containers import check_containers
 
 if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
@@ -75,6 +76,8 @@ def check_daemon(world: World, daemon: Daemon) -> None:
     world.wait(lambda: not unanswered(account), "without open requests", SEARCHED_WITHIN)
     world.wait(lambda: not storage.owed(), "without goals that the ledger owes", OWED_WITHIN)
     world.wait(lambda: not world.judge.programs.unacknowledged, "without results that wait", OWED_WITHIN)
+    if daemon.process is not None:
+        check_containers(daemon.process)
     counts = [max(known, told) for known, told in zip(storage.counts, daemon.counted, strict=True)]
     require(list(storage.counts) == counts, f"the ledger counts {storage.counts}, the executor {daemon.counted}")
     without = [ran.goal for ran in account.programs.values() if ran.request is not None and not ran.results]

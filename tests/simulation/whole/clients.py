@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import deque
 from random import Random
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 ACTS = {
     **{"goal": 40, "jog": 8, "plan": 4, "cancel": 3, "cancel goal": 4, "stop": 1.5, "reset": 3, "degrade": 3},
     **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 4, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
-    **{"poses": 2.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
+    **{"poses": 2.0, "again": 1.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
     **{"burst": 4, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 0.3},
 }
 BURSTS = (
@@ -48,6 +49,7 @@ DESCRIPTIONS = (
 )
 POSES = ("pick", "place", "a b", "P1")
 CLIENTS = 4  # the last one attaches the same bytes to each of its requests
+LONG_AGO = 9.0  # [s]
 AWAY = 2.0  # [s], longest time for which a client is away
 HAS_BEGIN_WITHIN = "begin_within" in GoalMessage.__struct_fields__
 MOTION = 0.15  # [s], mean time between a motion and its obstacles
@@ -73,6 +75,7 @@ class Clients:
         self._numbers = self._attached = 0
         self._client = 0  # that acts now
         self._sent: list[Sent] = []  # the last goals and other requests
+        self._goals = deque[Sent](maxlen=40)
         self._streams_until = 0.0
         self._rate = random.choice([2.0, 10.0, 20.0])
         self._crowd = random.choice([0.0, 0.4, 0.8])  # share of the motions to which obstacles come
@@ -90,6 +93,8 @@ class Clients:
             name = f"hyperbit/*/{key}"
         sent = self._daemon.zenoh.send(self._client, name, data, self._attachment(key), query)
         self._sent = [*self._sent[-9:], sent]
+        if key == "goal":
+            self._goals.append(sent)
         return sent
 
     def _attachment(self, key: str) -> bytes:
@@ -106,6 +111,12 @@ class Clients:
         attachment = self._random.choice([sent.attachment, sent.attachment, b"", b"other" + sent.payload[-20:]])
         client = self._random.choice([sent.client, sent.client, 1])
         self._daemon.zenoh.send(client, sent.name, sent.payload, attachment, sent.query)
+
+    def _send_again(self) -> None:
+        """Sends a goal of long ago again, as a client does that has its goals in a file."""
+        old = [sent for sent in self._goals if sent.at < self._agenda.now - LONG_AGO]
+        if old:
+            self.ask("goal", self._random.choice(old).payload)
 
     # --- what they do
 
@@ -151,6 +162,8 @@ class Clients:
                 self.ask("arm", random.choice(DESCRIPTIONS))
             case "poses":
                 self.ask("poses", self._pose(), query=random.random() < 0.9)
+            case "again":
+                self._send_again()
             case "flood":
                 key, data = random.choice([("goal", b"\xff"), ("goal", b"[1]"), ("obstacles", b"{}"), ("jog", b"")])
                 query = random.random() < 0.5

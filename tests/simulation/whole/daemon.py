@@ -48,6 +48,7 @@ from tests.simulation.judge.interface.interface import InterfaceJudge
 from tests.simulation.judge.interface.results import unanswered
 from tests.simulation.judge.verdict import Violation
 from tests.simulation.network import Network
+from tests.simulation.whole.claims import check_claims
 from tests.simulation.whole.clients import Clients
 from tests.simulation.whole.configurations import Configurations
 from tests.simulation.whole.exact_search import ExactSearch
@@ -125,6 +126,7 @@ class Daemon:
         self.awake_since, self.slow, self.congestion, self._offset = 0.0, 0.0, 0.0, UNIX
         self.judge = judge(self)
         self.zenoh = ZenohModel(agenda, drawn("zenoh"), self, lambda: self.awake_since)
+        self._claims = drawn("claims")
         self.saved = SavedPoses(drawn("poses"), self.judge.gateway)
         self.judge.gateway.recorded = self.zenoh.matching.matching
         self.clients = Clients(self, drawn("clients"))
@@ -142,6 +144,7 @@ class Daemon:
             self.judge.at(self.agenda.now)
             self.judge.account.ledger_counts = self.storage.counts
             self.judge.begins(self._processes)
+            check_claims(self._claims)
             self.process = PlannerProcess(self, self._processes, self._random)
             self.process.searcher.watch = self._task_ends
 
@@ -290,9 +293,11 @@ class Daemon:
                 self._note(("worker answers", number, answer))
             case SetpointArrived(payload, arrival, sender):
                 self.judge.at(self.agenda.now)
+                self.judge.mailboxes["setpoint"].taken(payload, sender, arrival.at)
                 self.judge.streams.setpoint(payload, arrival.at, sender, now)
-            case TipArrived(payload):
+            case TipArrived(payload, arrival, sender):
                 self.judge.at(self.agenda.now)
+                self.judge.mailboxes["measured_tip"].taken(payload, sender, arrival.at)
                 self.judge.streams.tip(payload, now)
             case _:
                 pass

@@ -29,6 +29,7 @@ from tests.simulation.judge.interface.gateway import Gateway
 from tests.simulation.judge.interface.grounds import lined
 from tests.simulation.judge.interface.journal import Journal
 from tests.simulation.judge.interface.link import Link
+from tests.simulation.judge.interface.mailboxes import Mailboxes
 from tests.simulation.judge.interface.messages import body_of, well_formed
 from tests.simulation.judge.interface.modules import JudgedModules
 from tests.simulation.judge.interface.motion import Motion
@@ -63,6 +64,7 @@ class InterfaceJudge:
         self.states, self.motion = States(self.account), Motion(self.account)
         self.searches, self.journal = Searches(self.account), Journal(self.account)
         self.link = Link(self.account)
+        self.mailboxes = {key: Mailboxes(self.account, key) for key in ("setpoint", "measured_tip")}
         self.offers, self.gateway = Offers(self.account), Gateway(self.account)
         self.warnings, self.streams = JudgedWarnings(self.account), Streams(self.account)
         self.diagnostics = JudgedDiagnostics(self.account, self.warnings)
@@ -87,6 +89,8 @@ class InterfaceJudge:
             self.streams.tick()
             self.gateway.tick()
             self.link.tick()
+            for mailboxes in self.mailboxes.values():
+                mailboxes.tick()
 
     def begins(self, process: int) -> None:
         """A process of the planner begins; 0: it has ended."""
@@ -102,6 +106,8 @@ class InterfaceJudge:
         self.streams.begin()
         self.gateway.begin()
         self.link.begin()
+        for mailboxes in self.mailboxes.values():
+            mailboxes.begin()
 
     def ends_in_order(self) -> None:
         """The process has ended in order: everybody has an answer."""
@@ -122,6 +128,8 @@ class InterfaceJudge:
         fields = sent.client, key, sent.name, sent.query, sent.payload, sent.attachment  # type: ignore[attr-defined]
         body = body_of(sent.payload)  # type: ignore[attr-defined]
         request = Request(a.numbers, a.process, *fields, body, sent.at, a.now, a.awake)  # type: ignore[attr-defined]
+        if key in self.mailboxes:
+            self.mailboxes[key].arrives(request)
         if key == "setpoint":
             a.setpoints += 1
             a.note("setpoint")
