@@ -39,7 +39,8 @@ def interface_judge(
         of.tolerance, of.angle_tolerance, of.length = arm.tolerance, arm.angle_tolerance, modules.farthest
         longest = max(max(travel) for travel in judge.arm.travel) + max(judge.arm.margin) + executed.rest
         of.longest_transition = 2 * len(executed.actuators) * (longest + 0.1)
-        of.lead, of.rests = daemon.pace.lead, arm.travel_time + executed.rest
+        of.lead, of.travel, of.rest = daemon.pace.lead, arm.travel_time, executed.rest
+        of.inrush = executed.inrush is not None
         of.declared = bytes(
             (executed.locked_states >> k & 1) if executed.locked >> k & 1 else 255
             for k in range(len(executed.actuators))

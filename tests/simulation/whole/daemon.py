@@ -263,7 +263,7 @@ class Daemon:
                     self.judge.account.note("slow search")
                 if isinstance(task, BuildScene):
                     self.judge.scene_begun()
-                self.judge.searches.begins(seen(number, task))
+                self.judge.task(seen(number, task))
             case Disconnect(reason):
                 self.judge.at(self.agenda.now)
                 self.judge.link.gives_up(reason)

@@ -35,10 +35,10 @@ def seen(number: int, task: Task) -> Search:
             return Search(number, "plan", **of_basis(on), goal=goal, bias=bias)
         case PrepareSearch(on, rehearsal):
             return Search(number, "prepare", **of_basis(on), goal=None if rehearsal is None else of_goal(rehearsal))
-        case FollowSetpoint(on, _, _, bias):
-            return Search(number, "follow", **of_basis(on), bias=bias)
-        case ImprovePlan(scene=scene):
-            return Search(number, "improve", cubes=of_scene(scene))
+        case FollowSetpoint(on, _, tolerance, bias):
+            return Search(number, "follow", **of_basis(on), bias=bias, tolerance=tolerance)
+        case ImprovePlan(search=improves, scene=scene):
+            return Search(number, "improve", cubes=of_scene(scene), improves=improves)
         case CheckStages(scene, before, stages):
             return Search(number, "stages", cubes=of_scene(scene), states=(before, *stages))
         case CheckStanding(scene, states):

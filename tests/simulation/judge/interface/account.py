@@ -18,6 +18,7 @@ TAKEN_WITHIN = 0.01  # [s], awake, from the arrival of a request to the core
 LEASE, RECONNECTED = 4.0, 5.0  # [s] of the simulated session; after a standstill, for clients to reconnect
 STOOD_STILL, SETTLES = 0.9, 1.2  # [s] of a standstill, and after it, in which what was sent before may arrive
 BIAS_WITHIN = 2e-4  # from the tracker's offset
+TIP_TAKEN = 0.15  # [s] from the arrival of a measured tip to a state with its bias
 
 
 @dataclass(eq=False)
@@ -167,7 +168,9 @@ class InterfaceAccount:
         scenes: number of scenes that workers build.
         slow: whether rounds of the planner's loop take long.
         congested: whether peers read slowly.
-        lead: time of one stage [s]; `rests` is the longest time for which an actuator travels and rests.
+        lead: time of one stage [s]; `travel` and `rest` are the times of one actuator, of the arm's file.
+        inrush: whether few actuators may switch at once, so that a stage waits for the one before.
+        switched_at: time of the snapshot that showed the last switch of each actuator [s].
         offset: of the tracker's tips from the computed ones; `clamp` and `hold` are of the arm's file.
         tip_at: time of the last measured tip, of whatever age [s]; `good_tip_at` of the last one that surely counts.
 
@@ -182,7 +185,8 @@ class InterfaceAccount:
     ) -> None:
         self.modules, self.wall, self.driven, self.clear = modules, wall, driven, clear
         self.now, self.process, self.instance = 0.0, 0, 0
-        self.tolerance = self.angle_tolerance = self.length = self.longest_transition = self.lead = self.rests = 0.0
+        self.tolerance = self.angle_tolerance = self.length = self.longest_transition = self.lead = 0.0
+        self.travel, self.rest, self.inrush = 0.0, 0.0, False
         self.silent_after = math.inf
         self.sure = clear
         self.bias: tuple[float, ...] | None = None
@@ -208,6 +212,7 @@ class InterfaceAccount:
         self.quits = False
         self.tip_at = self.good_tip_at = -math.inf
         self.scenes = self.shown_obstacles = 0
+        self.switched_at = [-math.inf] * len(self.modules.labels)
         self.setpoints = 0
         self.counts_at_start: int | None = None
         self._tables, self._needed, self._failed = self.declared, self.declared, False
@@ -267,6 +272,12 @@ class InterfaceAccount:
 
     def hears(self, snapshot: Snapshot | None) -> None:
         """The process gets a snapshot, or its connection ends."""
+        before = self.heard[-1].snapshot
+        if before is not None and snapshot is not None:
+            changed = unpack(before.outputs) ^ unpack(snapshot.outputs)
+            for k in range(len(self.switched_at)):
+                if changed >> k & 1:
+                    self.switched_at[k] = snapshot.at
         self.heard.append(Heard(self.now, self.awake, snapshot))
 
     def truths(self, delay: float = DELAY) -> Iterator[Heard]:
@@ -358,7 +369,7 @@ class InterfaceAccount:
         require(length == 0.0 or apart <= BIAS_WITHIN, f"{text} has the bias {bias}, the tracker has {self.offset}")
         silent = self.now - self.tip_at > self.hold + 2.0
         require(not silent or length == 0.0, f"{text} has the bias {bias} without a measured tip")
-        fresh = self.now - self.good_tip_at < self.hold - 0.5
+        fresh = TIP_TAKEN < self.now - self.good_tip_at < self.hold - 0.5
         require(not fresh or length > 0.0, f"{text} has no bias after a measured tip")
 
     def known_cubes(self, request: Request | None) -> set[Cube]:

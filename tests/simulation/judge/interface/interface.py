@@ -36,7 +36,7 @@ from tests.simulation.judge.interface.motion import Motion
 from tests.simulation.judge.interface.offers import Offers
 from tests.simulation.judge.interface.requests import Requests, cubes_of
 from tests.simulation.judge.interface.results import Results, unanswered
-from tests.simulation.judge.interface.searches import Searches
+from tests.simulation.judge.interface.searches import Search, Searches
 from tests.simulation.judge.interface.states import States
 from tests.simulation.judge.interface.streams import Streams
 from tests.simulation.judge.interface.warnings import JudgedWarnings
@@ -114,6 +114,12 @@ class InterfaceJudge:
         left = [str(request) for request in unanswered(self.account)]
         require(not left, f"the process has ended without the answers to {left}")
 
+    def task(self, search: Search) -> None:
+        """A worker gets a task."""
+        self.searches.begins(search)
+        if search.kind == "follow":
+            self.streams.searches(search.tolerance)
+
     def quits(self) -> None:
         """The process is asked to end."""
         self.account.quits = True
@@ -134,6 +140,7 @@ class InterfaceJudge:
             a.setpoints += 1
             a.note("setpoint")
             self.motion.setpoint(request)
+            self.streams.arrives(request.payload)
         elif key == "measured_tip":
             self._tip(request)
         else:
@@ -154,8 +161,9 @@ class InterfaceJudge:
         rests = snapshot is not None and not snapshot.moving and snapshot.mode == "ready" and a.clear()
         standing = rests and not a.had("moved", a.now - 0.3) and not a.lately("still", 1.0) and not a.slow
         if standing and not a.building and 0.0 <= age < 0.1 and not a.had("clock", a.now - 10.0):
-            a.note("good tip")
             a.good_tip_at = a.now
+        elif a.now - a.good_tip_at < 0.1:  # it may have displaced the good one
+            a.good_tip_at = -math.inf
 
     def replies(self, request: object, data: bytes) -> None:
         """A reply leaves the process."""

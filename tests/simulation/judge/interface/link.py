@@ -78,7 +78,8 @@ class Link:
         silent = a.awake - self._heard_at
         keys = ("stop", "cancel", "reset", "degrade")
         owed = [r for r in a.requests if r.key in keys and r.answer is None and a.now - r.at > SILENT - 0.1]
-        require(silent > 2 * self.timeout - COUNTED or owed, f"the planner says that {reason} after {silent:g} s")
+        held_up = a.slow or a.lately("slow", 2.0) or a.lately("still", 2.0)
+        require(held_up or silent > 2 * self.timeout - COUNTED or owed, f"the planner says that {reason} after {silent:g} s")
 
     def tick(self) -> None:
         """Finds a planner that is not alive."""

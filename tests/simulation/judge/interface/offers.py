@@ -7,12 +7,12 @@ import math
 from controller.program import Program, Stage, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount, Request
 from tests.simulation.judge.interface.grounds import patience, wanted
+from tests.simulation.judge.interface.searches import start_of
 from tests.simulation.judge.verdict import require
 
 EXACT = 1e-6  # [s]
 STANDS = 1.3  # [s]: what arrives so long after a standstill counts as sent before it
 MADE_WITHIN = 0.01  # [s] from the making of a program to the executor
-WAITS = 0.2  # [s] added to the travel times before the first stage
 
 
 class Offers:
@@ -109,14 +109,27 @@ class Offers:
         require(max(delays) - min(delays) < EXACT, f"{text} shifts its waypoints by {delays}")
         require(delays[0] >= -EXACT and (not stamp or delays[0] < EXACT), f"{text} comes {delays[0]:g} s later")
         count = next(k for k, stage in enumerate(program.stages) if stage.mark >= 0) + 1
-        most = max(count * (a.lead + EXACT) + self._rest() - times[0], 0.0)
-        least = 0.0 if stamp else max(count * a.lead - times[0], 0.0)
-        require(least - EXACT <= delays[0] <= most + EXACT, f"{text} is {delays[0]:g} s late; {least:g} to {most:g}")
+        waits = max(self._ready(program) - a.now, 0.0)
+        wanted_delay = 0.0 if stamp else max(count * a.lead + waits - times[0], 0.0)
+        calm = a.clear() and not a.slow and not a.lately("still", 0.5) and not a.had("link", a.now - 5.0)
+        exact = abs(delays[0] - wanted_delay) < MADE_WITHIN or not calm
+        require(exact, f"{text} is {delays[0]:g} s late, not {wanted_delay:g} s")
         self._judge_stages(program.stages, text)
 
-    def _rest(self) -> float:
-        """Returns how long actuators may have to travel and to rest before the first stage [s]."""
-        return self._a.rests + WAITS
+    def _ready(self, program: Program) -> float:
+        """Returns when the first stage may begin: the one before has ended, and its actuators have rested [s]."""
+        a, snapshot = self._a, self._a.snapshot
+        if snapshot is None:
+            return -math.inf
+        commanded = unpack(start_of(snapshot, len(a.modules.labels))[1])
+        differ = (commanded ^ unpack(program.stages[0].states)) & ~unpack(snapshot.locked)
+        ready = -math.inf
+        if differ and (a.inrush or program.strict):
+            ready = max(a.switched_at) + a.travel
+        if differ and a.rest > 0:
+            mine = [at for k, at in enumerate(a.switched_at) if differ >> k & 1]
+            ready = max(ready, max(mine) + a.travel + a.rest)
+        return ready
 
     def _judge_stages(self, stages: tuple[Stage, ...], text: str) -> None:
         """Stages to a waypoint begin one lead apart, the last one a lead before it, and none before an earlier one."""

@@ -71,25 +71,21 @@ class Requests:
     def _find_original(self, request: Request) -> None:
         """Finds the goal that a request repeats: same payload and attachment, or same payload with an id."""
         a = self._a
-        for other in reversed(a.requests[:-1]):
-            if (
-                other.key != "goal"
-                or "*" in other.name
-                or other.payload != request.payload
-                or other.original is not None
-            ):
-                continue
-            attached = bool(request.attachment) and other.attachment == request.attachment
+        goals = [r for r in reversed(a.requests[:-1]) if r.key == "goal" and r.payload == request.payload]
+        others = [r for r in goals if "*" not in r.name and r.original is None]
+        attached = [r for r in others if request.attachment and r.attachment == request.attachment]
+        request.original = next((r for r in attached if a.now - r.at < REMEMBERED - 1.0), None)
+        for other in others if request.original is None else []:
             over = other.answer is not None and not other.accepted
             ran = next((ran for ran in a.programs.values() if ran.request is other), None)
             told = ran is not None and bool(ran.results)
             lately = ran is not None and a.now - ran.ended_at < ENDED_LATELY
-            if attached and a.now - other.at < REMEMBERED - 1.0:
-                request.original = other
-            elif request.goal is not None and not (over or told):
+            if request.goal is not None and not (over or told):
                 request.original = other
                 request.doubtful = ran is not None and ran.ended is not None
-            elif attached or (lately and request.goal is not None) or (over and a.now - other.answered_at < 0.1):
+            elif (
+                other in attached or (lately and request.goal is not None) or (over and a.now - other.answered_at < 0.1)
+            ):
                 request.original, request.doubtful = other, True
             if request.original is not None:
                 return
@@ -101,6 +97,8 @@ class Requests:
         a = self._a
         require(request.answer is None, f"{request} is answered again: {answer}")
         request.answer, request.answered_at = answer, a.now
+        if request.key in ("goal", "jog"):
+            a.note("answered")
         if request.key == "arm" and "accepted" not in answer:
             return
         text = f"the answer to {request}: {answer}"

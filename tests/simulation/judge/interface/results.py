@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from controller.program import Ended, Settled, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Ran, Request
+from tests.simulation.judge.interface.account import RECONNECTED, InterfaceAccount, Payload, Ran, Request
 from tests.simulation.judge.interface.grounds import barring, lined, wanted
 from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.interface.modules import turn
@@ -62,6 +62,9 @@ class Results:
         told = payload["excursion"]
         if ran.replaced:
             return
+        kinds = ("motion asked", "cubes", "still", "slow search", "disk")
+        calm = self._a.clear() and not any(self._a.had(kind, ran.at) for kind in kinds) and not self._a.slow
+        require(ran.deviations or not calm, f"{text}; nobody has asked for the deviations of its plan")
         transitions = [(m, settled.planned) for m, (settled, _) in ran.settled.items() if last < m <= mark]
         known = [ran.deviations[m] if planned and m < len(ran.deviations) else None for m, planned in transitions]
         greatest = None if None in known else max((value for value in known if value is not None), default=0.0)
@@ -122,6 +125,8 @@ class Results:
             require(all(fields[name] == value for name, value in first.items()), f"{text} differs from {first}")
             return
         require(not payload.get("repeated") or a.had("planner ended", ran.at), f"{text}, for the first time")
+        early = ran.process != a.process and a.now - a.began_at < RECONNECTED - 0.1 and not a.quits
+        require(not early, f"{text} is of an earlier process, and clients have not found this one")
         unreached = a.unreached and not a.quits and ran.heard_at < a.now
         require(not unreached, f"{text} is published before clients have reconnected")
         ran.results.append(payload)

@@ -9,6 +9,7 @@ from typing import Any
 from controller.program import Snapshot, pack, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Ran, Request
 from tests.simulation.judge.interface.grounds import patience
+from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.interface.modules import Cube
 from tests.simulation.judge.verdict import require
 
@@ -17,6 +18,8 @@ READ_WITHIN, HELD_UP = 0.003, 0.5  # [s], awake, from the arrival of a snapshot 
 ANSWERED = 0.03  # [s] from a decision to the answer that leaves
 STALE = 0.03  # [s], awake, for which a search from elsewhere, or of a goal that is answered, may go on
 HURRIED = 0.03  # [s], awake, from a second goal to the word that the search of the first one must end
+LONGEST_PLAN = 10.0  # [s]
+PREPARED = 0.15  # [s] without requests until the next search is surely prepared
 WAITED = 0.2  # [s], awake, after which a goal without an answer surely waits
 REHEARSED = 2.0  # [s] after a goal, in which it is planned again without effect
 MOST_PREPARED = 60  # in a second
@@ -33,6 +36,8 @@ class Search:
         cubes: obstacles; None: it has none.
         goal: id, waypoints, deadline and time of arrival of a goal.
         bias: tip bias.
+        improves: whether a running plan is to be improved; None: the task is another one.
+        tolerance: of a followed set-point.
     """
 
     number: int
@@ -43,6 +48,8 @@ class Search:
     goal: Payload | None = None
     bias: tuple[float, ...] | None = None
     states: tuple[bytes, ...] = ()
+    improves: bool | None = None
+    tolerance: float = 0.0
     at: float = 0.0
     awake: float = 0.0
     hurried: bool = False
@@ -108,6 +115,10 @@ class Searches:
                 self._judge_prepared(search, text)
             case "standing":
                 require(self._heard(search.states[0]), f"{text} is for {search.states[0].hex()}")
+        if search.kind == "plan" and search.goal is not None:
+            longest = LONGEST_PLAN + (search.goal["deadline"] or 0.0)
+            require(search.goal["seconds"] == longest, f"{text} has {search.goal['seconds']} s, not {longest}")
+        require(search.improves in (None, self.prepares), f"{text} improves a plan: {search.improves}")
         if search.kind in ("goal", "plan", "follow"):
             self._judge_bias(search, text)
 
@@ -221,9 +232,35 @@ class Searches:
             return
         waiting = [r for r in a.requests if self._waits(r)]
         self._find_late(waiting)
+        self._find_unprepared()
         for search in self._running.values():
             if search.kind == "goal" and not search.abandoned:
                 self._judge_needed(search, waiting)
+
+    def _find_unprepared(self) -> None:
+        """Finds a next search that is not prepared, though nothing has happened for a while."""
+        a, snapshot = self._a, self._a.snapshot
+        happened = ("motion asked", "answered", "moved", "measured", "locks", "cubes", "tables", "link", "task failed")
+        if not self.prepares or snapshot is None or any(a.had(kind, a.now - PREPARED) for kind in happened):
+            return
+        size = len(a.modules.labels)
+        sure = snapshot.known == pack((1 << size) - 1, size) and unpack(snapshot.measured) in a.modules.tips
+        busy = a.building or a.scene_building or a.waiting("goal", "jog", "obstacles", "degrade") or snapshot.moving
+        busy = bool(busy) or any(s.kind in ("goal", "improve", "plan") for s in self._running.values())
+        if not sure or busy or a.had("slow search", a.now - 5.0) or a.congested or self._planned is not None:
+            return
+        text = "nothing is asked for, and the next search is not prepared"
+        require(self._prepared is not None, text)
+        assert self._prepared is not None
+        require(self._prepared.start == start_of(snapshot, size), f"{text}, but for {self._prepared.start}")
+        last = next((r for r in reversed(a.requests) if r.key in ("goal", "jog")), None)
+        if last is None or last.key != "goal" or not last.query or last.original is not None or any(a.in_force()):
+            return
+        soon = a.now - last.answered_at < REHEARSED - 0.3 and well_formed(last, a.modules) and "*" not in last.name
+        busy_refusal = (last.answer or {}).get("reason") in ("busy", "beyond-length", "no-waypoints")
+        if soon and not busy_refusal and len(last.body["waypoints"]) == 1:
+            rehearsed = self._prepared.goal is not None and asks(last, self._prepared.goal)
+            require(rehearsed, f"nothing is asked for, and {last} is not rehearsed")
 
     def _find_late(self, waiting: list[Request]) -> None:
         """Finds a goal that is neither searched nor refused, a plan that is not offered, and a goal without time."""

@@ -63,6 +63,7 @@ class Streams:
         self._past = deque[Counts]([replace(self._now)], maxlen=60)
         self._past_tips = deque[Counts]([replace(self._tips)], maxlen=60)
         self._times = deque[float](maxlen=200)  # of set-points of the present stream
+        self._tolerances = deque[float](maxlen=60)  # of the last set-points
         self._sent_at = self._opened_at = -math.inf  # awake
         self._target: tuple[float, ...] = ()
         self._stands_since = math.inf
@@ -136,6 +137,15 @@ class Streams:
             lately = a.had("cubes", a.now - 0.1)
             require(message.strict in strict or lately, f"{text}; there are obstacles: {strict}")
         self._sent_at = awake
+
+    def arrives(self, payload: bytes) -> None:
+        """A set-point arrives."""
+        self._tolerances.append(fields_of(payload)[2])
+
+    def searches(self, tolerance: float) -> None:
+        """A worker is asked for a configuration near the target."""
+        wanted = [known or self._a.tolerance for known in self._tolerances]
+        require(tolerance in wanted, f"a set-point is followed within {tolerance}, asked for are {wanted}")
 
     # --- measured tips
 
