@@ -87,7 +87,7 @@ def _overtaken(a: InterfaceAccount, request: Request) -> bool:
             return True
     if a.clear():
         return a.had("halted", request.at - EPOCH_IN_FLIGHT) or _locks_pending(a, request)
-    return a.had("epoch", request.at - EPOCH_IN_FLIGHT) or a.had("link", request.at)
+    return a.had("epoch", request.at - EPOCH_IN_FLIGHT) or a.had("link", request.at - EPOCH_IN_FLIGHT)
 
 
 def _locks_pending(a: InterfaceAccount, request: Request) -> bool:
