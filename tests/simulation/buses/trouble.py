@@ -41,9 +41,9 @@ DAEMON_KINDS = {
         "wires are loose": 8.0,
         "clock is set": 0.3,
         "clients read slowly": 0.5,
-        "planner stands still": 0.15,
+        "planner stands still": 0.4,
         "network is lost": 0.4,
-        "searches err": 0.8,
+        "searches err": 4.0,
     },
 }
 

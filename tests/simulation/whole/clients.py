@@ -49,6 +49,7 @@ DESCRIPTIONS = (
 )
 POSES = ("pick", "place", "a b", "P1")
 CLIENTS = 4  # the last one attaches the same bytes to each of its requests
+PAUSE = 0.4  # [s] after a stream that nobody disturbs
 LONG_AGO = 9.0  # [s]
 AWAY = 2.0  # [s], longest time for which a client is away
 HAS_BEGIN_WITHIN = "begin_within" in GoalMessage.__struct_fields__
@@ -131,7 +132,9 @@ class Clients:
             act = "reset"
         self._client = self._random.randrange(CLIENTS)
         self._do(act)
-        self._agenda.after(self._random.expovariate(self._rate), self._act)
+        alone = act == "stream" and self._random.random() < 0.5  # nobody disturbs the stream
+        waits = self._streams_until + PAUSE - self._agenda.now if alone else 0.0
+        self._agenda.after(waits + self._random.expovariate(self._rate), self._act)
 
     def _burst(self) -> None:
         """Sends several requests in one instant, of one client or of two in turn."""

@@ -121,7 +121,8 @@ def _too_late_to_begin(a: InterfaceAccount, request: Request) -> bool:
     waited = a.now - request.at
     planned = request.body.get("deadline")
     over = waited >= patience(request) - EXACT or (planned is not None and waited >= float(planned) - EXACT)
-    return over or a.now - a.sent_since(request) >= patience(request) - 0.5 > request.at - request.sent_at
+    sent = a.sent_since(request)
+    return over or (sent < request.at - 0.1 and a.now - sent >= patience(request) - 0.5)
 
 
 def patience(request: Request) -> float:
@@ -285,7 +286,8 @@ def _lock_moving(a: InterfaceAccount, request: Request) -> bool:
 
 
 def _interlock(a: InterfaceAccount, request: Request) -> bool:
-    return _any(a, lambda s: any(fault.code == "interlock" for fault in s.faults))
+    lately = [h.snapshot for h in a.truths(1.0) if h.snapshot is not None]
+    return any(fault.code == "interlock" for snapshot in lately for fault in snapshot.faults)
 
 
 def _without_state(a: InterfaceAccount, request: Request) -> bool:

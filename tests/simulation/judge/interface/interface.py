@@ -15,6 +15,7 @@ from controller.program import (
     Diagnostics,
     Ended,
     Program,
+    Question,
     Replacement,
     Setpoint,
     Settled,
@@ -71,6 +72,7 @@ class InterfaceJudge:
         self.requests.barred = self.motion.bars
         self._asked: Program | None = None
         self._running: Ran | None = None
+        self._met = 0  # instance of the executor that the planner is connected to
         self._ticked = 0.0
 
     # --- the planner's process
@@ -267,6 +269,10 @@ class InterfaceJudge:
     def _of(self, program: int) -> Ran | None:
         return self.account.programs.get((self.account.instance, program))
 
+    def _heard_of(self, program: int) -> Ran | None:
+        """Returns a program of the executor that the planner has met last; it may have ended since."""
+        return self.account.programs.get((self._met, program))
+
     def switches(self, mask: int) -> None:
         """A SYNC has switched actuators."""
         self.account.note("switched")
@@ -284,17 +290,20 @@ class InterfaceJudge:
             case Snapshot():
                 self._compare(a.snapshot, message)
                 a.hears(message)
+            case Question():
+                self.link.asks(message)
             case Diagnostics():
                 self.diagnostics.hears(message)
             case Welcome():
+                self._met = a.instance
                 if a.counts_at_start is None:
                     a.counts_at_start = sum(map(max, a.ledger_counts, message.counts or a.ledger_counts))
-            case Begun() if (ran := self._of(message.program)) is not None:
+            case Begun() if (ran := self._heard_of(message.program)) is not None:
                 marks = ran.marks[message.stage :]
                 ran.begun_marks.append((next((m for m in marks if m >= 0), len(marks)), a.awake))
-            case Settled() if (ran := self._of(message.program)) is not None:
+            case Settled() if (ran := self._heard_of(message.program)) is not None:
                 ran.settled[message.mark] = message, a.awake
-            case Ended() if (ran := self._of(message.program)) is not None:
+            case Ended() if (ran := self._heard_of(message.program)) is not None:
                 ran.heard_at, ran.heard_awake = min(ran.heard_at, a.now), min(ran.heard_awake, a.awake)
 
     def _compare(self, before: Snapshot | None, snapshot: Snapshot) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from controller.program import Alive, Cancel, Counts, Lock, Reset
+from controller.program import Alive, Cancel, Clearance, Counts, Lock, Question, Reset, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount, Request
 from tests.simulation.judge.verdict import require
 
@@ -32,6 +32,7 @@ class Link:
         self._alive_at = self._heard_at = self._a.awake
         self._connected = self._counted = False
         self._first = True
+        self._questions: dict[int, Question] = {}
 
     def hears(self, greeting: bool) -> None:
         """The planner gets a message; `greeting`: the first one of a connection."""
@@ -64,10 +65,27 @@ class Link:
                 require(self._pending("reset"), f"{message}, for which nobody asked")
                 heard = [h.snapshot.epoch for h in a.truths(math.inf) if h.snapshot is not None]
                 require(message.epoch in heard or not heard, f"{message} is of an epoch that was not told: {heard[:1]}")
+            case Clearance():
+                self._judge_clearance(message)
             case Cancel(program=int(number)):
                 ran = a.programs.get((a.instance, number))
                 twice = ran is not None and ran.results and not ran.given_up
                 require(not twice, f"{message} cancels a program that has a result")
+
+    def asks(self, question: Question) -> None:
+        """The executor asks whether a stage is clear."""
+        self._questions[question.question] = question
+
+    def _judge_clearance(self, message: Clearance) -> None:
+        """Compares the answer to a question with the obstacles in force."""
+        a, question = self._a, self._questions.pop(message.question, None)
+        require(question is not None, f"{message} answers no question")
+        assert question is not None
+        before, after = unpack(question.start), unpack(question.stage)
+        sets = [*a.in_force(), set(a.cubes)]
+        touched = {any(cube.touched(before, after) for cube in cubes) for cubes in sets}
+        failed = message.touched is not None and a.had("task failed", a.now - 5.0)
+        require(failed or (message.touched is not None) in touched, f"{message} on {question} among {sets}")
 
     def _pending(self, key: str) -> list[Request]:
         return [r for r in self._a.requests if r.key == key and r.answer is None]
@@ -79,7 +97,9 @@ class Link:
         keys = ("stop", "cancel", "reset", "degrade")
         owed = [r for r in a.requests if r.key in keys and r.answer is None and a.now - r.at > SILENT - 0.1]
         held_up = a.slow or a.lately("slow", 2.0) or a.lately("still", 2.0)
-        require(held_up or silent > 2 * self.timeout - COUNTED or owed, f"the planner says that {reason} after {silent:g} s")
+        require(
+            held_up or silent > 2 * self.timeout - COUNTED or owed, f"the planner says that {reason} after {silent:g} s"
+        )
 
     def tick(self) -> None:
         """Finds a planner that is not alive."""

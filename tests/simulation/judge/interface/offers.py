@@ -11,7 +11,7 @@ from tests.simulation.judge.interface.searches import start_of
 from tests.simulation.judge.verdict import require
 
 EXACT = 1e-6  # [s]
-STANDS = 1.3  # [s]: what arrives so long after a standstill counts as sent before it
+EPOCHS = ("stop", "cancel", "reset", "degrade")
 MADE_WITHIN = 0.01  # [s] from the making of a program to the executor
 
 
@@ -37,6 +37,7 @@ class Offers:
         require(mine, f"{text}, for which nobody asked")
         self._judge_until(program, mine, text)
         self._judge_start(program, text)
+        self._judge_epoch(program, [r for r in mine if abs(program.until - r.at - patience(r)) < EXACT], text)
         if kind == "jog":
             self._judge_jog(program, mine, text)
         else:
@@ -68,6 +69,19 @@ class Offers:
         locked, start = unpack(snapshots[0].locked), unpack(program.start)
         moved = [stage.states.hex() for stage in program.stages if (unpack(stage.states) ^ start) & locked]
         require(not moved or len({s.locked for s in snapshots}) > 1, f"{text} switches locked actuators: {moved}")
+
+    def _judge_epoch(self, program: Program, mine: list[Request], text: str) -> None:
+        """The epoch is that of the request's arrival, so that a fault or a stop after it bars it."""
+        a = self._a
+        if len(mine) != 1 or a.slow or a.had("still", mine[0].at - 5.0):
+            return
+        at = mine[0].at
+        changing = any(r.key in EPOCHS and r.at <= at and r.answered_at > at - 0.3 for r in a.requests)
+        near = [h for h in a.heard if abs(h.at - at) < 0.1 or h.at <= at]
+        epochs = {h.snapshot.epoch for h in near[-8:] if h.snapshot is not None and h.at > at - 0.2}
+        if len(epochs) == 1 and not changing:
+            (epoch,) = epochs
+            require(program.epoch == epoch, f"{text} has epoch {program.epoch}; it was {epoch} when it was asked for")
 
     def _sure(self, snapshots: list[object]) -> bool:
         """Returns whether the planner knows the configuration of the arm."""

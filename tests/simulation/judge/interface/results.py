@@ -127,7 +127,7 @@ class Results:
         require(not payload.get("repeated") or a.had("planner ended", ran.at), f"{text}, for the first time")
         early = ran.process != a.process and a.now - a.began_at < RECONNECTED - 0.1 and not a.quits
         require(not early, f"{text} is of an earlier process, and clients have not found this one")
-        unreached = a.unreached and not a.quits and ran.heard_at < a.now
+        unreached = a.unreached and not a.quits
         require(not unreached, f"{text} is published before clients have reconnected")
         ran.results.append(payload)
         ran.told_awake = a.awake
@@ -155,6 +155,8 @@ class Results:
         every = self._a.ran(str(payload["id"]))
         require(every, f"{text}, which was not accepted")
         without = [ran for ran in every if not ran.results and not ran.given_up]
+        if payload["status"] != "lost":
+            without.sort(key=lambda ran: ran.ended is None)
         return (without or every)[0 if without else -1]
 
     def _judge_refused(self, payload: Payload) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 from controller.program import Snapshot, pack, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Ran, Request
 from tests.simulation.judge.interface.grounds import patience
-from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.interface.modules import Cube
 from tests.simulation.judge.verdict import require
 
@@ -77,6 +76,8 @@ class Searches:
         """Forgets the last process."""
         self._running: dict[int, Search] = {}
         self._prepared: Search | None = None  # the last one
+        self._improving: Search | None = None  # the last task that improves
+        self._searched: tuple[Payload, float] | None = None  # the last goal whose search has ended, and when
         self._planned: tuple[Search, float] | None = None  # the last plan, until something is done with it
         self._second, self._in_second = 0, 0
         self._busy_until = self._a.awake  # awake time at which a request waited last
@@ -111,6 +112,7 @@ class Searches:
                 self._judge_goal(search, text)
             case "improve":
                 search.ran = next(reversed(a.programs.values()), None)
+                self._improving = search
             case "prepare":
                 self._judge_prepared(search, text)
             case "standing":
@@ -138,8 +140,8 @@ class Searches:
 
     def improves(self, number: int, deviations: tuple[float | None, ...] | None) -> None:
         """A worker tells the deviations of a running plan, or a better plan: None."""
-        search = self._running.get(number)
-        if search is None or search.ran is None or search.abandoned:
+        search = self._improving
+        if search is None or search.number != number or search.ran is None or search.abandoned:
             return
         if deviations is None:
             search.ran.replaced = True
@@ -150,6 +152,8 @@ class Searches:
         """A worker gives its last answer; `planned`: a plan."""
         search = self._running.pop(number, None)
         self.least = min(self.least, len(self._running))
+        if search is not None and search.kind == "goal" and search.goal is not None:
+            self._searched = search.goal, self._a.now
         if search is not None and search.kind == "goal" and planned and not search.abandoned:
             self._planned = search, self._a.awake
 
@@ -256,9 +260,8 @@ class Searches:
         last = next((r for r in reversed(a.requests) if r.key in ("goal", "jog")), None)
         if last is None or last.key != "goal" or not last.query or last.original is not None or any(a.in_force()):
             return
-        soon = a.now - last.answered_at < REHEARSED - 0.3 and well_formed(last, a.modules) and "*" not in last.name
-        busy_refusal = (last.answer or {}).get("reason") in ("busy", "beyond-length", "no-waypoints")
-        if soon and not busy_refusal and len(last.body["waypoints"]) == 1:
+        soon = a.now - last.at < REHEARSED - 0.5 and last.accepted
+        if soon and len(last.body["waypoints"]) == 1:
             rehearsed = self._prepared.goal is not None and asks(last, self._prepared.goal)
             require(rehearsed, f"nothing is asked for, and {last} is not rehearsed")
 
@@ -291,7 +294,10 @@ class Searches:
             return
         snapshot = a.snapshot
         ready = snapshot is not None and snapshot.mode in ("ready", "executing") and self._planned is None
-        searched = any(s.kind == "goal" and s.goal is not None and asks(first, s.goal) for s in self._running.values())
+        lately = self._searched is not None and a.now - self._searched[1] < 2 * ANSWERED
+        searched = lately or any(
+            s.kind == "goal" and s.goal is not None and asks(first, s.goal) for s in self._running.values()
+        )
         epoch = a.had("epoch", a.now - 0.3) or a.waiting("stop", "cancel", "reset")
         offered = any(r.goal == first.goal and r.at >= first.at for r in a.programs.values())
         declined = any(a.had(f"declined {why}", a.now - 0.3) for why in ("moved-since-planned", "switch-not-confirmed"))

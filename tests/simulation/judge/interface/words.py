@@ -64,7 +64,7 @@ class Words:
             self._judge_reached(ran, payload, text)
         elif payload["code"] == -5:
             self._judge_missed(ran, payload, text)
-        elif ended is not None and ended.status != "done":
+        elif ended is not None and ended.status == status:
             words = ended.message
             require(message == words or message[:1_000] == words, f"{text}; the executor tells {words}")
         require(message, f"{text} has no message")
