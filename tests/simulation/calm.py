@@ -9,6 +9,7 @@ import msgspec
 from tests.simulation.judge.interface.results import unanswered
 from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
+from tests.simulation.whole.containers import check_containers
 
 if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 Payload = dict[str, Any]
 OWED_WITHIN = 12.0  # [s]: results of an earlier process wait until clients have reconnected
 MOST_TRIES = 6  # goals, until one is accepted; some cannot be reached
+TRIED_AGAIN = 0.3  # [s]: what arrives within a second after a standstill may be refused as too late
 MOST_PROGRAMS = 30  # programs, one each 0.1 s, until one is accepted: the last switch may still be read back
 RESTARTED_WITHIN = 10.0  # [s] until a planner or an executor that was killed has started again
 HUNG_WITHIN = 200.0  # [s] until a planner with a hung worker has started again
@@ -48,6 +50,7 @@ def run_a_goal(world: World, daemon: Daemon) -> None:
         answer = send_goal(world, daemon)
         if answer is not None and answer["accepted"]:
             break
+        world.pass_time(TRIED_AGAIN)
     else:
         raise Violation(f"no goal was accepted after all trouble: {answer}")
     name = answer["id"]
@@ -73,6 +76,8 @@ def check_daemon(world: World, daemon: Daemon) -> None:
     world.wait(lambda: not unanswered(account), "without open requests", SEARCHED_WITHIN)
     world.wait(lambda: not storage.owed(), "without goals that the ledger owes", OWED_WITHIN)
     world.wait(lambda: not world.judge.programs.unacknowledged, "without results that wait", OWED_WITHIN)
+    if daemon.process is not None:
+        check_containers(daemon.process)
     counts = [max(known, told) for known, told in zip(storage.counts, daemon.counted, strict=True)]
     require(list(storage.counts) == counts, f"the ledger counts {storage.counts}, the executor {daemon.counted}")
     without = [ran.goal for ran in account.programs.values() if ran.request is not None and not ran.results]

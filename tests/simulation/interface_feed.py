@@ -36,14 +36,19 @@ def interface_judge(
         modules = JudgedModules(facts, manipulator.base, executed.actuators, daemon.weights, most)
         made = InterfaceJudge(modules, daemon.wall, lambda: judge.ground.states, lambda: account.clear)
         of = made.account
-        of.tolerance, of.length = arm.tolerance, modules.farthest
+        of.tolerance, of.angle_tolerance, of.length = arm.tolerance, arm.angle_tolerance, modules.farthest
         longest = max(max(travel) for travel in judge.arm.travel) + max(judge.arm.margin) + executed.rest
         of.longest_transition = 2 * len(executed.actuators) * (longest + 0.1)
+        of.lead, of.travel, of.rest = daemon.pace.lead, arm.travel_time, executed.rest
+        of.inrush = executed.inrush is not None
         of.declared = bytes(
             (executed.locked_states >> k & 1) if executed.locked >> k & 1 else 255
             for k in range(len(executed.actuators))
         )
-        of.bias = None if arm.settings.tracker is None else (0.0, 0.0)
+        if (tracker := arm.settings.tracker) is not None:
+            of.bias, of.offset, of.clamp, of.hold = (0.0, 0.0), daemon.offset, tracker.clamp, tracker.hold
+        made.link.timeout = executed.planner_timeout
+        made.searches.prepares = arm.settings.method == "minimum-switch"
         of.silent_after = 2.0 * executed.planner_timeout + SILENCE_NOTICED
 
         def sure() -> bool:

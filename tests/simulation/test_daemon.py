@@ -9,18 +9,27 @@ from typing import Any
 import msgspec
 import pytest
 
+from controller.gateway.arrivals import RepeatedGoals
+from controller.gateway.claim import Claim
+from controller.gateway.outbox import Outbox
 from controller.motion.decoding.goal import BEGIN_WITHIN
 from controller.motion.stages.feed import Feed
-from controller.planning.core import goals, offers, parts
-from controller.planning.core.arm import ExecutorView
-from controller.planning.core.events import Reply, Request, ToExecutor
+from controller.motion.tracking.tracking import GoalTracker
+from controller.planning.core import goals, offers, outcomes, parts
+from controller.planning.core.arm import ArmState, ExecutorView
+from controller.planning.core.events import PublishResult, Reply, Request, ToExecutor
 from controller.planning.core.goals import Goals
-from controller.planning.core.parts import Admission
+from controller.planning.core.obstacles import ObstacleOwner
+from controller.planning.core.parts import Admission, Jobs
 from controller.planning.core.programs import Programs
+from controller.planning.core.reports import GoalOutcome
 from controller.planning.core.requests import ExecutorRequests, Queries
 from controller.planning.core.results import Results
-from controller.program import Acknowledge, Reset
+from controller.planning.core.stream import Stream
+from controller.program import Acknowledge, Alive, Clearance, Reset
 from tests.simulation.judge.verdict import Violation
+from tests.simulation.network import SimulatedLink
+from tests.simulation.whole.planner_storage import Storage
 from tests.simulation.world import World
 
 STEPS = 3_000
@@ -60,7 +69,11 @@ _tell = Results._tell
 _goal_program = offers.goal_program
 _receive_request = ExecutorRequests.receive_request
 _in_flight = offers._in_flight
-_refuse = Goals._refuse
+_publish_result = Outbox.publish_result
+_answered_job = Jobs.answered
+_send = SimulatedLink.send
+_advance = Goals.advance
+_status = Stream.status
 
 
 def _answer_twice(self: Programs, entry: int) -> None:
@@ -119,6 +132,45 @@ def _say_nothing(self: Results, untold: Any, *known: Any, inherited: bool) -> No
     self._owed.pop(untold.identity, None)
 
 
+def _always_reached(goal: str, target: Any, where: Any) -> GoalOutcome:
+    return GoalOutcome("succeeded", 0, "reached", f"holding; goal {goal} was reached")
+
+
+def _always_clear(self: ObstacleOwner, question: Any) -> None:
+    self._act(ToExecutor(Clearance(question.question, None)))
+
+
+def _ignore_epochs(self: Admission, ticket: Any, goal: str | None = None) -> bool:
+    canceled = goal is not None and ticket.number <= self._canceled.get(goal, 0)
+    return bool(ticket.number <= self._barred or canceled)
+
+
+def _forget_inherited(self: Outbox, result: PublishResult) -> None:
+    if not result.inherited:
+        _publish_result(self, result)
+
+
+def _keep_job(self: Jobs, number: int, answer: Any, last: bool) -> None:
+    job = self._jobs[number]
+    _answered_job(self, number, answer, last)
+    self._jobs[number] = job
+    job.on_answer = None
+
+
+def _say_nothing_to_executor(self: SimulatedLink, message: Any) -> None:
+    if not isinstance(message, Alive):
+        _send(self, message)
+
+
+def _advance_with_snapshots(self: Goals) -> None:
+    if self._moment.now == getattr(self._view.state, "snapshot", None) or int(self._moment.now * 1e3) % 60 < 5:
+        _advance(self)
+
+
+def _count_no_refusal(self: Stream) -> Any:
+    return {**_status(self), "refused": 0}
+
+
 DEFECTS: dict[str, list[Patch]] = {
     "requests are answered twice": [(Programs, "recorded", _answer_twice)],
     "queries are not answered": [(Queries, "_answer", _lose_every_third)],
@@ -135,6 +187,21 @@ DEFECTS: dict[str, list[Patch]] = {
         (offers, "_in_flight", _take_present_epoch),
     ],
     "the planner resets a stopped arm": [(ExecutorRequests, "receive_request", _reset_after_stop)],
+    "a goal counts as reached wherever the tip is": [(outcomes, "last_waypoint_outcome", _always_reached)],
+    "each stage counts as clear": [(ObstacleOwner, "ask", _always_clear)],
+    "set-points with late stamps count": [(GoalTracker, "_ordered", lambda self, stamp, arrival: stamp)],
+    "epochs are ignored": [(Admission, "barred", _ignore_epochs), (offers, "_in_flight", _take_present_epoch)],
+    "states that are no configuration are not told": [(ArmState, "unknown_state", None)],  # type: ignore[list-item]
+    "results of an earlier process are not published": [(Outbox, "publish_result", _forget_inherited)],
+    "publications are not marked": [(Storage, "mark", lambda self, identity, payload: None)],
+    "results are sent at the end of a standstill": [(Outbox, "_stood_still", lambda self: False)],
+    "the description lacks obstacles": [(ObstacleOwner, "regions", [])],  # type: ignore[list-item]
+    "payloads are never forgotten": [(RepeatedGoals, "_forget_payload", lambda self, goal: None)],
+    "tasks are never forgotten": [(Jobs, "answered", _keep_job)],
+    "the planner is silent": [(SimulatedLink, "send", _say_nothing_to_executor)],
+    "goals wait for a snapshot": [(Goals, "advance", _advance_with_snapshots)],
+    "refused set-points are not counted": [(Stream, "status", _count_no_refusal)],
+    "two daemons serve an arm": [(Claim, "confirm", lambda self, timeout=0.0: None)],
     "goals are refused for no reason": [(goals, "MOST_WAITING", 1)],  # type: ignore[list-item]
     "the executor's answers are not awaited": [(goals, "EXECUTOR_TIMEOUT", 0.0005)],  # type: ignore[list-item]
     "lost connections are not noticed": [(ExecutorView, "lost", lambda self, reason: None)],

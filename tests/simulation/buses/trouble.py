@@ -41,7 +41,9 @@ DAEMON_KINDS = {
         "wires are loose": 8.0,
         "clock is set": 0.3,
         "clients read slowly": 0.5,
-        "planner stands still": 0.15,
+        "planner stands still": 0.4,
+        "network is lost": 0.4,
+        "searches err": 4.0,
     },
 }
 
@@ -179,7 +181,7 @@ class Trouble:
                 daemon.die()
                 self._world.executor.kill_after(random.randint(0, 20))
             case "planner is slow":
-                daemon.slow = random.choice([0.002, 0.02, 0.2])
+                daemon.hold_up(slow=random.choice([0.002, 0.02, 0.2]))
                 self._later(4.0, daemon.mend)
             case "searches are late":
                 mood.delay = random.choice([0.1, 0.5, 3.0])
@@ -195,10 +197,16 @@ class Trouble:
                 daemon.fill_disk(random.choice([0, 0, 1, 2, 5]))
                 self._later(4.0, daemon.mend)
             case "clients read slowly":
-                daemon.congestion = random.choice([0.005, 0.1])
+                daemon.hold_up(congestion=random.choice([0.005, 0.1]))
                 self._later(3.0, daemon.mend)
             case "planner stands still":
                 daemon.stall(random.choice([5.0, 12.0, LONGEST_STANDSTILL]))
+            case "searches err":
+                daemon.search.errs = True
+                self._later(4.0, lambda: setattr(daemon.search, "errs", False))
+            case "network is lost":
+                daemon.lose_network(True)
+                self._later(3.0, lambda: daemon.lose_network(False))
             case "clock is set":
                 daemon.set_clock()
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from collections import deque
 from random import Random
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 ACTS = {
     **{"goal": 40, "jog": 8, "plan": 4, "cancel": 3, "cancel goal": 4, "stop": 1.5, "reset": 3, "degrade": 3},
     **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 4, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
+    **{"poses": 2.0, "again": 1.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
     **{"burst": 4, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 0.3},
 }
 BURSTS = (
@@ -36,7 +39,18 @@ BURSTS = (
     ("obstacles", "goal", "obstacles"),
 )
 NAMES = {"stop": ("hyperbit/*/stop", "**/hyperbit/*/stop"), "cancel": ("hyperbit/*/cancel",), "arm": ("hyperbit/**",)}
+DESCRIPTIONS = (
+    b'{"with": ["running"]}',
+    b'{"with": ["running"]}',
+    b"",
+    b'{"with": ["drawing"]}',
+    b"\xff",
+    b'{"with": "x"}',
+)
+POSES = ("pick", "place", "a b", "P1")
 CLIENTS = 4  # the last one attaches the same bytes to each of its requests
+PAUSE = 0.4  # [s] after a stream that nobody disturbs
+LONG_AGO = 9.0  # [s]
 AWAY = 2.0  # [s], longest time for which a client is away
 HAS_BEGIN_WITHIN = "begin_within" in GoalMessage.__struct_fields__
 MOTION = 0.15  # [s], mean time between a motion and its obstacles
@@ -62,6 +76,7 @@ class Clients:
         self._numbers = self._attached = 0
         self._client = 0  # that acts now
         self._sent: list[Sent] = []  # the last goals and other requests
+        self._goals = deque[Sent](maxlen=40)
         self._streams_until = 0.0
         self._rate = random.choice([2.0, 10.0, 20.0])
         self._crowd = random.choice([0.0, 0.4, 0.8])  # share of the motions to which obstacles come
@@ -75,8 +90,12 @@ class Clients:
         name = f"{self._prefix}/{key}"
         if not self.calm and key in NAMES and self._random.random() < 0.1:
             name = self._random.choice(NAMES[key])
+        elif not self.calm and self._random.random() < 0.02:
+            name = f"hyperbit/*/{key}"
         sent = self._daemon.zenoh.send(self._client, name, data, self._attachment(key), query)
         self._sent = [*self._sent[-9:], sent]
+        if key == "goal":
+            self._goals.append(sent)
         return sent
 
     def _attachment(self, key: str) -> bytes:
@@ -94,6 +113,12 @@ class Clients:
         client = self._random.choice([sent.client, sent.client, 1])
         self._daemon.zenoh.send(client, sent.name, sent.payload, attachment, sent.query)
 
+    def _send_again(self) -> None:
+        """Sends a goal of long ago again, as a client does that has its goals in a file."""
+        old = [sent for sent in self._goals if sent.at < self._agenda.now - LONG_AGO]
+        if old:
+            self.ask("goal", self._random.choice(old).payload)
+
     # --- what they do
 
     def _act(self) -> None:
@@ -107,7 +132,9 @@ class Clients:
             act = "reset"
         self._client = self._random.randrange(CLIENTS)
         self._do(act)
-        self._agenda.after(self._random.expovariate(self._rate), self._act)
+        alone = act == "stream" and self._random.random() < 0.5  # nobody disturbs the stream
+        waits = self._streams_until + PAUSE - self._agenda.now if alone else 0.0
+        self._agenda.after(waits + self._random.expovariate(self._rate), self._act)
 
     def _burst(self) -> None:
         """Sends several requests in one instant, of one client or of two in turn."""
@@ -129,11 +156,30 @@ class Clients:
             case "plan":
                 self.ask("plan", self.goal())
             case "jog":
-                self.ask("jog", {"actuators": self._some_states()})
+                wait = {"begin_within": random.choice([0.2, 3.0])} if random.random() < 0.2 else {}
+                self.ask("jog", {"actuators": self._some_states(), **wait})
                 self._crowd_in(1)
-            case "cancel" | "stop" | "reset" | "arm":
-                payload = b'{"with": ["running"]}' if act == "arm" else b"{}"
-                self.ask(act, payload, query=act == "arm" or random.random() < 0.9)
+            case "cancel" | "stop" | "reset":
+                self.ask(act, query=random.random() < 0.9)
+            case "arm":
+                self.ask("arm", random.choice(DESCRIPTIONS))
+            case "poses":
+                self.ask("poses", self._pose(), query=random.random() < 0.9)
+            case "again":
+                self._send_again()
+            case "flood":
+                key, data = random.choice([("goal", b"\xff"), ("goal", b"[1]"), ("obstacles", b"{}"), ("jog", b"")])
+                query = random.random() < 0.5
+                for _ in range(random.choice([30, 100])):
+                    self.ask(key, data, query=query)
+            case "crowd":
+                for k in range(random.choice([5, 20])):
+                    self._daemon.zenoh.send(
+                        self._client, f"{self._prefix}/setpoint", self._setpoint(), b"crowd%d" % k, query=False
+                    )
+            case "many arms":
+                for _ in range(130):
+                    self.ask("arm", b"")
             case "result":
                 self.ask("result", {"id": f"g{max(self._numbers - random.choice([0, 1, 2, 5]), 0)}"})
             case "cancel goal":
@@ -198,17 +244,49 @@ class Clients:
                 waypoints[-1] = {"configuration": row, "t": time}
             time += pace.shortest * random.choice([1.0, 2.0, 4.0, len(self._labels)])
         message: dict[str, Any] = {"waypoints": waypoints}
-        if random.random() < 0.9:
+        if random.random() < 0.12:
+            self._follow_lines(message)
+        elif random.random() < 0.25:
+            self._turn(message)
+        if random.random() < 0.9 or "path_tolerance" in message:
             message["id"] = f"g{self._numbers}"
         if random.random() < 0.15:
             message["stamp"] = self._daemon.wall() + random.uniform(-0.5, 1.0)
         if random.random() < 0.5:
-            message["tolerance"] = {"position": random.choice([0.05, 0.3, 1.0])}
+            chosen = {"position": random.choice([0.05, 0.3, 1.0])}
+            message["tolerance"] = {**message.get("tolerance", {}), **chosen}
         if random.random() < 0.1:
             message["deadline"] = random.choice([0.1, 1.0, 5.0])
         if HAS_BEGIN_WITHIN and random.random() < 0.2:
             message["begin_within"] = random.choice([0.2, 1.0, 5.0])
         return message
+
+    def _turn(self, message: dict[str, Any]) -> None:
+        """Asks for orientations at some positions: mostly those of configurations."""
+        random, space = self._random, self._daemon.space
+        for waypoint in message["waypoints"]:
+            if "position" in waypoint and random.random() < 0.6:
+                k = random.choice(self._free() or range(len(space.tips)))
+                waypoint["position"] = [float(x) for x in space.tips[k]]
+                waypoint["orientation"] = float(space.angles[k]) + random.choice([0.0, 0.0, 0.02, 2 * math.pi])
+        message["tolerance"] = {"orientation": random.choice([0.05, 0.5, 4.0])}
+
+    def _follow_lines(self, message: dict[str, Any]) -> None:
+        """Asks for straight lines between positions, mostly slow enough."""
+        random, waypoints = self._random, message["waypoints"]
+        tolerance, time = random.choice([0.4, 1.0]), 0.0
+        for k, waypoint in enumerate(waypoints):
+            if random.random() < 0.95:
+                waypoint.pop("configuration", None)
+                waypoint.setdefault("position", self.position())
+            if k and "position" in waypoint and "position" in waypoints[k - 1]:
+                length = math.dist(waypoint["position"], waypoints[k - 1]["position"])
+                parts = math.ceil(length / (tolerance / 2)) + 1
+                time += self._daemon.pace.shortest * parts * random.choice([1.0, 1.0, 2.0, 0.3])
+            elif k:
+                time += self._daemon.pace.shortest
+            waypoint["t"] = time
+        message["path_tolerance"] = tolerance
 
     def simple_goal(self) -> dict[str, Any]:
         """Returns a goal that the arm can reach with its locked actuators."""
@@ -271,12 +349,23 @@ class Clients:
 
         step()
 
+    def _setpoint(self) -> bytes:
+        return json.dumps({"position": self.position()}).encode()
+
+    def _pose(self) -> dict[str, Any]:
+        """Returns a request on poses; a few are malformed."""
+        random = self._random
+        name = random.choice([*POSES, "home"]) if random.random() < 0.9 else random.choice(["", " a", "x" * 41, "a/b"])
+        goal = {key: value for key, value in self.simple_goal().items() if key != "id"}
+        goal |= random.choice([{}] * 8 + [{"id": "p"}, {"stamp": 5.0}, {"waypoints": []}])
+        message = random.choice([{"save": name, "goal": goal}] * 4 + [{"remove": name}] * 4)
+        return message if random.random() < 0.9 else random.choice([{"save": name}, {"goal": goal}, {}, {"remove": 5}])
+
     def _measure(self) -> None:
-        tip = [x + self._random.gauss(0.0, 1e-5) for x in self.position()]
-        if self._daemon.snapshot is not None:
-            code = unpack(self._daemon.snapshot.measured)
-            tip = [float(x) for x in self._daemon.space.tips[self._daemon.space.index.get(code, 0)]]
-        stamp = self._daemon.wall() - self._random.choice([0.0, 0.001, 2.0])
+        code = -1 if self._daemon.snapshot is None else unpack(self._daemon.snapshot.measured)
+        computed = self._daemon.space.tips[self._daemon.space.index.get(code, 0)]
+        tip = [float(x) + b + self._random.gauss(0.0, 1e-5) for x, b in zip(computed, self._daemon.offset, strict=True)]
+        stamp = self._daemon.wall() - self._random.choice([0.0, 0.001, 0.001, 2.0, -1.0])
         data = json.dumps({"position": tip, "stamp": stamp}).encode()
         self._daemon.zenoh.send(self._client, f"{self._prefix}/measured_tip", data, query=False)
 

@@ -67,6 +67,7 @@ class Configurations:
     Attributes:
         codes: actuator states as integers, shape (N,).
         tips: positions, shape (N, dimension).
+        angles: orientations of the tips of a planar arm, shape (N,) [rad].
         index: number of the configuration of each code.
         notations: each configuration as text.
 
@@ -79,7 +80,9 @@ class Configurations:
     def __init__(self, manipulator: Manipulator, most: int, weights: Sequence[float]) -> None:
         every = np.array(list(product(*(range(count) for count in manipulator.states.tolist()))))
         self.codes = np.array([integer(manipulator.actuator_states(row)) for row in every])
-        self.tips = manipulator.tips(every)[:, : manipulator.dimension, 3].copy()
+        frames = manipulator.tips(every)
+        self.tips = frames[:, : manipulator.dimension, 3].copy()
+        self.angles = np.arctan2(frames[:, 1, 0], frames[:, 0, 0])
         self.notations = [format_configuration(manipulator, row) for row in every]
         self.index = {code: k for k, code in enumerate(self.codes.tolist())}
         self._differ = self.codes[:, None] ^ self.codes
@@ -116,6 +119,11 @@ class Configurations:
     def near(self, position: NDArray[np.float64], tolerance: float) -> NDArray[np.bool_]:
         """Returns which configurations have their tip near a position, shape (N,)."""
         return np.asarray(np.linalg.norm(self.tips - position, axis=1) <= tolerance)
+
+    def turned(self, rotation: NDArray[np.float64], tolerance: float) -> NDArray[np.bool_]:
+        """Returns which configurations have their tip turned as a rotation (3, 3), shape (N,)."""
+        apart = self.angles - np.arctan2(rotation[1, 0], rotation[0, 0])
+        return np.asarray(np.abs((apart + np.pi) % (2 * np.pi) - np.pi) <= tolerance)
 
     def layers(self, graph: Graph, start: int, wanted: Sequence[NDArray[np.bool_]]) -> list[Costs]:
         """Returns the least costs from a configuration over each of the wanted sets, before and at each point."""

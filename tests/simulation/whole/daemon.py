@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from random import Random
@@ -11,9 +12,34 @@ import msgspec
 from controller.arm.arm import Arm
 from controller.executor.core.arm import ExecutedArm
 from controller.host.process import Log, Quit
+from controller.motion.stages.feed import Improved
 from controller.motion.stages.pacing import pace_of
-from controller.planning.core.events import Action, Answered, Event, FromExecutor, Payload, Record, Start, ToExecutor
-from controller.planning.core.tasks import Answer, BuildScene, BuildTables, Failed, SceneBuilt, Tables, Task
+from controller.planning.core.events import (
+    Abandon,
+    Action,
+    Answered,
+    Disconnect,
+    Event,
+    FromExecutor,
+    Hurry,
+    Payload,
+    Record,
+    SetpointArrived,
+    Start,
+    TipArrived,
+    ToExecutor,
+)
+from controller.planning.core.tasks import (
+    Answer,
+    BuildScene,
+    BuildTables,
+    Deviations,
+    Failed,
+    Planned,
+    SceneBuilt,
+    Tables,
+    Task,
+)
 from controller.program import Alive, Counted, Diagnostics, Snapshot, Up, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
@@ -22,14 +48,18 @@ from tests.simulation.judge.interface.interface import InterfaceJudge
 from tests.simulation.judge.interface.results import unanswered
 from tests.simulation.judge.verdict import Violation
 from tests.simulation.network import Network
+from tests.simulation.whole.claims import check_claims
 from tests.simulation.whole.clients import Clients
 from tests.simulation.whole.configurations import Configurations
 from tests.simulation.whole.exact_search import ExactSearch
 from tests.simulation.whole.planner_process import UNIX, PlannerProcess
 from tests.simulation.whole.planner_storage import Storage
+from tests.simulation.whole.saved_poses import SavedPoses
 from tests.simulation.whole.searcher import Mood
+from tests.simulation.whole.tasks_seen import seen
 from tests.simulation.whole.zenoh_model import Sent, ZenohModel
 
+OFFSET = 4e-4  # of measured tips from computed ones; less than the tolerance
 COUNTED_WITHIN = 0.5  # [s] from the executor's counts to the ledger
 
 
@@ -42,6 +72,7 @@ class Daemon:
         connection: its connections to the executor.
         zenoh: the network between clients and process.
         judge: judges what clients see.
+        saved: the saved poses, which survive the processes.
         storage: what survives the processes.
         mood: of its workers.
         state: the last payload of `state`; None without a process.
@@ -51,6 +82,7 @@ class Daemon:
         together: the service manager ends the executor with the planner.
         wanted: whether a goal was sent while all is calm.
         awake_since: time when the last halt of the process ended [s].
+        offset: of measured tips from computed ones.
         slow: longest time of a round of the loop [s].
         congestion: longest time that a message of the outbox waits for a peer that reads slowly [s].
 
@@ -77,10 +109,13 @@ class Daemon:
         self.executed, self.arm, self.agenda, self.pace = executed, arm, agenda, pace_of(arm.settings)
         weights = drawn("weights")
         self.weights = [weights.choice([1.0, 1.0, 2.0, 3.0]) for _ in executed.actuators]
+        angle = drawn("tracker").uniform(-math.pi, math.pi)
+        self.offset = (OFFSET * math.cos(angle), OFFSET * math.sin(angle))
         self.space = Configurations(arm.manipulator, executed.most, self.weights)
         self.network = self.connection = Network(executed.name, agenda, drawn("network"), executor)
         self.storage, self.mood = Storage(len(executed.actuators)), Mood()
         self.search = ExactSearch(arm, self.space, drawn("search"))
+        self.search.erred = self._search_errs
         self.state: Payload | None = None
         self.results: dict[str, Payload] = {}
         self.snapshot: Snapshot | None = None
@@ -91,6 +126,9 @@ class Daemon:
         self.awake_since, self.slow, self.congestion, self._offset = 0.0, 0.0, 0.0, UNIX
         self.judge = judge(self)
         self.zenoh = ZenohModel(agenda, drawn("zenoh"), self, lambda: self.awake_since)
+        self._claims = drawn("claims")
+        self.saved = SavedPoses(drawn("poses"), self.judge.gateway)
+        self.judge.gateway.recorded = self.zenoh.matching.matching
         self.clients = Clients(self, drawn("clients"))
         self.process: PlannerProcess | None = None
         self._processes = 0
@@ -106,6 +144,7 @@ class Daemon:
             self.judge.at(self.agenda.now)
             self.judge.account.ledger_counts = self.storage.counts
             self.judge.begins(self._processes)
+            check_claims(self._claims)
             self.process = PlannerProcess(self, self._processes, self._random)
             self.process.searcher.watch = self._task_ends
 
@@ -198,9 +237,10 @@ class Daemon:
             self.judge.at(self.agenda.now)
             self.judge.recorded(row.accepted.goal, record.ended.status)
 
-    def _task_ends(self, task: Task, answer: Answer) -> None:
+    def _task_ends(self, number: int, task: Task, answer: Answer) -> None:
         """Takes the last answer of a worker."""
         self.judge.at(self.agenda.now)
+        self.judge.searches.ends(number, isinstance(answer, Planned))
         if isinstance(answer, Failed):
             self.judge.account.note("task failed")
         if isinstance(task, BuildTables):
@@ -212,16 +252,29 @@ class Daemon:
         """Takes an action before it is carried out."""
         match action:
             case ToExecutor(message):
+                self.judge.at(self.agenda.now)
+                self.judge.link.sends(message)
                 if not isinstance(message, Alive):
                     self._note(("planner sends", message))
             case Start(number, task):
                 self._note(("task", number, type(task).__name__))
+                self.judge.at(self.agenda.now)
                 if self.mood.disturbed:
                     self.judge.account.note("slow search")
                 if isinstance(task, BuildScene):
                     self.judge.scene_begun()
-            case Log(_, text):
+                self.judge.task(seen(number, task))
+            case Disconnect(reason):
+                self.judge.at(self.agenda.now)
+                self.judge.link.gives_up(reason)
+            case Hurry(number):
+                self.judge.searches.hurries(number)
+            case Abandon(number):
+                self.judge.searches.abandons(number)
+            case Log(level, text, fields):
                 self._note(("planner logs", text))
+                self.judge.at(self.agenda.now)
+                self.judge.journal.logs(level, text, fields)
                 if "Traceback" in text:
                     raise Violation(f"internal error: {text}")
             case _:
@@ -234,7 +287,18 @@ class Daemon:
                 if not isinstance(message, Snapshot):
                     self._note(("planner hears", message))
             case Answered(number, answer, _):
+                if isinstance(answer, Deviations | Improved):
+                    self.judge.at(self.agenda.now)
+                    self.judge.searches.improves(number, getattr(answer, "values", None))
                 self._note(("worker answers", number, answer))
+            case SetpointArrived(payload, arrival, sender):
+                self.judge.at(self.agenda.now)
+                self.judge.mailboxes["setpoint"].taken(payload, sender, arrival.at)
+                self.judge.streams.setpoint(payload, arrival.at, sender, now)
+            case TipArrived(payload, arrival, sender):
+                self.judge.at(self.agenda.now)
+                self.judge.mailboxes["measured_tip"].taken(payload, sender, arrival.at)
+                self.judge.streams.tip(payload, now)
             case _:
                 pass
 
@@ -269,25 +333,51 @@ class Daemon:
         if self.process is not None:
             self.process.quit()
 
+    def _search_errs(self) -> None:
+        self.judge.at(self.agenda.now)
+        self.judge.account.note("search errs")
+
+    def lose_network(self, lost: bool) -> None:
+        """Loses the connections to all peers, or brings them back."""
+        self.zenoh.lost = lost
+        self.judge.at(self.agenda.now)
+        self.judge.warnings.network(lost)
+
     def fill_disk(self, records: int) -> None:
         """Makes the disk full after some further records."""
         self.storage.fills_at = records
+        self.saved.fill(True)
         self.judge.account.note("disk", self.agenda.now + 4.0)
         self.judge.account.disk_failed = True
 
+    def hold_up(self, slow: float = 0.0, congestion: float = 0.0) -> None:
+        """Slows the loop's rounds [s], or lets clients read slowly [s]."""
+        self.slow, self.congestion = slow, congestion
+        account = self.judge.account
+        account.slow, account.congested = slow > 0.0, congestion > 0.0
+        account.note("slow")
+        account.note("congested")
+
     def set_clock(self) -> None:
         """Changes the wall clock."""
-        self._offset += self._random.choice([-3600.0, -0.1, 0.1, 3600.0])
+        by = self._random.choice([-3600.0, -1.0, -0.1, 0.1, 1.0, 3600.0])
+        self._offset += by
+        self.judge.at(self.agenda.now)
+        self.judge.warnings.clock_set(by)
         self.judge.account.note("clock")
 
     def mend(self) -> None:
         """Ends all faults; a halt continues to its end."""
         self.mood.mend()
-        self.slow = self.congestion = 0.0
+        self.search.errs = False
+        self.hold_up()
+        self.lose_network(False)
         self.storage.full, self.storage.fills_at = False, None
+        self.saved.fill(False)
         if self.process is not None:
             self.process._actions_left = None
             self.process.ledger.flush()
+            self.judge.warnings.ledger(self.process.ledger.waits)
 
     def be_calm(self, calm: bool) -> None:
         """Makes the clients calm."""

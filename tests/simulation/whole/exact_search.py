@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from random import Random
 from typing import Any, NamedTuple
 
@@ -64,6 +64,9 @@ class FoundPlan(NamedTuple):
 class ExactSearch:
     """Answers tasks; each answer is a function of its task and of drawn choices among equal plans.
 
+    Attributes:
+        errs: whether plans may miss a waypoint; `erred` is called then.
+
     Args:
         arm: the arm.
         space: its configurations.
@@ -72,6 +75,8 @@ class ExactSearch:
 
     def __init__(self, arm: Arm, space: Configurations, random: Random) -> None:
         self._arm, self._space, self._random = arm, space, random
+        self.errs = False
+        self.erred: Callable[[], None] = lambda: None
         self._size, self._pace = len(arm.manipulator.actuators), pace_of(arm.settings)
 
     def answers(self, task: Task) -> Iterator[Answer]:
@@ -79,7 +84,7 @@ class ExactSearch:
         try:
             match task:
                 case PlanGoal():
-                    yield self._plan(task)
+                    yield self._plan(task, errs=self.errs and self._random.random() < 0.5)
                 case DescribePlan():
                     planned = self._plan(task.goal)
                     yield Described(described(task, planned))
@@ -121,6 +126,8 @@ class ExactSearch:
             zip(trajectory.positions, trajectory.tolerances.tolist(), strict=True)
         ):
             fits = self._space.near(position, tolerance)
+            if trajectory.turns[k] < np.inf:
+                fits &= self._space.turned(trajectory.rotations[k], float(trajectory.turns[k]))
             if k in trajectory.fixed:
                 code = unpack(np.packbits(trajectory.fixed[k], bitorder="little").tobytes())
                 fits = self._space.codes == code
@@ -146,7 +153,7 @@ class ExactSearch:
             raise Refusal(Reason.ARM_IN_OBSTACLE)
         return number
 
-    def _plan(self, task: PlanGoal) -> Planned:
+    def _plan(self, task: PlanGoal, errs: bool = False) -> Planned:
         arm_start, tables, scene = task.basis
         trajectory, graph = self.trajectory(task), self._graph(tables, scene)
         start, wanted = self._start(arm_start, graph, tables), self.wanted(trajectory)
@@ -157,13 +164,24 @@ class ExactSearch:
         way = self._random.choice(["cheapest", "cheapest", "greedy", "any"])
         goals = None if way == "cheapest" else self._greedy(graph, start, wanted, cheapest=way == "greedy")
         goals = goals or self._choose(graph, layers)
+        if errs:
+            self.erred()
+            goals = self._misled(graph, start, goals)
         points = self._points(arm_start, graph, start, goals)
         first = self._from_commanded(arm_start, points[0], scene)
         if first is None:
             raise Refusal(Reason.START_COLLIDES)
         points[0] = first
         plan = FoundPlan(arm_start, trajectory, goals, bound)
-        return Planned(trajectory, tuple(points), self._proof(graph, start, goals, points, bound), plan)
+        proof = self._proof(graph, start, goals, points, bound)
+        proof = proof._replace(bound=0.0, certificate="unknown") if errs else proof
+        return Planned(trajectory, tuple(points), proof, plan)
+
+    def _misled(self, graph: Graph, start: int, goals: list[int]) -> list[int]:
+        """Returns a plan with another configuration at one point, whatever the goal says."""
+        k = self._random.choice([len(goals) - 1, self._random.randrange(len(goals))])
+        reached = np.flatnonzero(np.isfinite(self._to(graph, start))).tolist()
+        return [*goals[:k], int(self._random.choice(reached)), *goals[k + 1 :]]
 
     def _choose(self, graph: Graph, layers: Sequence[Costs]) -> list[int]:
         """Returns the configurations of a cheapest plan, chosen backwards among equal ones."""
@@ -259,7 +277,8 @@ class ExactSearch:
 
     def _improve(self, task: ImprovePlan) -> Iterator[Answer]:
         plan: FoundPlan = task.plan
-        yield Deviations(tuple(0.1 if self._random.random() < 0.8 else None for _ in plan.goals))
+        known = [self._random.random() < 0.9 for _ in plan.goals]
+        yield Deviations(tuple(round(self._random.uniform(0.01, 0.3), 3) if told else None for told in known))
         graph, start = self._graph(task.tables, task.scene), self._space.index[unpack(plan.start.states)]
         goals = plan.goals
         for _ in range(self._random.choice([0, 1, 1, 2, 3]) if task.search else 0):

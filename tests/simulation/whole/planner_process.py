@@ -8,20 +8,24 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
+from controller.gateway import daemon as daemon_module
 from controller.gateway import outbox as outbox_module
 from controller.gateway import server as server_module
 from controller.gateway.arrivals import Clocks, RepeatedGoals
+from controller.gateway.daemon import Warnings
 from controller.gateway.outbox import Outbox, ResultHooks
 from controller.gateway.server import GatewayParts, Server
 from controller.host.process import Quit
 from controller.motion.stages.pacing import pace_of
 from controller.planning import loop as loop_module
 from controller.planning.core.core import Beginning, Core
-from controller.planning.core.events import Action, Event, Payload, Reply
+from controller.planning.core.events import Action, Event, Reply
 from controller.planning.core.tasks import Tables, VersionedScene
 from controller.planning.link import ExecutorLink
 from controller.planning.loop import Loop, PlannerFailed, Services
 from controller.planning.planner import Planner
+from controller.program import Fault
+from tests.simulation.judge.interface.account import LEASE
 from tests.simulation.judge.verdict import require
 from tests.simulation.network import SimulatedLink
 from tests.simulation.whole.planner_storage import SimulatedLedger
@@ -38,6 +42,7 @@ UNIX = 1.7e9  # [s] between the two clocks
 SENDS_WITHIN = 0.0003  # [s], time of the outbox for a message
 
 LOGS = (
+    daemon_module.log,
     loop_module.log,
     outbox_module.log,
     server_module.log,
@@ -95,14 +100,6 @@ class SteppedOutbox(Outbox):
         self.wake_at(SENDS_WITHIN)
 
 
-class NoPoses:
-    """The saved poses: there are none."""
-
-    def listed(self) -> list[Payload]:
-        """Returns no poses."""
-        return []
-
-
 class PlannerProcess:
     """One process of a planner. Its threads share the life of the process.
 
@@ -131,10 +128,12 @@ class PlannerProcess:
         self.session, self.goals = daemon.zenoh.open(), RepeatedGoals(self._now)
         hooks = ResultHooks(self.goals.ended, storage.mark, post)
         name = arm.settings.name
-        self.outbox = SteppedOutbox(self.session, f"hyperbit/{name}", hooks, self._never, clock=self._now)  # type: ignore[arg-type]
+        self.outbox = SteppedOutbox(self.session, f"hyperbit/{name}", hooks, self._never, LEASE, self._now)  # type: ignore[arg-type]
         self._outbox_at = math.inf
         self.outbox.wake_at = self._send_within
-        services = Services(self.inbox, self.ledger, storage, self.outbox, self, tuple, self._never)  # type: ignore[arg-type]
+        network = daemon.zenoh
+        warnings = Warnings(lambda: not network.lost, self._ledger_faults, daemon.wall, self._now)
+        services = Services(self.inbox, self.ledger, storage, self.outbox, self, warnings.active, self._never)  # type: ignore[arg-type]
         locked = bytes(
             (daemon.executed.locked_states >> k & 1) if daemon.executed.locked >> k & 1 else 255
             for k in range(len(daemon.executed.actuators))
@@ -150,7 +149,7 @@ class PlannerProcess:
         self.loop.ended.clear()
         gateway_clocks = Clocks(self._now, daemon.wall, self._pause)
         planner = Planner(arm, None, self.loop)  # type: ignore[arg-type]
-        parts = GatewayParts(planner, self.outbox, self.goals, NoPoses(), storage.find, gateway_clocks)  # type: ignore[arg-type]
+        parts = GatewayParts(planner, self.outbox, self.goals, daemon.saved.poses(), storage.find, gateway_clocks)  # type: ignore[arg-type]
         self.server = Server(self.session, name, parts)  # type: ignore[arg-type]
         self.wake_soon()
         self._send_within(0.0)
@@ -158,7 +157,8 @@ class PlannerProcess:
     # --- the gateway
 
     def _pause(self, seconds: float) -> None:
-        """Does nothing: a pause of a thread of the gateway holds up no other."""
+        """Holds up no other thread of the gateway."""
+        self._daemon.judge.gateway.paused(seconds)
 
     def _send_within(self, seconds: float) -> None:
         """Lets the outbox send soon."""
@@ -198,6 +198,15 @@ class PlannerProcess:
 
     def notify(self, assignment: str) -> None:
         """Takes what the loop tells systemd."""
+        self._daemon.judge.at(self._agenda.now)
+        self._daemon.judge.journal.notifies(assignment)
+
+    def _ledger_faults(self) -> tuple[Fault, ...]:
+        """Returns the warning of a ledger that cannot be written."""
+        waits = self.ledger.waits
+        self._daemon.judge.at(self._agenda.now)
+        self._daemon.judge.warnings.ledger(waits)
+        return (Fault("ledger-unwritten", "ledger", "the disk is full"),) if waits else ()
 
     # --- rounds
 

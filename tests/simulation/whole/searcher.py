@@ -42,7 +42,7 @@ class Searcher:
     """The workers of one process; each kind has one thread, which carries out its tasks one after the other.
 
     Attributes:
-        watch: takes each task that ends, with its last answer.
+        watch: takes number and task of each that ends, with its last answer.
 
     Args:
         agenda: time.
@@ -60,7 +60,7 @@ class Searcher:
         self._lane_of = {kind: name for name, kinds in THREADS.items() for kind in kinds}
         self._abandoned: set[int] = set()
         self._hung = -1  # number of the task that is never answered
-        self.watch: Callable[[Task, Answer], None] = lambda task, answer: None
+        self.watch: Callable[[int, Task, Answer], None] = lambda number, task, answer: None
 
     @property
     def busy(self) -> int:
@@ -116,7 +116,7 @@ class Searcher:
         """Gives the last answer of a task, and begins the next task of its thread."""
         for lane in self._lanes.values():
             if lane and lane[0][0] == number:
-                self.watch(lane.popleft()[1], answer)
+                self.watch(*lane.popleft(), answer)
                 self._abandoned.discard(number)
                 self._post(Answered(number, answer, True))
                 if lane:

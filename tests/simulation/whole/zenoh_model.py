@@ -196,6 +196,7 @@ class ZenohModel:
         session: of the present process; None without one.
         awake_at: returns when the process is awake [s].
         gone: clients that have vanished.
+        lost: whether the daemon has lost all clients; what these send meanwhile does not arrive.
         matching: whether a recorder listens.
         arriving: what the observer returned for the message that is handed over now.
     """
@@ -204,6 +205,7 @@ class ZenohModel:
         self.agenda, self.random, self.observer, self.awake_at = agenda, random, observer, awake_at
         self.session: SimulatedSession | None = None
         self.gone: set[int] = set()
+        self.lost = False
         self.matching = Matching(random.random() < 0.3)
         self.arriving: object = None
         self._last: dict[int, float] = {}
@@ -211,6 +213,7 @@ class ZenohModel:
     def open(self) -> SimulatedSession:
         """Returns the session of a new process."""
         self.session = SimulatedSession(self)
+        self._last.clear()  # nothing waits for a process that has ended
         return self.session
 
     def finish(self) -> None:
@@ -238,7 +241,7 @@ class ZenohModel:
         return sent
 
     def _arrive(self, sent: Sent, session: SimulatedSession | None) -> None:
-        if session is None or session is not self.session:
+        if session is None or session is not self.session or self.lost:
             return
         awake_at = self.awake_at()
         if self.agenda.now < awake_at:

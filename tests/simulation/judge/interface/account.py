@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from controller.program import Ended, Program, Settled, Snapshot, unpack
 from tests.simulation.judge.interface.modules import Cube, JudgedModules
+from tests.simulation.judge.verdict import require
 
 Payload = dict[str, Any]
 DELAY = 0.1  # [s], awake, from an event of the world to a `state` that tells it: 20 states a second, and the outbox
+TAKEN_WITHIN = 0.01  # [s], awake, from the arrival of a request to the core
+LEASE, RECONNECTED = 4.0, 5.0  # [s] of the simulated session; after a standstill, for clients to reconnect
+STOOD_STILL, SETTLES = 0.9, 1.2  # [s] of a standstill, and after it, in which what was sent before may arrive
+BIAS_WITHIN = 2e-4  # from the tracker's offset
+TIP_TAKEN = 0.15  # [s] from the arrival of a measured tip to a state with its bias
 
 
 @dataclass(eq=False)
@@ -46,6 +52,7 @@ class Request:
     doubtful: bool = False  # whether it may count as a repetition or as new
     cubes: tuple[Cube, ...] = ()  # of obstacles
     shown: int = 0  # number of obstacles in the state before
+    expected: str = ""  # reason of the refusal of a request on poses; "": it is carried out
 
     @property
     def accepted(self) -> bool:
@@ -78,6 +85,11 @@ class Ran:
         heard_at: time at which the planner heard of its end.
         recorded: whether the ledger has its result.
         given_up: whether the planner has refused it and canceled it.
+        told_awake: awake time of the publication of its result [s].
+        planned: switches that its answer told.
+        replaced: whether the planner has sent other stages.
+        places: mark of each waypoint, if straight lines are followed.
+        deviations: of the transitions to its points, as a worker has told; None: not known.
         switches: switched by SYNC.
         request: to which it belongs, as soon as that is answered.
     """
@@ -108,6 +120,21 @@ class Ran:
     feedback: list[Payload] = field(default_factory=list)
     results: list[Payload] = field(default_factory=list)
     given_up: bool = False
+    told_awake: float = math.inf
+    planned: int | None = None
+    replaced: bool = False
+    deviations: tuple[float | None, ...] = ()
+    places: dict[int, int] = field(default_factory=dict)
+
+    def mark(self, waypoint: int) -> int:
+        """Returns the mark of a waypoint: points between waypoints have marks, too, if straight lines are followed."""
+        return self.places.get(waypoint, waypoint)
+
+    def waypoint(self, mark: int) -> int:
+        """Returns the last waypoint at or before a mark; -1 before the first."""
+        if not self.places:
+            return mark
+        return max((k for k, place in self.places.items() if place <= mark), default=-1)
 
     @property
     def key(self) -> tuple[int, int]:
@@ -139,6 +166,13 @@ class InterfaceAccount:
         bias: tip bias that the daemon tells; None: no tracker.
         shown_obstacles: number in the last state.
         scenes: number of scenes that workers build.
+        slow: whether rounds of the planner's loop take long.
+        congested: whether peers read slowly.
+        lead: time of one stage [s]; `travel` and `rest` are the times of one actuator, of the arm's file.
+        inrush: whether few actuators may switch at once, so that a stage waits for the one before.
+        switched_at: time of the snapshot that showed the last switch of each actuator [s].
+        offset: of the tracker's tips from the computed ones; `clamp` and `hold` are of the arm's file.
+        tip_at: time of the last measured tip, of whatever age [s]; `good_tip_at` of the last one that surely counts.
 
     Args:
         modules: the arm.
@@ -151,10 +185,13 @@ class InterfaceAccount:
     ) -> None:
         self.modules, self.wall, self.driven, self.clear = modules, wall, driven, clear
         self.now, self.process, self.instance = 0.0, 0, 0
-        self.tolerance = self.length = self.longest_transition = 0.0
+        self.tolerance = self.angle_tolerance = self.length = self.longest_transition = self.lead = 0.0
+        self.travel, self.rest, self.inrush = 0.0, 0.0, False
         self.silent_after = math.inf
         self.sure = clear
         self.bias: tuple[float, ...] | None = None
+        self.offset, self.clamp, self.hold = (0.0, 0.0), 0.0, 0.0
+        self.slow = self.congested = False
         self.ledger_counts: tuple[int, ...] = ()
         self.disk_failed = False
         self.numbers = 0
@@ -167,13 +204,17 @@ class InterfaceAccount:
 
     def begin(self, process: int) -> None:
         """A process of the planner begins."""
-        self.process, self.began_at = process, self.now
+        self._still = self.now - self.awake  # what stood still has ended
+        self._still_from = self._still_until = self.now
+        self.process, self.began_at, self.began_awake = process, self.now, self.awake
         self.requests = []
         self.heard = deque([Heard(self.now, self.awake, None)], maxlen=400)
         self.cubes: tuple[Cube, ...] = ()
         self.cubes_number, self.cubes_at = 0, self.now
         self.quits = False
+        self.tip_at = self.good_tip_at = -math.inf
         self.scenes = self.shown_obstacles = 0
+        self.switched_at = [-math.inf] * len(self.modules.labels)
         self.setpoints = 0
         self.counts_at_start: int | None = None
         self._tables, self._needed, self._failed = self.declared, self.declared, False
@@ -194,6 +235,29 @@ class InterfaceAccount:
             self._still_from, self._still_until = self.now, until
         self.note("still", until)
 
+    @property
+    def reconnecting(self) -> bool:
+        """Whether clients may not have reconnected after a standstill: results wait, and what follows them."""
+        return (
+            self._still_until - self._still_from > LEASE / 2 - 0.3 and self.now < self._still_until + RECONNECTED + 2.0
+        )
+
+    @property
+    def unreached(self) -> bool:
+        """Whether clients surely have not had the time to reconnect after a standstill."""
+        stood = self._still_until - self._still_from
+        return stood > LEASE / 2 + 0.3 and self._still_until < self.now < self._still_until + RECONNECTED - 0.3
+
+    def turned(self, request: Request, waypoint: Payload) -> float | None:
+        """Returns the orientation that a waypoint asks for; None: any serves, also if the tolerance is half a turn."""
+        angle = float((request.body.get("tolerance") or {}).get("orientation") or self.angle_tolerance)
+        return None if angle >= math.pi else waypoint.get("orientation")
+
+    def sent_since(self, request: Request) -> float:
+        """Returns when a request may have been sent [s]: perhaps while the process stood still."""
+        stood = self._still_until - self._still_from > STOOD_STILL and request.at < self._still_until + SETTLES
+        return min(request.sent_at, self._still_from) if stood else request.sent_at
+
     def note(self, kind: str, at: float | None = None) -> None:
         """Records the time of an event [s]."""
         self._last[kind] = self.now if at is None else at, self.awake
@@ -210,6 +274,12 @@ class InterfaceAccount:
 
     def hears(self, snapshot: Snapshot | None) -> None:
         """The process gets a snapshot, or its connection ends."""
+        before = self.heard[-1].snapshot
+        if before is not None and snapshot is not None:
+            changed = unpack(before.outputs) ^ unpack(snapshot.outputs)
+            for k in range(len(self.switched_at)):
+                if changed >> k & 1:
+                    self.switched_at[k] = snapshot.at
         self.heard.append(Heard(self.now, self.awake, snapshot))
 
     def truths(self, delay: float = DELAY) -> Iterator[Heard]:
@@ -267,6 +337,42 @@ class InterfaceAccount:
     def build_failed(self) -> bool:
         """Whether the last attempt to build tables has failed."""
         return self._failed or self.had("task failed", self.now - 1.0)
+
+    @property
+    def tables(self) -> bytes:
+        """The locked states for which tables were built last."""
+        return self._tables
+
+    def obstacles_in_force(self) -> list[Request | None]:
+        """Returns the requests whose obstacles may be in force now; None: those that were confirmed last."""
+        found = list[Request | None]()
+        for request in reversed(self.requests):
+            regions = request.body.get("regions")
+            if request.key != "obstacles" or "*" in request.name or not isinstance(regions, list):
+                continue
+            if request.answer is not None and not request.accepted:
+                if request.answer.get("reason") == "obstacles-not-checked":
+                    found.append(request)
+                continue
+            found.append(request)
+            taken = self.awake - request.awake > TAKEN_WITHIN and not self.slow and not self.lately("still", 0.1)
+            if request.accepted or (taken and not self.had("task failed", request.at)):
+                return found
+        return [*found, None]
+
+    def in_force(self) -> list[set[Cube]]:
+        """Returns the sets of obstacles that may be in force now."""
+        return [set(self.cubes if request is None else request.cubes) for request in self.obstacles_in_force()]
+
+    def judge_bias(self, bias: Sequence[float], text: str) -> None:
+        """Compares a tip bias with that of the tracker: it is used for a while after a measured tip, and zero else."""
+        length, apart = math.hypot(*bias), math.dist(bias, self.offset)
+        require(length <= self.clamp + 1e-9, f"{text} has a bias of {length}")
+        require(length == 0.0 or apart <= BIAS_WITHIN, f"{text} has the bias {bias}, the tracker has {self.offset}")
+        silent = self.now - self.tip_at > self.hold + 2.0
+        require(not silent or length == 0.0, f"{text} has the bias {bias} without a measured tip")
+        fresh = TIP_TAKEN < self.now - self.good_tip_at < self.hold - 0.5
+        require(not fresh or length > 0.0, f"{text} has no bias after a measured tip")
 
     def known_cubes(self, request: Request | None) -> set[Cube]:
         """Returns all obstacles that may be in force, or were since a request came."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 
 from controller.program import Snapshot, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount, Request
+from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Request
 from tests.simulation.judge.interface.messages import well_formed
 
 EPOCH_IN_FLIGHT = 0.1  # [s] from a new epoch of the executor to the planner, which may still be reading
+EXACT = 0.001  # [s]
 SILENT = 2.0  # [s] after which an executor without an answer counts as silent
 MOST_WAITING, MOST_PLANS, MOST_UNANSWERED = 16, 4, 100  # goals and jogs; plan queries; requests on one key
 LONGEST_PLANNING = 60.0  # [s]
@@ -85,7 +87,7 @@ def _overtaken(a: InterfaceAccount, request: Request) -> bool:
             return True
     if a.clear():
         return a.had("halted", request.at - EPOCH_IN_FLIGHT) or _locks_pending(a, request)
-    return a.had("epoch", request.at - EPOCH_IN_FLIGHT) or a.had("link", request.at)
+    return a.had("epoch", request.at - EPOCH_IN_FLIGHT) or a.had("link", request.at - EPOCH_IN_FLIGHT)
 
 
 def _locks_pending(a: InterfaceAccount, request: Request) -> bool:
@@ -116,7 +118,11 @@ def _too_long(a: InterfaceAccount, request: Request) -> bool:
 
 
 def _too_late_to_begin(a: InterfaceAccount, request: Request) -> bool:
-    return a.now - request.sent_at >= patience(request) - 0.5
+    waited = a.now - request.at
+    planned = request.body.get("deadline")
+    over = waited >= patience(request) - EXACT or (planned is not None and waited >= float(planned) - EXACT)
+    sent = a.sent_since(request)
+    return over or (sent < request.at - 0.1 and a.now - sent >= patience(request) - 0.5)
 
 
 def patience(request: Request) -> float:
@@ -160,6 +166,27 @@ def _running(a: InterfaceAccount, request: Request) -> bool:
 # --- what is asked for
 
 
+def lined(request: Request) -> bool:
+    """Returns whether the tip shall follow straight lines."""
+    return bool(request.body.get("path_tolerance"))
+
+
+def _too_fast(a: InterfaceAccount, request: Request) -> bool:
+    """A line is divided into parts of half a tolerance at most, each of which takes a transition."""
+    waypoints, tolerance = request.body["waypoints"], float(request.body.get("path_tolerance") or math.inf)
+    pairs = pairwise(waypoints)
+    return any(
+        second["t"] - first["t"]
+        < a.longest_transition * (2 * math.dist(first["position"], second["position"]) / tolerance + 1)
+        for first, second in pairs
+    )
+
+
+def _line_with_pose(a: InterfaceAccount, request: Request) -> bool:
+    posed = any("configuration" in w or "orientation" in w for w in request.body["waypoints"])
+    return lined(request) and posed
+
+
 def _malformed(a: InterfaceAccount, request: Request) -> bool:
     return not well_formed(request, a.modules)
 
@@ -187,18 +214,26 @@ def _times(a: InterfaceAccount, request: Request) -> bool:
 
 def wanted(a: InterfaceAccount, request: Request) -> list[set[int]]:
     """Returns the codes that serve each waypoint."""
-    tolerance = float((request.body.get("tolerance") or {}).get("position") or a.tolerance)
-    return [
-        {a.modules.codes[w["configuration"]]}
-        if "configuration" in w
-        else a.modules.near(tuple(x - b for x, b in zip(w["position"], a.bias or (0.0, 0.0), strict=True)), tolerance)
-        for w in request.body["waypoints"]
-    ]
+    asked, most = request.body.get("tolerance") or {}, float(request.body.get("path_tolerance") or math.inf)
+    tolerance = min(float(asked.get("position") or a.tolerance), most)
+    angle = float(asked.get("orientation") or a.angle_tolerance)
+
+    def serving(waypoint: Payload) -> set[int]:
+        if "configuration" in waypoint:
+            return {a.modules.codes[waypoint["configuration"]]}
+        bias = a.bias or (0.0, 0.0)
+        near = a.modules.near(tuple(x - b for x, b in zip(waypoint["position"], bias, strict=True)), tolerance)
+        turned = a.turned(request, waypoint)
+        return near if turned is None else near & a.modules.turned(turned, angle)
+
+    return [serving(waypoint) for waypoint in request.body["waypoints"]]
 
 
 def _out_of_reach(a: InterfaceAccount, request: Request) -> bool:
     """No configuration with the present locks is within the tolerance of a waypoint."""
     sets = wanted(a, request)
+    if lined(request):
+        return True  # the points between the waypoints are not known
 
     def none(snapshot: Snapshot) -> bool:
         return a.modules.unreachable(sets, unpack(snapshot.measured), unpack(snapshot.locked))
@@ -251,7 +286,8 @@ def _lock_moving(a: InterfaceAccount, request: Request) -> bool:
 
 
 def _interlock(a: InterfaceAccount, request: Request) -> bool:
-    return _any(a, lambda s: any(fault.code == "interlock" for fault in s.faults))
+    lately = [h.snapshot for h in a.truths(1.0) if h.snapshot is not None]
+    return any(fault.code == "interlock" for snapshot in lately for fault in snapshot.faults)
 
 
 def _without_state(a: InterfaceAccount, request: Request) -> bool:
@@ -319,6 +355,10 @@ GROUNDS: dict[str, Callable[[InterfaceAccount, Request], bool]] = {
     "module-without-state": _without_state,
     "unknown-goal": _unknown_goal,
     "not-named": _not_named,
+    "unknown-pose": lambda a, request: request.expected == "unknown-pose",
+    "poses-unwritten": lambda a, request: request.expected == "poses-unwritten",
+    "line-with-pose": _line_with_pose,
+    "line-too-fast": _too_fast,
     "plan-canceled": _plan_canceled,
     "not-simulated": lambda a, request: request.key == "fault",
     "interlock-open": _interlock,

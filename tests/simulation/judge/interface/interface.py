@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 
 import msgspec
 
@@ -11,21 +12,35 @@ from controller.program import (
     Acknowledge,
     Begun,
     Declined,
+    Diagnostics,
     Ended,
     Program,
+    Question,
+    Replacement,
     Setpoint,
     Settled,
     Snapshot,
+    Stage,
     Welcome,
     unpack,
 )
 from tests.simulation.judge.interface.account import InterfaceAccount, Ran, Request
+from tests.simulation.judge.interface.diagnostics import JudgedDiagnostics
+from tests.simulation.judge.interface.gateway import Gateway
+from tests.simulation.judge.interface.grounds import lined
+from tests.simulation.judge.interface.journal import Journal
+from tests.simulation.judge.interface.link import Link
+from tests.simulation.judge.interface.mailboxes import Mailboxes
 from tests.simulation.judge.interface.messages import body_of, well_formed
 from tests.simulation.judge.interface.modules import JudgedModules
 from tests.simulation.judge.interface.motion import Motion
+from tests.simulation.judge.interface.offers import Offers
 from tests.simulation.judge.interface.requests import Requests, cubes_of
 from tests.simulation.judge.interface.results import Results, unanswered
+from tests.simulation.judge.interface.searches import Search, Searches
 from tests.simulation.judge.interface.states import States
+from tests.simulation.judge.interface.streams import Streams
+from tests.simulation.judge.interface.warnings import JudgedWarnings
 from tests.simulation.judge.verdict import require
 
 TICK = 0.02  # [s] between two looks for what does not come
@@ -48,9 +63,16 @@ class InterfaceJudge:
         self.account = InterfaceAccount(modules, wall, driven, clear)
         self.requests, self.results = Requests(self.account), Results(self.account)
         self.states, self.motion = States(self.account), Motion(self.account)
+        self.searches, self.journal = Searches(self.account), Journal(self.account)
+        self.link = Link(self.account)
+        self.mailboxes = {key: Mailboxes(self.account, key) for key in ("setpoint", "measured_tip")}
+        self.offers, self.gateway = Offers(self.account), Gateway(self.account)
+        self.warnings, self.streams = JudgedWarnings(self.account), Streams(self.account)
+        self.diagnostics = JudgedDiagnostics(self.account, self.warnings)
         self.requests.barred = self.motion.bars
         self._asked: Program | None = None
         self._running: Ran | None = None
+        self._met = 0  # instance of the executor that the planner is connected to
         self._ticked = 0.0
 
     # --- the planner's process
@@ -63,6 +85,14 @@ class InterfaceJudge:
             self.requests.tick()
             self.results.tick()
             self.states.tick()
+            self.searches.tick()
+            self.journal.tick()
+            self.diagnostics.tick()
+            self.streams.tick()
+            self.gateway.tick()
+            self.link.tick()
+            for mailboxes in self.mailboxes.values():
+                mailboxes.tick()
 
     def begins(self, process: int) -> None:
         """A process of the planner begins; 0: it has ended."""
@@ -72,11 +102,25 @@ class InterfaceJudge:
         self.requests.begin()
         self.states.begin()
         self.motion.begin()
+        self.searches.begin()
+        self.journal.begin()
+        self.diagnostics.begin()
+        self.streams.begin()
+        self.gateway.begin()
+        self.link.begin()
+        for mailboxes in self.mailboxes.values():
+            mailboxes.begin()
 
     def ends_in_order(self) -> None:
         """The process has ended in order: everybody has an answer."""
         left = [str(request) for request in unanswered(self.account)]
         require(not left, f"the process has ended without the answers to {left}")
+
+    def task(self, search: Search) -> None:
+        """A worker gets a task."""
+        self.searches.begins(search)
+        if search.kind == "follow":
+            self.streams.searches(search.tolerance)
 
     def quits(self) -> None:
         """The process is asked to end."""
@@ -92,22 +136,47 @@ class InterfaceJudge:
         fields = sent.client, key, sent.name, sent.query, sent.payload, sent.attachment  # type: ignore[attr-defined]
         body = body_of(sent.payload)  # type: ignore[attr-defined]
         request = Request(a.numbers, a.process, *fields, body, sent.at, a.now, a.awake)  # type: ignore[attr-defined]
+        if key in self.mailboxes:
+            self.mailboxes[key].arrives(request)
         if key == "setpoint":
             a.setpoints += 1
             a.note("setpoint")
             self.motion.setpoint(request)
-        elif key != "measured_tip":
+            self.streams.arrives(request.payload)
+        elif key == "measured_tip":
+            self._tip(request)
+        else:
             if key == "obstacles" and well_formed(request, a.modules):
                 request.cubes, request.shown = cubes_of(request), a.shown_obstacles
             if key == "reset":
                 self.motion.resets()
+            self.gateway.arrives(request)
             self.requests.arrives(request)
         return request
+
+    def _tip(self, request: Request) -> None:
+        """Records a measured tip, and whether it surely counts."""
+        a, snapshot = self.account, self.account.snapshot
+        if "*" in request.name or a.bias is None:
+            return
+        a.tip_at, age = a.now, a.wall() - float(request.body.get("stamp", 0.0))
+        rests = snapshot is not None and not snapshot.moving and snapshot.mode == "ready" and a.clear()
+        standing = rests and not a.had("moved", a.now - 0.3) and not a.lately("still", 1.0) and not a.slow
+        if standing and not a.building and 0.0 <= age < 0.1 and not a.had("clock", a.now - 10.0):
+            a.good_tip_at = a.now
+        elif a.now - a.good_tip_at < 0.1:  # it may have displaced the good one
+            a.good_tip_at = -math.inf
 
     def replies(self, request: object, data: bytes) -> None:
         """A reply leaves the process."""
         assert isinstance(request, Request)
-        self.requests.answers(request, msgspec.json.decode(data))
+        answer = msgspec.json.decode(data)
+        self.requests.answers(request, answer)
+        self.gateway.answers(request, answer)
+        if request.key == "arm" and "accepted" not in answer:
+            self.gateway.description(request, answer)
+        if request.key in ("goal", "jog") and answer["accepted"] is False and request.original is None:
+            self.journal.refused(answer)
 
     def publishes(self, key: str, data: bytes) -> None:
         """A publication leaves the process."""
@@ -115,12 +184,21 @@ class InterfaceJudge:
         match key:
             case "state":
                 self.states.state(payload)
+                self.warnings.state(payload)
+                self.journal.state(payload)
+                self.gateway.state(payload)
+            case "@request":
+                self.gateway.note(payload)
             case "diagnostics":
-                self.states.diagnostics(payload)
+                self.diagnostics.tasks = self.searches.count()
+                self.diagnostics.diagnostics(payload)
+                self.streams.diagnostics(payload)
             case "feedback":
                 self.results.feedback(payload)
             case "result":
                 self.results.result(payload)
+                if payload["status"] != "refused":
+                    self.journal.result(payload)
 
     # --- the executor
 
@@ -141,8 +219,14 @@ class InterfaceJudge:
         match message:
             case Program():
                 self._asked = message
+                self.offers.gets(message)
+            case Replacement() if (ran := self._of(message.program)) is not None:
+                ran.replaced = True
+                if ran.places and ran.request is not None:
+                    ran.places |= places_of((*ran.program.stages[:1], *message.stages), ran.request)
             case Setpoint():
                 self.motion.follows(message)
+                self.streams.follows(message)
             case Acknowledge():
                 self.motion.acknowledges(message)
 
@@ -173,6 +257,9 @@ class InterfaceJudge:
         cubes = tuple(sorted({*a.cubes, *a.known_cubes(None)}))
         ran = Ran(a.instance, a.process, program, goal, kind == "jog", a.now, a.awake, states, locked, cubes, exact)
         a.programs[ran.key] = self._running = ran
+        asked = next((r for r in reversed(a.requests) if r.key == "goal" and r.goal == goal), None)
+        if asked is not None and lined(asked):
+            ran.places = places_of(program.stages, asked)
         self.requests.accepted(ran)
         ran.accepted_awake = a.awake
         ran.marks = [stage.mark for stage in program.stages]
@@ -181,6 +268,10 @@ class InterfaceJudge:
 
     def _of(self, program: int) -> Ran | None:
         return self.account.programs.get((self.account.instance, program))
+
+    def _heard_of(self, program: int) -> Ran | None:
+        """Returns a program of the executor that the planner has met last; it may have ended since."""
+        return self.account.programs.get((self._met, program))
 
     def switches(self, mask: int) -> None:
         """A SYNC has switched actuators."""
@@ -194,19 +285,25 @@ class InterfaceJudge:
     def hears(self, message: object) -> None:
         """The process gets a message of the executor."""
         a = self.account
+        self.link.hears(isinstance(message, Welcome))
         match message:
             case Snapshot():
                 self._compare(a.snapshot, message)
                 a.hears(message)
+            case Question():
+                self.link.asks(message)
+            case Diagnostics():
+                self.diagnostics.hears(message)
             case Welcome():
+                self._met = a.instance
                 if a.counts_at_start is None:
                     a.counts_at_start = sum(map(max, a.ledger_counts, message.counts or a.ledger_counts))
-            case Begun() if (ran := self._of(message.program)) is not None:
+            case Begun() if (ran := self._heard_of(message.program)) is not None:
                 marks = ran.marks[message.stage :]
                 ran.begun_marks.append((next((m for m in marks if m >= 0), len(marks)), a.awake))
-            case Settled() if (ran := self._of(message.program)) is not None:
+            case Settled() if (ran := self._heard_of(message.program)) is not None:
                 ran.settled[message.mark] = message, a.awake
-            case Ended() if (ran := self._of(message.program)) is not None:
+            case Ended() if (ran := self._heard_of(message.program)) is not None:
                 ran.heard_at, ran.heard_awake = min(ran.heard_at, a.now), min(ran.heard_awake, a.awake)
 
     def _compare(self, before: Snapshot | None, snapshot: Snapshot) -> None:
@@ -228,6 +325,8 @@ class InterfaceJudge:
         """The process's connection to the executor has ended."""
         self.account.note("link")
         self.account.hears(None)
+        self.diagnostics.hears(None)
+        self.link.ends()
 
     # --- what the workers and the disk do
 
@@ -250,6 +349,14 @@ class InterfaceJudge:
         """A worker has built a scene, or has failed."""
         self.account.scenes -= 1
         self.account.note("cubes" if right else "task failed")
+
+
+def places_of(stages: Sequence[Stage], request: Request) -> dict[int, int]:
+    """Returns the mark of each waypoint, found by the times of the stages; the first point is the first waypoint."""
+    settled = {stage.mark: stage.settled for stage in stages if stage.mark >= 0}
+    times = [float(waypoint.get("t", 0.0)) for waypoint in request.body["waypoints"]]
+    delay = settled.get(0, math.nan) - times[0]
+    return {k: mark for k, t in enumerate(times) for mark, at in settled.items() if abs(at - delay - t) < 1e-6}
 
 
 __all__ = ["InterfaceJudge", "cubes_of"]

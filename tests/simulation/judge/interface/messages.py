@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -11,6 +12,7 @@ if TYPE_CHECKING:
     from tests.simulation.judge.interface.modules import JudgedModules
 
 GOAL = {"waypoints", "id", "stamp", "tolerance", "path_tolerance", "deadline", "begin_within"}
+NAME = re.compile(r"[A-Za-z0-9_.-]([A-Za-z0-9_ .-]{0,38}[A-Za-z0-9_.-])?")  # of a pose
 WAYPOINT = {"position", "orientation", "configuration", "t"}
 
 
@@ -45,6 +47,8 @@ def well_formed(request: Request, modules: JudgedModules) -> bool:
             return isinstance(body.get("fault"), str)
         case "result":
             return isinstance(body.get("id"), str)
+        case "poses":
+            return _is_pose(body, modules)
         case _:
             return True
 
@@ -63,3 +67,16 @@ def _is_goal(body: Payload, modules: JudgedModules) -> bool:
         if "configuration" in waypoint and waypoint["configuration"] not in modules.codes:
             return False
     return True
+
+
+def _is_pose(body: Payload, modules: JudgedModules) -> bool:
+    """Returns whether a payload is a pose to save, with a goal that has no id, or the name of one to remove."""
+    name = body.get("save", body.get("remove"))
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        return False
+    if "save" not in body:
+        return set(body) == {"remove"}
+    goal = body.get("goal")
+    if set(body) != {"save", "goal"} or not isinstance(goal, dict) or {"id", "stamp"} & goal.keys():
+        return False
+    return goal.get("waypoints") == [] or _is_goal(goal, modules)  # without waypoints it is refused when it is sent

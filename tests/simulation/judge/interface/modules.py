@@ -89,6 +89,10 @@ class JudgedModules:
         """Returns the codes whose tip is within a distance of a position."""
         return {code for code, tip in self.tips.items() if math.dist(tip.position, position) <= tolerance}
 
+    def turned(self, angle: float, tolerance: float) -> set[int]:
+        """Returns the codes whose tip has an orientation within a tolerance [rad]."""
+        return {code for code, tip in self.tips.items() if abs(turn(tip.angle, angle)) <= tolerance + 1e-9}
+
     def least(self, start: int, locked: int, cubes: Sequence[Cube], wanted: Sequence[set[int]]) -> float:
         """Returns the least cost from a state through a code of each set, in order; infinite if there is no way.
 
@@ -125,3 +129,8 @@ class JudgedModules:
                 costs[(apart[:, None] & apart) == 0] = np.inf
             self._known[key] = costs
         return self._known[key]
+
+
+def turn(first: float, second: float) -> float:
+    """Returns the angle from the second orientation to the first, from -pi to pi [rad]."""
+    return math.remainder(first - second, 2 * math.pi)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from controller.program import Program, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Ran, Request
-from tests.simulation.judge.interface.grounds import barring, ends_at, patience, wanted
+from tests.simulation.judge.interface.grounds import barring, ends_at, lined, patience, wanted
 from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.interface.modules import Cube
 from tests.simulation.judge.interface.refusals import judge_refusal
@@ -17,7 +17,7 @@ from tests.simulation.judge.verdict import require
 EXECUTOR_ANSWERS = 3.0  # [s], awake: the planner gives an executor up after 2 s without an answer
 ANSWERED_WITHIN = {  # [s], awake, from the arrival to the answer
     **dict.fromkeys(("stop", "cancel", "reset", "degrade", "fault"), EXECUTOR_ANSWERS),
-    **dict.fromkeys(("arm", "result"), 1.0),
+    **dict.fromkeys(("arm", "result", "poses"), 1.0),
     "obstacles": 6.0,  # 5 s for the checks, see the page
     "plan": 75.0,  # five plans of 10 s, one after the other, with the worker's delays
 }
@@ -63,26 +63,29 @@ class Requests:
         """Records a request, and which one it repeats."""
         a = self._a
         a.requests.append(request)
-        if request.key == "goal":
+        if request.key in ("goal", "jog"):
+            a.note("motion asked")
+        if request.key == "goal" and "*" not in request.name:
             self._find_original(request)
 
     def _find_original(self, request: Request) -> None:
         """Finds the goal that a request repeats: same payload and attachment, or same payload with an id."""
         a = self._a
-        for other in reversed(a.requests[:-1]):
-            if other.key != "goal" or other.payload != request.payload or other.original is not None:
-                continue
-            attached = bool(request.attachment) and other.attachment == request.attachment
+        goals = [r for r in reversed(a.requests[:-1]) if r.key == "goal" and r.payload == request.payload]
+        others = [r for r in goals if "*" not in r.name and r.original is None]
+        attached = [r for r in others if request.attachment and r.attachment == request.attachment]
+        request.original = next((r for r in attached if a.now - r.at < REMEMBERED - 1.0), None)
+        for other in others if request.original is None else []:
             over = other.answer is not None and not other.accepted
             ran = next((ran for ran in a.programs.values() if ran.request is other), None)
             told = ran is not None and bool(ran.results)
             lately = ran is not None and a.now - ran.ended_at < ENDED_LATELY
-            if attached and a.now - other.at < REMEMBERED - 1.0:
-                request.original = other
-            elif request.goal is not None and not (over or told):
+            if request.goal is not None and not (over or told):
                 request.original = other
                 request.doubtful = ran is not None and ran.ended is not None
-            elif attached or (lately and request.goal is not None) or (over and a.now - other.answered_at < 0.1):
+            elif (
+                other in attached or (lately and request.goal is not None) or (over and a.now - other.answered_at < 0.1)
+            ):
                 request.original, request.doubtful = other, True
             if request.original is not None:
                 return
@@ -94,10 +97,13 @@ class Requests:
         a = self._a
         require(request.answer is None, f"{request} is answered again: {answer}")
         request.answer, request.answered_at = answer, a.now
-        if request.key == "arm":
-            self._judge_description(answer)
+        if request.key in ("goal", "jog"):
+            a.note("answered")
+        if request.key == "arm" and "accepted" not in answer:
             return
         text = f"the answer to {request}: {answer}"
+        if request.key == "poses":
+            return
         form = isinstance(answer.get("accepted"), bool) and isinstance(answer.get("code"), int)
         require(form and answer.get("message"), f"{text} lacks accepted, code or message")
         if self._repeats(request, answer):
@@ -133,7 +139,11 @@ class Requests:
             known = {**answer, "accepted": known["accepted"], "id": known["id"]}
         if known is None or known == answer:
             return original.answer is not None or not request.doubtful
-        require(request.doubtful, f"{request} repeats {original}, which was answered by {original.answer}: {answer}")
+        refused_before = not known["accepted"] and original.answered_at >= request.at  # and forgotten, as its id
+        require(
+            request.doubtful or refused_before,
+            f"{request} repeats {original}, which was answered by {original.answer}: {answer}",
+        )
         request.original = None
         return False
 
@@ -162,7 +172,7 @@ class Requests:
         require(words is not None, f"{text} has other words")
         assert words is not None
         planned = switches_of(ran.program) if ran.program.final else None
-        told = int(words[1]) if jog else int(words[2])
+        told = ran.planned = int(words[1]) if jog else int(words[2])
         require(planned is None or told == planned, f"{text}; the program has {planned} switches")
         require(jog or int(words[1]) == len(request.body["waypoints"]), f"{text} has another number of waypoints")
         if jog:
@@ -172,6 +182,7 @@ class Requests:
         """Judges when a goal or jog has begun, and after what."""
         a = self._a
         ran.request = request
+        ran.places = ran.places if lined(request) else {}
         for barrier in self._barriers:
             bars = barrier.number > request.number and barrier.answered_at < ran.at and barrier.process == a.process
             mine = barring(barrier) or barrier.goal == ran.goal
@@ -209,7 +220,7 @@ class Requests:
             not_running = "is not running" in answer["message"]
             runs = [ran for ran in a.ran(request.goal) if ran.process == a.process and ran.ended is None]
             runs = [r for r in runs if r.request is not None and r.at < request.at]
-            runs = [r for r in runs if r.instance == a.instance and not r.results]
+            runs = [r for r in runs if r.instance == a.instance and not r.results and self._shown(r)]
             require(not (not_running and runs), f"{text}, but it runs")
 
         def ended() -> None:
@@ -220,6 +231,10 @@ class Requests:
                 require(not runs or not a.clear(), f"{text}; {ran.goal} still runs {ENDS_WITHIN} s later")
 
         self._later(ENDS_WITHIN, ended)
+
+    def _shown(self, ran: Ran) -> bool:
+        """Returns whether the newest snapshot shows a program: the result of one that has ended may still wait."""
+        return self._a.snapshot is not None and self._a.snapshot.program == ran.program.program
 
     def _take_obstacles(self, request: Request, answer: Payload, text: str) -> None:
         a = self._a
@@ -274,7 +289,8 @@ class Requests:
 
     def _judge_result(self, request: Request, answer: Payload) -> None:
         a, result = self._a, answer.get("result")
-        told = [r for ran in a.ran(request.goal or "") if ran.recorded for r in ran.results]
+        newest = a.ran(request.goal or "")[-1:]  # an older goal of this id no longer counts
+        told = [r for ran in newest if ran.recorded for r in ran.results]
         every = [r for ran in a.ran(request.goal or "") for r in ran.results]
         if result is None:
             require(not told or a.disk_failed, f"{request} is answered by {answer}; {told} were told")
@@ -282,15 +298,6 @@ class Requests:
         fields = ("id", "status", "code", "message", "switches")
         same = any(all(result[name] == known[name] for name in fields) for known in every)
         require(same or a.had("planner ended", a.now - 10.0), f"{request} is answered by {answer}; told were {every}")
-
-    def _judge_description(self, answer: Payload) -> None:
-        a = self._a
-        sent = [r.body["regions"] for r in a.requests if r.key == "obstacles" and well_formed(r, a.modules)]
-        regions = answer.get("sent_obstacles")
-        require(regions == [] or regions in sent[-10:], f"arm tells the obstacles {regions}, sent were {sent[-3:]}")
-        running = answer.get("running")
-        if running is not None:
-            require(any(ran.goal == running["goal"] for ran in a.programs.values()), f"arm tells {running} as running")
 
     # --- time
 
@@ -307,6 +314,8 @@ class Requests:
             if request.answer is not None or not request.query:
                 continue
             waited = a.awake - request.awake
+            if a.reconnecting:  # answers wait behind results
+                continue
             longest = ANSWERED_WITHIN.get(request.key, patience(request) + LATE + WRITTEN_WITHIN)
             if request.key == "obstacles" and (a.scene_building or a.had("cubes", a.now - longest)):
                 continue

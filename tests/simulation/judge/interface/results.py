@@ -6,10 +6,12 @@ import math
 from typing import Any
 
 from controller.program import Ended, Settled, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Ran, Request
-from tests.simulation.judge.interface.grounds import barring, wanted
+from tests.simulation.judge.interface.account import RECONNECTED, InterfaceAccount, Payload, Ran, Request
+from tests.simulation.judge.interface.grounds import barring, lined, wanted
 from tests.simulation.judge.interface.messages import well_formed
+from tests.simulation.judge.interface.modules import turn
 from tests.simulation.judge.interface.refusals import judge_refusal
+from tests.simulation.judge.interface.words import Words
 from tests.simulation.judge.verdict import require
 
 TOLD_WITHIN = 1.5  # [s], awake, from the executor's report to the publication: deviations, ledger and outbox
@@ -27,7 +29,7 @@ class Results:
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
-        self._a = account
+        self._a, self._words = account, Words(account)
 
     # --- feedback
 
@@ -38,20 +40,35 @@ class Results:
         ran = next((ran for ran in reversed(a.ran(goal)) if not ran.jog and ran.process == a.process), None)
         require(ran is not None and not ran.results, f"{text}, but no such goal runs")
         assert ran is not None
-        mark = payload["waypoint"]
+        waypoint = payload["waypoint"]
+        mark = ran.mark(waypoint)
         require(mark in ran.settled, f"{text}, but the executor has told no such mark")
-        last = ran.feedback[-1]["waypoint"] if ran.feedback else -1
+        last = ran.mark(ran.feedback[-1]["waypoint"]) if ran.feedback else -1
         require(mark > last, f"{text} comes after that of waypoint {last}")
         ran.feedback.append(payload)
         settled, _ = ran.settled[mark]
         require(payload["switches"] == settled.switches, f"{text}; the executor tells {settled.switches} switches")
         stages = sum(s.stages for m, (s, _) in ran.settled.items() if last < m <= mark)
         require(payload["stages"] == stages, f"{text}; the executor tells {stages} stages")
+        self._judge_excursion(ran, payload, last, mark, text)
         self._judge_pose(payload, settled, text)
         if ran.request is not None:
             waypoints = ran.request.body["waypoints"]
             require(payload["waypoints"] == len(waypoints), f"{text}; the goal has {len(waypoints)} waypoints")
-            self._judge_error(payload, waypoints[mark], text)
+            self._judge_error(payload, ran.request, waypoint, text)
+
+    def _judge_excursion(self, ran: Ran, payload: Payload, last: int, mark: int, text: str) -> None:
+        """Compares the excursion with the greatest deviation of the transitions since the waypoint before."""
+        told = payload["excursion"]
+        if ran.replaced:
+            return
+        kinds = ("motion asked", "cubes", "still", "slow search", "disk")
+        calm = self._a.clear() and not any(self._a.had(kind, ran.at) for kind in kinds) and not self._a.slow
+        require(ran.deviations or not calm, f"{text}; nobody has asked for the deviations of its plan")
+        transitions = [(m, settled.planned) for m, (settled, _) in ran.settled.items() if last < m <= mark]
+        known = [ran.deviations[m] if planned and m < len(ran.deviations) else None for m, planned in transitions]
+        greatest = None if None in known else max((value for value in known if value is not None), default=0.0)
+        require(told == greatest, f"{text}; the deviations are {known}")
 
     def _judge_pose(self, payload: Payload, told: Settled | Ended, text: str) -> None:
         """Compares configuration, position and orientation with measured states."""
@@ -67,9 +84,14 @@ class Results:
         apart = math.dist(payload["position"], tip.position)
         require(apart < 1e-6 and abs(payload["orientation"] - tip.angle) < 1e-6, f"{text}; the tip is at {tip}")
 
-    def _judge_error(self, payload: Payload, waypoint: Payload, text: str) -> None:
-        """Compares the error with a waypoint; with a configuration there is a distance, too."""
-        a = self._a
+    def _judge_error(self, payload: Payload, request: Request, index: int, text: str) -> None:
+        """Compares the errors with a waypoint; with a configuration there is a distance, too."""
+        a, waypoint = self._a, request.body["waypoints"][index]
+        turned, asked = payload["orientation_error"], a.turned(request, waypoint)
+        require((turned is None) == (asked is None or payload["position"] is None), f"{text}; it is {waypoint}")
+        if turned is not None and asked is not None:
+            apart = abs(turn(payload["orientation"], asked))
+            require(abs(turned - apart) < 1e-6, f"{text}; it is turned by {apart} from {waypoint}")
         if payload["position"] is None:
             require(payload["error"] is None, f"{text} has an error without a position")
             return
@@ -103,11 +125,17 @@ class Results:
             require(all(fields[name] == value for name, value in first.items()), f"{text} differs from {first}")
             return
         require(not payload.get("repeated") or a.had("planner ended", ran.at), f"{text}, for the first time")
+        early = ran.process != a.process and a.now - a.began_at < RECONNECTED - 0.1 and not a.quits
+        require(not early, f"{text} is of an earlier process, and clients have not found this one")
+        unreached = a.unreached and not a.quits
+        require(not unreached, f"{text} is published before clients have reconnected")
         ran.results.append(payload)
+        ran.told_awake = a.awake
         ended = ran.ended if ran.heard_at <= a.now and payload["status"] != "lost" else None
         if payload["status"] != "lost" and not (payload["status"] == "aborted" and ended is None):
             require(ended is not None, f"{text}, but the executor has told no end")
         self._judge_status(ran, ended, payload, text)
+        self._words.judge_message(ran, ended, payload, text)
         if ended is None:
             told = max((settled.switches for settled, _ in ran.settled.values()), default=0)
             least, most = (told, ran.switches) if ran.process == a.process else (0, ran.switches)
@@ -127,13 +155,16 @@ class Results:
         every = self._a.ran(str(payload["id"]))
         require(every, f"{text}, which was not accepted")
         without = [ran for ran in every if not ran.results and not ran.given_up]
+        if payload["status"] != "lost":
+            without.sort(key=lambda ran: ran.ended is None)
         return (without or every)[0 if without else -1]
 
     def _judge_refused(self, payload: Payload) -> None:
         a = self._a
         puts = [r for r in a.requests if not r.query and r.answer is None]
         if payload["id"] is None:
-            puts = [r for r in puts if r.key not in ("goal", "jog") or not well_formed(r, a.modules)]
+            motions = ("goal", "jog")
+            puts = [r for r in puts if r.key not in motions or "*" in r.name or not well_formed(r, a.modules)]
         else:
             named = [r for r in puts if r.key == "goal" and r.goal == payload["id"]]
             puts = named or [r for r in puts if r.key in ("goal", "jog") and r.goal is None]
@@ -166,9 +197,9 @@ class Results:
         else:
             require(status in CODES and payload["code"] == CODES[status], f"{text} has another status or code")
             require(status != "lost" or ran.instance != a.instance, f"{text}, but its executor lives")
-            self._judge_cause(ran, status, text)
+            self._judge_cause(ran, status, payload, text)
 
-    def _judge_cause(self, ran: Ran, status: str, text: str) -> None:
+    def _judge_cause(self, ran: Ran, status: str, payload: Payload, text: str) -> None:
         """Finds what has ended a goal before it was done."""
         a = self._a
         own = ran.request.number if ran.request is not None else 0
@@ -182,6 +213,7 @@ class Results:
         elif status == "aborted":
             stops = [r for r in later if barring(r) or r.key == "obstacles"]
             kinds = ("fault", "epoch", "link", "executor ended", "planner ended", "quit", "halted", "touched", "cubes")
+            kinds = (*kinds, "search errs") if payload["message"].startswith("after waypoints[") else kinds
             calm = a.clear() and not stops and not any(a.had(kind, ran.at) for kind in kinds)
             require(not calm, f"{text}; nothing has ended it")
 
@@ -207,13 +239,13 @@ class Results:
         a.bias = known_bias
         require((code in serving) == reached, f"{text}; the last waypoint is {request.body['waypoints'][-1]}")
         if reached:
-            self._judge_error(payload, request.body["waypoints"][-1], text)
+            self._judge_error(payload, request, -1, text)
 
     # --- numbers
 
     def _judge_feedback_complete(self, ran: Ran, text: str) -> None:
-        told = {payload["waypoint"] for payload in ran.feedback}
-        missing = ran.settled.keys() - told
+        told = {ran.mark(payload["waypoint"]) for payload in ran.feedback}
+        missing = (ran.settled.keys() & set(ran.places.values()) if ran.places else ran.settled.keys()) - told
         require(not missing, f"{text} comes without the feedback of {sorted(missing)}")
 
     def _judge_travels(self, payload: Payload, ended: Ended, text: str) -> None:
@@ -228,11 +260,13 @@ class Results:
         kind, bound = payload["certificate"], payload["lower_bound"]
         require(kind in PROOFS, f"{text} has the certificate {kind}")
         proven = kind in ("optimal", "bound")
+        if not proven and a.had("search errs", ran.at - 10.0):
+            return
         require((bound is not None) == proven and (payload["optimal"] is not None) == proven, f"{text} proves half")
         require(not proven or payload["optimal"] == (kind == "optimal"), f"{text} is {kind}")
         as_planned = payload["status"] == "succeeded" and payload["planned_switches"] == payload["switches"]
         require(proven == as_planned or ran.process != a.process, f"{text} is proven, as planned: {as_planned}")
-        if not proven or request is None or not ran.exact:
+        if not proven or request is None or not ran.exact or lined(request):
             return
         bias = payload.get("bias")
         known_bias, a.bias = a.bias, None if bias is None else tuple(bias)
@@ -253,7 +287,12 @@ class Results:
                 continue
             waited = a.awake - ran.heard_awake
             longest = TOLD_WITHIN + RECONNECTS_WITHIN * a.had("still", a.now - 2 * RECONNECTS_WITHIN)
-            late = waited > longest and not a.had("slow search", a.now - 10.0) and not a.had("disk", a.now - 5.0)
+            late = (
+                waited > longest
+                and not a.reconnecting
+                and not a.had("slow search", a.now - 10.0)
+                and not a.had("disk", a.now - 5.0)
+            )
             require(not late, f"goal {ran.goal} has ended, and has no result after {waited:g} s")
 
 

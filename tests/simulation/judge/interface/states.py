@@ -1,4 +1,4 @@
-"""`state` and `diagnostics`: true within a stated delay of the world, and told often enough."""
+"""`state`: true within a stated delay of the world, and told often enough."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import math
 
 from controller.program import Snapshot, unpack
 from tests.simulation.judge.interface.account import DELAY, Heard, InterfaceAccount, Payload, Ran
-from tests.simulation.judge.interface.modules import Cube
+from tests.simulation.judge.interface.modules import Cube, turn
+from tests.simulation.judge.interface.words import Words
 from tests.simulation.judge.verdict import require
 
 EVERY = 0.1  # [s], awake, longest time between two states: 20 times a second, and the outbox
 STAMPED_WITHIN = 0.03  # [s] between a state and its publication
-DIAGNOSED_EVERY = 1.3  # [s], awake, between two diagnostics
 CHECKED_WITHIN = 0.5  # [s], awake, from obstacles or an arm that moved to the warning `in-obstacle`
 TOLD_WITHIN = 1.5  # [s], awake, from the end of a goal to a state that no longer names it
 OWN = {"degraded", "unknown-state", "in-obstacle", "executor-lost", "internal-error"}  # faults of the planner
@@ -26,16 +26,14 @@ class States:
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
-        self._a = account
+        self._a, self._words = account, Words(account)
         self.begin()
 
     def begin(self) -> None:
         """Forgets the last process."""
         self.latest: Payload | None = None
-        self._told = self._diagnosed = self._a.awake
-        self._counts: list[int] = []
+        self._told = self._a.awake
         self._obstacles = 0
-        self._received = self._refused = 0
         self._waypoint: tuple[object, int] = (None, -1)
 
     # --- state
@@ -59,6 +57,10 @@ class States:
         runs = payload["mode"] in ("ready", "executing")
         require(not runs or silent <= a.silent_after, f"state {payload}, and the executor is silent for {silent:g} s")
         self._judge_goal(payload)
+        require(("bias" in payload) == (a.bias is not None), f"state {payload}; a tracker: {a.bias is not None}")
+        if a.bias is not None:
+            a.bias = tuple(payload["bias"])
+            a.judge_bias(a.bias, f"state {payload}")
         number = payload["obstacles"]
         require(number >= self._obstacles, f"the number of obstacles falls from {self._obstacles} to {number}")
         self._obstacles = a.shown_obstacles = number
@@ -78,8 +80,8 @@ class States:
                 modes -= {"ready"}
         if mode not in modes:
             return f"the mode is {snapshot.mode}, {sorted(modes)}"
-        if mode == snapshot.mode and mode in ("stopped", "fault") and payload["reason"] != snapshot.reason:
-            return f"the reason is {snapshot.reason}"
+        if why := self._words.differs(payload, snapshot):
+            return why
         return self._differs_in_states(payload, snapshot) or self._differs_in_faults(payload, snapshot)
 
     def _differs_in_states(self, payload: Payload, snapshot: Snapshot) -> str:
@@ -178,32 +180,25 @@ class States:
         marks = [mark for mark, awake in ran.begun_marks if awake < a.awake - DELAY]
         least = max(marks, default=-1)
         most = max((mark for mark, _ in ran.begun_marks), default=-1)
+        least, most = ran.waypoint(least), ran.waypoint(most)
         told = -1 if waypoint is None else waypoint
         require(least <= told <= most, f"state of {ran.goal} tells waypoint {waypoint}; {least} to {most} has begun")
         if ran.request is None:
             return
         asked = ran.request.body["waypoints"][max(told, 0)]
         place = asked.get("position") or a.modules.tips[a.modules.codes[asked["configuration"]]].position
+        if ran.places:
+            waypoints = ran.request.body["waypoints"]
+            after = waypoints[min(max(told, 0) + 1, len(waypoints) - 1)]["position"]
+            detour = math.dist(target["position"], place) + math.dist(target["position"], after)
+            require(detour - math.dist(place, after) < 1e-6, f"state tells the target {target}, not from {asked}")
+            return
         apart = math.dist(target["position"], place)
         require(apart < 1e-6, f"state tells the target {target} of waypoint {waypoint}; it is {asked}")
-
-    # --- diagnostics
-
-    def diagnostics(self, payload: Payload) -> None:
-        """Judges counts."""
-        a, counts = self._a, list(payload["counts"])
-        self._diagnosed = a.awake
-        if counts and self._counts:
-            fell = [k for k, (now, before) in enumerate(zip(counts, self._counts, strict=True)) if now < before]
-            require(not fell, f"diagnostics count {counts} after {self._counts}")
-        self._counts = counts or self._counts
-        setpoint = payload["setpoint"]
-        require(setpoint["received"] >= self._received, f"diagnostics count set-points {setpoint}")
-        require(setpoint["received"] <= a.setpoints, f"diagnostics count set-points {setpoint}, {a.setpoints} came")
-        self._received = setpoint["received"]
-        if counts and a.counts_at_start is not None:
-            switches = max(sum(counts) - a.counts_at_start, 0)
-            require(payload["switches"] == switches, f"diagnostics tell {payload['switches']} switches, not {switches}")
+        wanted, turned = a.turned(ran.request, asked), target["orientation"]
+        require((turned is None) == (wanted is None), f"state tells the target {target}; it is {asked}")
+        fits = turned is None or wanted is None or abs(turn(turned, wanted)) < 1e-6
+        require(fits, f"state tells the target {target}; it is {asked}")
 
     # --- time
 
@@ -213,8 +208,6 @@ class States:
         if a.process and a.now - a.began_at > 0.5 and not a.quits:
             late = a.awake - self._told
             require(late <= EVERY, f"no state for {late:g} s")
-            late = a.awake - self._diagnosed
-            require(late <= DIAGNOSED_EVERY, f"no diagnostics for {late:g} s")
         self._find_standing()
 
     def _find_standing(self) -> None:

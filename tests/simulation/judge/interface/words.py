@@ -1,0 +1,121 @@
+"""Sentences: the reason in `state`, and the message of a result, as the pages and the executor have them."""
+
+from __future__ import annotations
+
+import re
+
+from controller.program import Ended, Snapshot
+from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Ran
+from tests.simulation.judge.verdict import require
+
+FRESH = 0.3  # [s], awake, from the end of a goal to a reason that tells it
+WHY = {
+    "more": "actuators that were not in their expected states were switched, too",
+    "fewer": "stages that were late were joined",
+    "improved": "the plan was improved while the arm moved",
+}
+MISSED = re.compile(
+    r"the measured tip is (?P<away>unknown|[\d.]+ from the last waypoint)(?: and turned (?P<turned>[\d.]+) rad)?,"
+    r" tolerances? (?P<tolerance>[\d.e+-]+)(?: and (?P<angle>[\d.e+-]+))?"
+)
+COLLIDES = re.compile(r"the planned motion would collide: (.*); the arm holds", re.DOTALL)
+
+
+class Words:
+    """Judges sentences.
+
+    Args:
+        account: of the planner's side.
+    """
+
+    def __init__(self, account: InterfaceAccount) -> None:
+        self._a = account
+
+    # --- the reason in `state`
+
+    def differs(self, payload: Payload, snapshot: Snapshot) -> str:
+        """Returns how the reason in a state differs from a snapshot's; "" if it does not."""
+        mode, reason = payload["mode"], payload["reason"]
+        if mode != snapshot.mode:
+            begins = {"starting": "the planner's tables are being rebuilt; ", "fault": "the tables for the locked act"}
+            return "" if reason.startswith(begins[mode]) else f"the reason begins with {begins[mode]}"
+        if mode != "ready":
+            return "" if reason == snapshot.reason else f"the reason is {snapshot.reason}"
+        a = self._a
+        ended = [r for r in a.programs.values() if r.process == a.process and r.heard_at <= a.now]
+        last = max(ended, key=lambda r: r.heard_at, default=None)
+        of_last = last is not None and snapshot.reason.startswith(f"holding; {last.program.name} ")
+        sentence = "" if last is None else ending_of(last)
+        if last is None or not (of_last or a.awake - last.heard_awake < FRESH):
+            return "" if reason == snapshot.reason else f"the reason is {snapshot.reason}"
+        told = bool(last.results) and a.awake - last.told_awake > FRESH and not a.had("link", last.heard_at)
+        if told and sentence and of_last:
+            return "" if reason == sentence else f"the reason is {sentence}"
+        if reason == snapshot.reason or (not last.results and reason.startswith("holding; ")):
+            return ""
+        return "" if sentence and reason == sentence else f"the reason is {snapshot.reason}, or {sentence}"
+
+    # --- messages of results
+
+    def judge_message(self, ran: Ran, ended: Ended | None, payload: Payload, text: str) -> None:
+        """Judges the message of a result."""
+        status, message = payload["status"], payload["message"]
+        if status == "succeeded":
+            self._judge_reached(ran, payload, text)
+        elif payload["code"] == -5:
+            self._judge_missed(ran, payload, text)
+        elif ended is not None and ended.status == status:
+            words = ended.message
+            require(message == words or message[:1_000] == words, f"{text}; the executor tells {words}")
+        require(message, f"{text} has no message")
+
+    def _judge_reached(self, ran: Ran, payload: Payload, text: str) -> None:
+        if ran.jog:
+            require(payload["message"] == "switched", f"{text} has other words")
+            return
+        if ran.planned is None:
+            require(payload["message"].startswith("reached"), f"{text} has other words")
+            return
+        told, planned = payload["switches"], ran.planned
+        which = ["improved"] if ran.replaced else []
+        which += [] if told == planned else ["more" if told > planned else "fewer"]
+        sentences = [f"reached; {told} switches instead of {planned}: {WHY[k]}" for k in which]
+        sentences = ["reached"] if told == planned else sentences
+        require(payload["message"] in sentences, f"{text} says none of {sentences}")
+        as_told = payload["planned_switches"] == planned
+        joined = payload["planned_switches"] is None or ran.replaced
+        require(as_told or joined, f"{text}; the answer told {planned} switches")
+
+    def _judge_missed(self, ran: Ran, payload: Payload, text: str) -> None:
+        """Compares numbers in the message with the fields."""
+        message = payload["message"]
+        if ran.jog:
+            require(message.startswith("not measured in the requested state: "), f"{text} has other words")
+            return
+        match = MISSED.fullmatch(message)
+        if match is None:
+            measured = payload["configuration"] or "unknown"
+            require(message.startswith(f"the measured configuration is {measured}, not "), f"{text} has other words")
+            return
+        error, angle = payload["error"], payload["orientation_error"]
+        away = "unknown" if error is None else f"{error:.4f} from the last waypoint"
+        require(match["away"] == away, f"{text}: {away}")
+        require((match["turned"] is None) == (angle is None), f"{text}: turned by {angle}")
+        require(angle is None or match["turned"] == f"{angle:.4f}", f"{text}: turned by {angle}")
+
+
+def ending_of(ran: Ran) -> str:
+    """Returns the sentence on the end of a goal or jog; "" if its result has none."""
+    if not ran.results:
+        return ""
+    result = ran.results[0]
+    status, code, message = result["status"], result["code"], result["message"]
+    if status == "succeeded":
+        return "holding; the actuators were switched" if ran.jog else f"holding; goal {ran.goal} was reached"
+    if code == -5:
+        return f"holding; {message}" if ran.jog else f"holding; goal {ran.goal} was missed: {message}"
+    if (collision := COLLIDES.fullmatch(message)) is not None:
+        return f"holding; goal {ran.goal} was aborted: the planned motion would collide: {collision[1]}"
+    if message.startswith("after waypoints["):
+        return f"holding; goal {ran.goal} left its path: {message}"
+    return ""

@@ -1,0 +1,53 @@
+"""Lengths of the containers of a planner's process: what is over is forgotten."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Set
+from typing import TYPE_CHECKING, Any
+
+from tests.simulation.judge.verdict import require
+
+if TYPE_CHECKING:
+    from tests.simulation.whole.planner_process import PlannerProcess
+
+ROOMS = ("controller.planning.core", "controller.planning.loop", "controller.gateway")
+MOST = 24  # entries of a container when nothing is asked for
+HISTORIES = {  # greatest lengths of those that keep what is over
+    "Admission._canceled": 256,
+    "Admission._unresolved": 256,
+    "RepeatedGoals._known": 1_000,
+    "Results._told": 10**6,  # one identity for each goal of the process
+    "Rate._times": 100,
+}
+OPAQUE = ("_manipulator", "manipulator", "_arm", "_description", "_densities", "_publishers", "_tracker", "_filter")
+
+
+def check_containers(process: PlannerProcess) -> None:
+    """Checks that no container has grown, when all requests are answered and all goals have ended."""
+    for name, length in lengths([process.core, process.server, process.outbox, process.goals, process.loop]):
+        require(length <= HISTORIES.get(name, MOST), f"{name} has {length} entries, and nothing is asked for")
+
+
+def lengths(roots: list[Any]) -> Iterator[tuple[str, int]]:
+    """Yields the name and the length of each container that can be reached from objects of the program."""
+    seen, todo = set[int](), list(roots)
+    while todo:
+        owner = todo.pop()
+        if id(owner) in seen:
+            continue
+        seen.add(id(owner))
+        for name, value in list(getattr(owner, "__dict__", {}).items()):
+            if name in OPAQUE:
+                continue
+            if isinstance(value, Mapping | Set | list | deque):
+                yield f"{type(owner).__name__}.{name}", len(value)
+                values = list(value.values()) if isinstance(value, Mapping) else list(value)
+                todo += [entry for entry in values if ours(entry)]
+            elif ours(value):
+                todo.append(value)
+
+
+def ours(value: object) -> bool:
+    """Returns whether an object is of the planner or the gateway."""
+    return type(value).__module__.startswith(ROOMS) and not isinstance(value, tuple)

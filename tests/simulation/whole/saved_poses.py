@@ -1,0 +1,51 @@
+"""The file of the saved poses: it survives the processes, cannot be written while the disk is full, or is damaged."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from pathlib import Path
+from random import Random
+
+from controller.gateway import poses as poses_module
+from controller.gateway.poses import Poses
+from tests.simulation.judge.interface.gateway import Gateway
+
+MEMORY = Path("/dev/shm")
+
+
+class SavedPoses:
+    """The file.
+
+    Args:
+        random: for damages.
+        judge: is told what becomes of the file.
+    """
+
+    def __init__(self, random: Random, judge: Gateway) -> None:
+        self._random, self._judge = random, judge
+        self._folder = tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None)
+        self._path = Path(self._folder.name, "arm.poses.json")
+        poses_module.log.setLevel(logging.CRITICAL + 1)
+
+    def poses(self) -> Poses:
+        """Returns the poses that a new process reads."""
+        judge = self._judge
+        if judge.damaged and self._random.random() < 0.5:  # somebody has removed the file
+            self._path.unlink()
+            judge.damaged = False
+        elif self._random.random() < 0.1:
+            self._path.write_bytes(self._random.choice([b"{", b"\xff", b'{"": {}}', b"[]"]))
+            judge.damaged, judge.poses = True, {}
+        judge.begin()
+        return Poses(self._path, "home of the model")
+
+    def fill(self, full: bool) -> None:
+        """Lets the disk be full, or no longer: another file cannot be begun."""
+        fresh = self._path.with_suffix(".new")
+        if full and not fresh.is_dir():
+            fresh.unlink(missing_ok=True)
+            fresh.mkdir()
+        elif not full and fresh.is_dir():
+            fresh.rmdir()
+        self._judge.unwritable = full
