@@ -67,10 +67,10 @@ class Feed(Witness):
             case _:
                 judge.other_event()
 
-    def sends(self, bus: str, frame: Frame) -> None:
-        """Tells a frame that is handed out."""
+    def sends(self, bus: str, frame: Frame) -> object:
+        """Tells a frame that is handed out; returns the commit of a SYNC."""
         self._judge.at(self._agenda.now)
-        self._judge.hands_out(bus, frame.id, frame.data)
+        return self._judge.hands_out(bus, frame.id, frame.data)
 
     def logs(self, level: int, text: str) -> None:
         """Tells a line of the log."""
@@ -95,7 +95,7 @@ class Feed(Witness):
 
 
 class Witnesses(Witness):
-    """Several witnesses; the first one tells the commit of a frame."""
+    """Several witnesses; one of them tells the commit of a frame."""
 
     def __init__(self, *witnesses: Witness) -> None:
         self._witnesses = list(witnesses)
@@ -117,8 +117,8 @@ class Witnesses(Witness):
             witness.told(event)
 
     def sends(self, bus: str, frame: Frame) -> object:
-        first, *_ = [witness.sends(bus, frame) for witness in self._witnesses]
-        return first
+        told = [witness.sends(bus, frame) for witness in self._witnesses]
+        return next((commit for commit in told if commit is not None), None)
 
     def says(self, message: Up) -> None:
         for witness in self._witnesses:

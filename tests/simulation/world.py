@@ -43,6 +43,7 @@ class World:
         kinds: outputs and end-stops of the actuators.
         planner: the scripted planner, or the daemon.
         daemon: the whole daemon but its executor; None in a world with a scripted planner.
+        let_go: mask of the actuators with two outputs that their boards contract without the executor.
 
     Args:
         seed: seed of all random numbers.
@@ -73,7 +74,7 @@ class World:
         self.judge = judge = Judge(arm)
         witness = Witnesses(record, Feed(judge, agenda))
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness)
-        record.core = lambda: self.executor.core
+        record.misses = judge.misses
         self.kinds = Kinds(arm.wiring, arm.timing)
         for bus in self.buses.values():
             bus.spares_commands = bool(self.kinds.pulse)  # see `fault_kinds.NOT_DRAWN`
@@ -88,10 +89,11 @@ class World:
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
         self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge)
-        judge.traffic.look = {name: self._look(name) for name in self.boards.simulated.names}
+        judge.looks_at({name: self._look(name) for name in self.boards.simulated.names})
+        levels = arm.wiring.loss_levels[len(arm.actuators) :]
+        self.let_go = sum(1 << k for k, level in zip(arm.wiring.paired, levels, strict=True) if level == 1)
         self.trouble = Trouble(self, drawn("trouble"))
         self.single_faults = SingleFaults(self, drawn("single faults"))
-        self.epoch_before, self.mode_before = 0, "starting"
         self._random = drawn("periods")
         self._counts: list[int] = []
         self.executor.start()
@@ -129,11 +131,11 @@ class World:
     def one_step(self) -> None:
         """Runs the next event, and judges it."""
         self.record.step = Step()
-        self.epoch_before, self.mode_before = self.record.epoch, self.record.mode
         self.agenda.step()
         self.record.doubt(self.intended)
         for holds in INVARIANTS:
             holds(self)
+        self.judge.pulses.watch(self.agenda.now, self.reaches)
         if self.daemon is not None:
             self.daemon.judge.at(self.agenda.now)
 
@@ -227,13 +229,7 @@ class World:
     # --- for the invariants, and for a person
 
     def reaches(self, actuator: int) -> bool:
-        """Returns whether frames of the executor reach the board of an actuator, and take effect there.
-
-        An executor that has just started learns of a pulse by its first boot.
-        """
-        core = self.executor.core
-        if core is None or core.motion.actuation._adopted is None:
-            return False
+        """Returns whether frames of the executor reach the board of an actuator, and take effect there."""
         channel = self.arm.wiring.channels[actuator]
         bus = self.buses[channel.bus]
         fit = self.executor.awake and bus.healthy and not bus.loss

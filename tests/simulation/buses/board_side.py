@@ -11,7 +11,8 @@ from drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import OnItsWay
-from tests.simulation.facts import Commit, Energised, Switch
+from tests.simulation.facts import Energised, Switch
+from tests.simulation.judge.account import Commit
 from tests.simulation.judge.judge import Judge
 from tests.simulation.record import Record
 
@@ -200,7 +201,7 @@ class BoardSide(AttachedBoards):
             self._on = on
             self._judge.energises(on, came, cause)
             if changed:
-                self._judge.drives(after, changed, cause)
+                self._judge.drives(after, changed, cause, commit)
             if self._read:
                 self._read_ends()
         for bus, mask in self._masks.items():

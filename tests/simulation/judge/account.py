@@ -21,12 +21,38 @@ class Commit:
         before: states to which the boards drove the actuators.
         open: buses whose RPDOs were handed out, and not their SYNC yet.
         awaited: buses whose SYNC was handed out and was not heard to have left.
+        mask: actuators with an output in its RPDOs.
+        extends: those whose extending output is commanded on.
+        contracts_to: those whose contracting output is commanded on.
+        stages: states that may be commanded, as far as the RPDOs fit them; None before the first RPDO.
+        homing: mask of the actuators that may be brought to `homes` before any stage.
+        homes: see `homing`.
+        locked: mask of the locked actuators.
+        contracts: whether the arm contracts at the end of the executor.
+        releases: whether the RPDOs switch nothing on, and change no state.
+        given_up: whether no SYNC may follow any more.
+        switched: mask of the actuators that its SYNCs have switched.
+        switched_at: time of the last of these switches [s].
+        switched_to: states after it.
     """
 
     at: float
     before: int
     open: set[str] = field(default_factory=set)
     awaited: set[str] = field(default_factory=set)
+    mask: int = 0
+    extends: int = 0
+    contracts_to: int = 0
+    stages: list[int] | None = None
+    homing: int = 0
+    homes: int = 0
+    locked: int = 0
+    contracts: bool = False
+    releases: bool = True
+    given_up: bool = False
+    switched: int = 0
+    switched_at: float = 0.0
+    switched_to: int = 0
 
 
 @dataclass
@@ -55,6 +81,7 @@ class Run:
         planned: whether all stages since the last mark were carried out as planned.
         mark: the last mark reached; `open_mark` until it was told as settled.
         homes: mask of actuators that may be homed before the first stage.
+        homed: states to which they are homed.
         taken_at: time of the last `Begun` [s].
         question: number of the open question; None if none is open.
         touched: whether the last answer said that the stage is not clear.
@@ -71,6 +98,8 @@ class Run:
         self.taken = self.settled = -1
         self.switches = self.counted = 0
         self.homes = homing & (unpack(message.homed) if message.homed else -1)
+        ends_elsewhere = bool(message.homed and self.stages)
+        self.homed = self.stages[-1].states if ends_elsewhere else self.start
         self.taken_at = self.held_at = accepted.begin
         self.mark = self.begun = self.generation = -1
         self.planned, self.open_mark, self.touched = True, False, False

@@ -41,6 +41,7 @@ class Ground:
         readings: the last readings, the newest last.
         driven: the last driven states, the newest last.
         switched_at: time when each actuator was switched last [s].
+        synced_at: time when a SYNC has switched it last, as far as its board has missed no frame [s].
         counts: switches of each actuator by SYNC.
 
     Args:
@@ -52,6 +53,7 @@ class Ground:
         self.readings = deque([Reading(-1e12, 0, 0)], maxlen=50)
         self.driven = deque([Driven(-1e12, 0)], maxlen=50)
         self.switched_at = [-1e12] * arm.count
+        self.synced_at = [-1e12] * arm.count
         self.counts = [0] * arm.count
 
     @property

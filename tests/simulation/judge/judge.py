@@ -31,15 +31,17 @@ from controller.program import (
 from tests.simulation.judge.account import Account, Commit
 from tests.simulation.judge.arm import JudgedArm
 from tests.simulation.judge.boards import BoardObjects, Endings
+from tests.simulation.judge.commands import Commands
 from tests.simulation.judge.counts import Counts
 from tests.simulation.judge.ground import Ground
 from tests.simulation.judge.log import Log
 from tests.simulation.judge.programs import Programs
 from tests.simulation.judge.pulses import Pulses
 from tests.simulation.judge.requests import Requests
+from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import Snapshots
 from tests.simulation.judge.streams import Streams
-from tests.simulation.judge.traffic import Traffic
+from tests.simulation.judge.traffic import Look, Traffic
 
 SYNC = 0x80
 RPDOS = range(0x200, 0x580, 0x100)
@@ -66,11 +68,13 @@ class Judge:
         self.arm = JudgedArm(arm)
         self.ground = Ground(self.arm)
         self.account = Account(self.arm, self.ground)
-        self.snapshots = Snapshots(self.account)
-        self.programs = Programs(self.account, self.snapshots)
+        self.commands = Commands(self.account, arm)
+        self.silence = Silence(self.account, self._lose_silent)
+        self.snapshots = Snapshots(self.account, self.silence)
+        self.programs = Programs(self.account, self.snapshots, self.silence)
         self.pulses = Pulses(self.account)
         self.streams = Streams(self.account, self.programs)
-        self.requests = Requests(self.account, self.programs, self.snapshots)
+        self.requests = Requests(self.account, self.programs, self.snapshots, self.silence)
         self.counts = Counts(self.account)
         self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
         self.traffic, self.log = Traffic(self.account, arm), Log(self.account, self.endings.lets_go)
@@ -84,6 +88,10 @@ class Judge:
     def quiet_from(self, now: float) -> None:
         """Begins a time in which nothing disturbs the world."""
         self.account.clear_since = now
+
+    def looks_at(self, boards: dict[str, Look]) -> None:
+        """Sets what the boards show, by their names."""
+        self.traffic.look = self.commands.look = boards
 
     def disturb(self) -> None:
         """Ends the time in which nothing disturbs the world."""
@@ -100,7 +108,8 @@ class Judge:
     def _forget(self) -> None:
         self.counts.begin()
         self.account.begin()
-        for part in (self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log):
+        parts = self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log
+        for part in (*parts, self.commands, self.silence):
             part.begin()
 
     def dies(self) -> None:
@@ -113,19 +122,21 @@ class Judge:
         self.requests.close_step()
         self.endings.quits()
         self.account.quitting = True
+        self.commands.hold()
         self.programs.end("quit", "aborted")
 
     def ticks(self) -> None:
         """A period of the process begins."""
         self.requests.close_step()
         self.account.ticked = self.account.now
+        self.silence.tick()
         self.snapshots.tick()
         self.programs.tick()
         self.streams.tick()
         self.requests.tick()
         self.endings.tick()
         self.traffic.tick()
-        self.counts.tick(self.snapshots.connected)
+        self.counts.tick(self.silence.connected)
 
     def other_event(self) -> None:
         """The process takes an event of another kind."""
@@ -143,12 +154,19 @@ class Judge:
         """The connection of a client was closed."""
         self.requests.close_step()
         if client.planner:
-            self.lose_planner()
-            self.snapshots.connected = False
+            self.silence.gone()
+            self.snapshots.epoch_causes += 1
+            self._lose_planner()
 
-    def lose_planner(self) -> None:
+    def _lose_silent(self) -> None:
+        """The planner was silent for too long."""
+        self.snapshots.epoch_causes += self.account.clear
+        self._lose_planner()
+
+    def _lose_planner(self) -> None:
         """The planner is gone or silent: what it asked for ends."""
-        self.snapshots.epoch_causes += 1
+        if not self.account.quitting:
+            self.commands.hold()
         self.programs.end("planner", "aborted")
         self.account.stream = None
 
@@ -156,10 +174,13 @@ class Judge:
         """The process takes a message of a client."""
         self.requests.close_step()
         self.requests.receive(client, message)
+        if client.planner:
+            self.silence.hears()
         match message:
             case Program() | Replacement() if client.planner:
                 self.programs.receive(message)
             case Setpoint() if client.planner:
+                self.commands.receive(message)
                 self.streams.receive(message)
             case Clearance() if client.planner:
                 run = self.account.run
@@ -172,6 +193,7 @@ class Judge:
                 self._cancel(message)
             case Stop():
                 self.endings.interferes()
+                self.commands.hold()
                 self.snapshots.epoch_causes += 1
                 self.programs.end("stop", "aborted")
                 self.account.stream = None
@@ -180,6 +202,8 @@ class Judge:
 
     def _cancel(self, message: Cancel) -> None:
         run = self.account.run
+        if message.program is None or (run is not None and message.program == run.number):
+            self.commands.hold()
         if message.program is None:
             self.snapshots.epoch_causes += 1
             self.account.stream = None
@@ -193,6 +217,7 @@ class Judge:
                 self.requests.welcome(message)
             case Accepted():
                 self.programs.accepted(message)
+                self.commands.begins()
                 self.requests.answered()
             case Declined():
                 self.programs.declined(message)
@@ -219,12 +244,13 @@ class Judge:
                 self.log.shows(self.account.shown, message)
                 self.streams.shown(message)
                 self.snapshots.show(message)
-                if message.mode == "fault":
+                self.commands.shows(message)
+                if message.mode not in ("ready", "executing"):
                     self.programs.end("fault", "aborted")
                     self.account.stream = None
 
-    def hands_out(self, bus: str, frame_id: int, data: bytes) -> None:
-        """The process hands a frame to a bus."""
+    def hands_out(self, bus: str, frame_id: int, data: bytes) -> Commit | None:
+        """The process hands a frame to a bus; returns the commit of a SYNC."""
         a = self.account
         self.traffic.hands_out(bus, frame_id, data)
         self.counts.hands_out(bus)
@@ -233,16 +259,26 @@ class Judge:
                 a.commit = Commit(a.now, self.ground.states)
                 self.programs.committed_for(a.run)
             a.commit.open.add(bus)
-        elif frame_id == SYNC and a.commit is not None:
+            self.commands.commit(bus, frame_id, data)
+        elif frame_id == SYNC:
+            self.commands.sync(bus)
+            assert a.commit is not None
             a.commit.open.discard(bus)
             a.commit.awaited.add(bus)
+            return a.commit
+        return None
 
     # --- the boards
 
-    def drives(self, states: int, mask: int, cause: str) -> None:
+    def misses(self, suspect: int) -> None:
+        """Since their boot the boards of a mask of actuators have missed a frame."""
+        self.commands.suspect = self.pulses.suspect = suspect
+
+    def drives(self, states: int, mask: int, cause: str, commit: Commit | None = None) -> None:
         """The boards drive actuators of a mask to other ends than before; all states are given."""
         self.ground.drive(self.account.now, states, mask, cause == "SYNC")
         if cause == "SYNC":
+            self.commands.switched(states, mask, commit)
             self.account.mover = self.account.commit
             self.programs.switched(mask)
             self.traffic.switched()
@@ -250,6 +286,7 @@ class Judge:
     def energises(self, on: int, came: int, cause: str) -> None:
         """The actuators of mask `on` have one of two outputs on; those of `came` since this cause."""
         self.ground.energise(self.account.now, came)
+        self.commands.energises(on)
         self.pulses.energises(on, came, cause)
 
     def reads(self, extended: int, contracted: int) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from controller.program import Accepted, Begun, Declined, Ended, Program, Replaced, Replacement, Settled, unpack
 from tests.simulation.judge.acceptance import MODE_REASONS, misfits, must_decline
 from tests.simulation.judge.account import EPSILON, Account, Run
+from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import Snapshots
 from tests.simulation.judge.verdict import require
 
@@ -14,6 +15,7 @@ TICK = 0.01  # [s], period of the executor's loop
 PROMPT = 6 * TICK  # [s] from the moment at which nothing stands in its way to a stage, mark or result
 READ_BACK = 1.0  # [s] within which boards without end-stops are read back after a switch, see the drivers' page
 ENDED_WITHIN = 1.0 + PROMPT  # [s] from its cause to a result: the running commit ends first, and is read back
+SETTLED_WITHIN = 3.0  # [s], longest time in which the last stage of a program settles, or is a fault
 STARVES_AFTER = 10.0  # [s] without further stages, after which a program is aborted
 WORDS = {  # of the message of a result, by its cause
     "stop": "stopped",
@@ -43,10 +45,11 @@ class Programs:
     Args:
         account: of the executor.
         snapshots: judges measured states.
+        silence: of the planner.
     """
 
-    def __init__(self, account: Account, snapshots: Snapshots) -> None:
-        self._a, self._snapshots = account, snapshots
+    def __init__(self, account: Account, snapshots: Snapshots, silence: Silence) -> None:
+        self._a, self._snapshots, self._silence = account, snapshots, silence
         self.count: Callable[[int], None] = lambda mask: None
         self.begin()
 
@@ -57,6 +60,7 @@ class Programs:
         self.unacknowledged: dict[int, Ended] = {}
         self._switched_in: Run | None = None
         self.unfed_since: float | None = None
+        self._unfed, self._ticked = 0.0, self._a.now  # awake time without further stages, until the last tick
 
     # --- the request
 
@@ -86,6 +90,10 @@ class Programs:
         asked, self._message, a = self._message, None, self._a
         require(isinstance(asked, Program) and asked.program == message.program, f"{message} was not asked for")
         assert isinstance(asked, Program)
+        self._silence.accepted(asked)
+        lasting = misfits(a, asked.stages, asked.start, -1e12)
+        require(not lasting, f"program {asked.program} is accepted, but {sorted(lasting)}")
+        require(asked.program > a.program_number, f"program {asked.program} is accepted after {a.program_number}")
         if a.clear:
             reasons = must_decline(self._a, asked)
             require(not reasons, f"program {asked.program} is accepted, but {sorted(reasons)}")
@@ -116,6 +124,8 @@ class Programs:
             run.generation = asked.generation
             run.held_at = a.now
             run.question = None
+            if asked.stages:
+                self._unfed = 0.0
 
     def _may_replace(self, run: Run, asked: Replacement) -> bool:
         a = self._a
@@ -247,6 +257,8 @@ class Programs:
         text = f"result {message.result} of program {run.number}"
         require(message.context == run.message.context, f"{text} has another context")
         require(message.mark == run.mark, f"{text} tells mark {message.mark}, not {run.mark}")
+        early = WORDS["starved"] in message.message and self._unfed < STARVES_AFTER - 2 * TICK
+        require(not early, f"{text} says {message.message!r} after {self._unfed:g} s")
         if not a.clear:
             return
         fits = [cause for cause, status in causes.items() if status == message.status]
@@ -279,6 +291,8 @@ class Programs:
                 causes["far"] = "aborted"
         if self.unfed_since is not None and a.now - self.unfed_since > STARVES_AFTER - PROMPT:
             causes["starved"] = "aborted"
+        if self._silence.due:
+            causes["planner"] = "aborted"
         return causes
 
     # --- time
@@ -294,11 +308,21 @@ class Programs:
             return
         idle = run.taken == len(run.stages) - 1 and not run.final and not run.open_mark
         self.unfed_since = (self.unfed_since or a.now) if idle else None
+        self._judge_starving(run)
         if not a.clear or self._kept(run):
             run.held_at = a.now
             return
         late = a.now - run.held_at
         require(late <= PROMPT, f"program {run.number}: nothing keeps stage {run.taken + 1}, its mark or its end")
+
+    def _judge_starving(self, run: Run) -> None:
+        """Finds a program that waits for stages for ever; a stall of the executor is no delay of the planner."""
+        a = self._a
+        passed, self._ticked = min(a.now - self._ticked, 2 * TICK), a.now
+        starves = run.taken == len(run.stages) - 1 and not run.final
+        self._unfed = self._unfed + passed if starves else 0.0
+        longest = STARVES_AFTER + (PROMPT if a.clear and not run.open_mark else SETTLED_WITHIN)
+        require(self._unfed < longest, f"program {run.number} waits for stages for {self._unfed:g} s")
 
     def _kept(self, run: Run) -> bool:
         """Returns whether something keeps the next stage, mark or result of a program from coming."""

@@ -21,6 +21,7 @@ from controller.program import (
 from tests.simulation.judge.account import Account
 from tests.simulation.judge.arm import bits_of
 from tests.simulation.judge.programs import READ_BACK, TICK, Programs
+from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import SEEN_WITHIN, Snapshots
 from tests.simulation.judge.verdict import require
 
@@ -42,10 +43,11 @@ class Requests:
         account: of the executor.
         programs: has the results.
         snapshots: shows locks and epochs.
+        silence: of the planner.
     """
 
-    def __init__(self, account: Account, programs: Programs, snapshots: Snapshots) -> None:
-        self._a, self._programs, self._snapshots = account, programs, snapshots
+    def __init__(self, account: Account, programs: Programs, snapshots: Snapshots, silence: Silence) -> None:
+        self._a, self._programs, self._snapshots, self._silence = account, programs, snapshots, silence
         self.begin()
 
     def begin(self) -> None:
@@ -94,7 +96,8 @@ class Requests:
     def new_planner(self) -> None:
         """Requires that a new planner gets all results that were not acknowledged."""
         self._again = set(self._programs.unacknowledged)
-        self._snapshots.connected = True
+        self._silence.connected = True
+        self._silence.hears()
         self._due = None
 
     def result(self, message: Ended) -> None:

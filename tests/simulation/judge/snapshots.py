@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from controller.program import Snapshot, unpack
 from tests.simulation.judge.account import EPSILON, Account
+from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.verdict import require
 
 TICK = 0.01  # [s], period of the executor's loop
@@ -20,10 +21,11 @@ class Snapshots:
 
     Args:
         account: of the executor.
+        silence: of the planner.
     """
 
-    def __init__(self, account: Account) -> None:
-        self._a = account
+    def __init__(self, account: Account, silence: Silence) -> None:
+        self._a, self._silence = account, silence
         self.begin()
 
     def begin(self) -> None:
@@ -31,7 +33,6 @@ class Snapshots:
         self._claims: list[Callable[[Snapshot], None]] = []
         self.epoch_causes = 0
         self.locks_asked = 0
-        self.connected = False
         self._shown_at = self._a.now
         self.boots = 0
 
@@ -86,6 +87,12 @@ class Snapshots:
             self.epoch_causes += 1
         if snapshot.mode == "fault" != before:
             self.epoch_causes += 1
+        if last is not None:
+            grows = snapshot.epoch > last.epoch
+            if grows and not self.epoch_causes and self._silence.due:
+                self._silence.notice()
+                self.epoch_causes += 1
+            require(grows or not self.epoch_causes, f"the epoch is still {last.epoch}, {self.epoch_causes} causes")
         if last is not None and a.clear:
             self._judge_changes(last, snapshot)
         a.shown = snapshot
@@ -101,7 +108,7 @@ class Snapshots:
     def tick(self) -> None:
         """Finds missing snapshots."""
         a = self._a
-        if not self.connected or not a.clear:
+        if not self._silence.connected or not a.clear:
             self._shown_at = a.now
         require(a.now - self._shown_at <= EVERY, f"no snapshot for {a.now - self._shown_at:g} s")
 
