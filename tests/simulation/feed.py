@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from controller.executor.core.events import ClientGone, ClientId, Event, ExecutorTick, FromClient, Health
+from controller.executor.core.events import ClientGone, ClientId, Event, ExecutorTick, FaultPlayed, FromClient, Health
 from controller.host.process import Quit
 from controller.program import Goodbye, Hello, Up, Welcome
 from drivers.canopen.wire.cia301 import Frame
@@ -62,6 +62,9 @@ class Feed(Witness):
             case Health(loop, dropped):
                 judge.other_event()
                 judge.counts.process(loop, dropped)
+            case FaultPlayed(client, request, text, done):
+                judge.other_event()
+                judge.clients.played(client.number, request, text, done)
             case Quit():
                 judge.quits()
             case _:
@@ -79,6 +82,10 @@ class Feed(Witness):
     def notifies(self, text: str) -> None:
         """Tells a message for systemd."""
         self._judge.log.notifies(text)
+
+    def tells(self, client: ClientId, message: Up) -> None:
+        """Tells who gets a message."""
+        self._judge.clients.tells(client.number, message)
 
     def says(self, message: Up) -> None:
         """Tells a message to a client."""
@@ -123,6 +130,10 @@ class Witnesses(Witness):
     def says(self, message: Up) -> None:
         for witness in self._witnesses:
             witness.says(message)
+
+    def tells(self, client: ClientId, message: Up) -> None:
+        for witness in self._witnesses:
+            witness.tells(client, message)
 
     def logs(self, level: int, text: str) -> None:
         for witness in self._witnesses:

@@ -16,7 +16,9 @@ from tests.simulation.buses.bus_model import BusModel, OnItsWay
 from tests.simulation.buses.trouble import LONGEST_STANDSTILL, Trouble
 from tests.simulation.calm import check_daemon, run_a_goal, run_a_program
 from tests.simulation.executor.arms import draw_arm, draw_boards
+from tests.simulation.executor.habits import Habits
 from tests.simulation.executor.process import ExecutorProcess
+from tests.simulation.executor.strangers import Strangers
 from tests.simulation.facts import Step
 from tests.simulation.feed import Feed, Witnesses
 from tests.simulation.interface_feed import InterfaceFeed, interface_judge
@@ -73,7 +75,10 @@ class World:
         }
         self.judge = judge = Judge(arm)
         witness = Witnesses(record, Feed(judge, agenda))
-        self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness)
+        self.habits = habits = Habits(drawn("habits"), simulated=planned is None)
+        self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness, habits)
+        judge.clients.playable = habits.simulation
+        judge.log.simulated, judge.log.watchdog = habits.simulation is not None, habits.watchdog
         record.misses = judge.misses
         self.kinds = Kinds(arm.wiring, arm.timing)
         for bus in self.buses.values():
@@ -82,6 +87,9 @@ class World:
         self.daemon: Daemon | None = None
         if planned is None:
             self.planner = ScriptedPlanner(arm, agenda, drawn("planner"), self.executor)
+            count = len(arm.actuators)
+            parts = arm.name, count, agenda, drawn("strangers"), self.executor
+            self.strangers = Strangers(*parts, lambda: judge.silence.connected)
         else:
             of = interface_judge(judge, arm, planned, record)
             self.planner = self.daemon = Daemon(arm, planned, agenda, drawn, self.executor, self.note, of)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
-from controller.host.process import Quit
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame
 from drivers.canopen.wire.events import FrameReceived
@@ -112,7 +111,7 @@ class Trouble:
             case "executor is killed":
                 world.executor.kill_after(random.randint(0, 20))
             case "executor is restarted":
-                world.executor.post(Quit())
+                world.executor.quit()
             case "planner hangs":
                 world.planner.stall(random.choice([0.3, 0.9, 1.2, LONGEST_STALL]))
             case "planner dies":

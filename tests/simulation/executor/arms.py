@@ -89,7 +89,7 @@ def draw_arm(random: Random) -> ExecutedArm:
         rest=random.choice([0.0, 0.0, 0.05, 0.3]),
         contract_on_stop=random.random() < 0.3,
         locked=locked,
-        locked_states=locked,  # with an end-stop, the executor uses its reading
+        locked_states=locked & random.getrandbits(count),  # with an end-stop, the executor uses its reading
         continue_on_stuck=random.random() < 0.4,
         digest=64 * "0",
     )

@@ -148,6 +148,8 @@ class Account:
         commit: the last commit.
         mover: the last commit that switched an actuator.
         ticked: time of the last tick [s].
+        unknown: mask of the actuators with two outputs, both off since the process started or their board has, and
+            with no end-stop that tells their state. Of those that are locked, the executor tells a guess as output.
     """
 
     def __init__(self, arm: JudgedArm, ground: Ground) -> None:
@@ -170,6 +172,8 @@ class Account:
         self.quitting = False
         self.locked, self.locked_states = self.arm.declared
         self.locks_changed_at = self.now
+        self.unknown = self.arm.paired
+        self.knows_unknown = False  # whether `unknown` is exact, because the world was clear at the last boot
 
     @property
     def clear(self) -> bool:

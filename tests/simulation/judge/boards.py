@@ -134,7 +134,7 @@ class Endings:
         )
         self._contracts = False
         self._ended: tuple[float, int] | None = None
-        self._quit_at = 0.0
+        self._quit_at, self._unknown = 0.0, 0
         self._longest = arm.ending
 
     def quits(self) -> None:
@@ -144,7 +144,7 @@ class Endings:
             self._contracts = False  # a second call ends it at once
             return
         ready = a.clear and a.mode in ("ready", "executing")
-        self._contracts = a.arm.contracts_at_end and ready
+        self._contracts, self._unknown = a.arm.contracts_at_end and ready, a.homing & a.unknown
         self._quit_at = a.now
 
     def interferes(self) -> None:
@@ -163,8 +163,10 @@ class Endings:
         a = self._a
         states = a.ground.states
         if a.clear and a.quitting and self._contracts:
-            left = states & ~a.locked & ~a.homing
+            left = states & ~a.locked & ~(a.homing & ~a.unknown)
             require(not left, f"on_stop is contract, and {left:b} are extended at the end")
+            left = self._unknown & ~a.ground.came_since(self._quit_at)
+            require(not left, f"on_stop is contract, and the unknown states of {left:b} are never brought there")
         self._ended = (a.now, states) if a.clear and not a.committing else None
         self._contracts = False
 

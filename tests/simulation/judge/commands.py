@@ -52,7 +52,6 @@ class Commands:
             if channel.output_off is not None:
                 of_board.append((channel.output_off, k, True, "output_off" in channel.inverted))
         self._objects = {f"{node.bus}/{node.node}": node.object for node in wiring.nodes}
-        self._on = 0  # actuators with an output on at the boards
         self.begin()
 
     def begin(self) -> None:
@@ -93,10 +92,6 @@ class Commands:
             self._held.append(unpack(snapshot.outputs))
         if snapshot.mode not in ("ready", "executing"):
             self.hold()
-
-    def energises(self, on: int) -> None:
-        """The actuators of a mask have one of two outputs on."""
-        self._on = on
 
     def _stages(self) -> list[int]:
         """Returns the states that may be commanded now."""
@@ -167,7 +162,7 @@ class Commands:
             ever, always = ever | held, always & held
         other = (extends & ~ever | ~extends & always) & sure
         told = self._told
-        came = on & ~self._on & ~(extends & told[0] | contracts & told[1])
+        came = on & ~a.ground.on & ~(extends & told[0] | contracts & told[1])
         self._told = tuple(
             was & ~mask | new for was, new in zip(told, (extends & paired, contracts & paired), strict=True)
         )  # type: ignore[assignment]
@@ -177,6 +172,8 @@ class Commands:
         commit.releases = False
         commit.stages = [states for states in commit.stages if not (states ^ extends) & changed]
         if commit.stages:
+            waits = commit.homing & a.homing & a.unknown
+            require(not waits or not changed & ~commit.homing, f"{text} begins a stage before {waits:b} are homed")
             return
         if commit.contracts and not changed & (extends | commit.locked):
             return

@@ -31,6 +31,7 @@ from controller.program import (
 from tests.simulation.judge.account import Account, Commit
 from tests.simulation.judge.arm import JudgedArm
 from tests.simulation.judge.boards import BoardObjects, Endings
+from tests.simulation.judge.clients import Clients
 from tests.simulation.judge.commands import Commands
 from tests.simulation.judge.counts import Counts
 from tests.simulation.judge.ground import Ground
@@ -75,7 +76,9 @@ class Judge:
         self.pulses = Pulses(self.account)
         self.streams = Streams(self.account, self.programs)
         self.requests = Requests(self.account, self.programs, self.snapshots, self.silence)
-        self.counts = Counts(self.account)
+        self.counts, self.clients = Counts(self.account), Clients(self.account)
+        self._ticks = False  # whether the event that is handled begins a period
+        self._asked_to_end: bool | None = None  # at a request to end, whether the arm contracts before
         self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
         self.traffic, self.log = Traffic(self.account, arm), Log(self.account, self.endings.lets_go)
 
@@ -106,10 +109,11 @@ class Judge:
         self._forget()
 
     def _forget(self) -> None:
+        self._ticks, self._asked_to_end = False, None
         self.counts.begin()
         self.account.begin()
         parts = self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log
-        for part in (*parts, self.commands, self.silence):
+        for part in (*parts, self.commands, self.silence, self.clients):
             part.begin()
 
     def dies(self) -> None:
@@ -119,16 +123,19 @@ class Judge:
 
     def quits(self) -> None:
         """The process is asked to end."""
-        self.requests.close_step()
+        self.close_step()
+        a = self.account
+        if not a.quitting:
+            self._asked_to_end = a.arm.contracts_at_end and a.mode in ("ready", "executing") if a.clear else None
         self.endings.quits()
-        self.account.quitting = True
+        a.quitting = True
         self.commands.hold()
         self.programs.end("quit", "aborted")
 
     def ticks(self) -> None:
         """A period of the process begins."""
-        self.requests.close_step()
-        self.account.ticked = self.account.now
+        self.close_step()
+        self.account.ticked, self._ticks = self.account.now, True
         self.silence.tick()
         self.snapshots.tick()
         self.programs.tick()
@@ -137,14 +144,26 @@ class Judge:
         self.endings.tick()
         self.traffic.tick()
         self.counts.tick(self.silence.connected)
+        self.clients.tick()
+        self.log.tick()
+
+    def close_step(self) -> None:
+        """The process has handled an event."""
+        if self._asked_to_end is not None:
+            self.log.quits(self._asked_to_end)
+        elif self._ticks:
+            self.log.ticked()
+        self._asked_to_end, self._ticks = None, False
+        self.requests.close_step()
+        self.clients.close_step()
 
     def other_event(self) -> None:
         """The process takes an event of another kind."""
-        self.requests.close_step()
+        self.close_step()
 
     def echoes(self, bus: str, frame_id: int) -> None:
         """The process hears that a frame of its own was sent."""
-        self.requests.close_step()
+        self.close_step()
         if frame_id == SYNC and self.account.commit is not None:
             self.account.commit.awaited.discard(bus)
 
@@ -152,7 +171,8 @@ class Judge:
 
     def loses(self, client: Client) -> None:
         """The connection of a client was closed."""
-        self.requests.close_step()
+        self.close_step()
+        self.clients.loses(client.number)
         if client.planner:
             self.silence.gone()
             self.snapshots.epoch_causes += 1
@@ -172,7 +192,10 @@ class Judge:
 
     def hears(self, client: Client, message: object) -> None:
         """The process takes a message of a client."""
-        self.requests.close_step()
+        self.close_step()
+        self.clients.hears(client.number, message)
+        if not self.clients.may_ask(client.number, message):
+            return
         self.requests.receive(client, message)
         if client.planner:
             self.silence.hears()
@@ -285,8 +308,9 @@ class Judge:
 
     def energises(self, on: int, came: int, cause: str) -> None:
         """The actuators of mask `on` have one of two outputs on; those of `came` since this cause."""
-        self.ground.energise(self.account.now, came)
-        self.commands.energises(on)
+        self.ground.energise(self.account.now, on, came)
+        if cause == "SYNC":
+            self.account.unknown &= ~came
         self.pulses.energises(on, came, cause)
 
     def reads(self, extended: int, contracted: int) -> None:

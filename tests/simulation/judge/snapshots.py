@@ -97,6 +97,7 @@ class Snapshots:
             self._judge_changes(last, snapshot)
         a.shown = snapshot
         self._take_locks(last, snapshot)
+        self._take_unknown(snapshot)
         if a.clear:
             self._judge(snapshot, before)
         self.epoch_causes = self.locks_asked = 0
@@ -119,6 +120,21 @@ class Snapshots:
             a.locked_states = unpack(snapshot.measured) & a.locked
             a.locks_changed_at = a.now
 
+    def _take_unknown(self, snapshot: Snapshot) -> None:
+        """Finds out whose states nobody can know after a boot; in a world with faults the executor tells it."""
+        a, arm = self._a, self._a.arm
+        homing = unpack(snapshot.homing)
+        if a.ready_at == a.now:
+            known = a.ground.on | arm.everything & ~arm.paired
+            for reading in a.ground.readings_since(a.now - SEEN_WITHIN):
+                known |= arm.definite(reading.extended, reading.contracted)
+            a.unknown &= ~known
+            a.knows_unknown = a.clear
+        if not a.clear:
+            a.unknown, a.knows_unknown = homing | a.locked & arm.paired, False
+        elif not a.knows_unknown:
+            a.unknown |= homing
+
     def _judge_changes(self, last: Snapshot, snapshot: Snapshot) -> None:
         a = self._a
         grows = snapshot.epoch > last.epoch
@@ -130,15 +146,15 @@ class Snapshots:
             require(snapshot.locked == last.locked, f"{unpack(snapshot.locked):b} are locked without a request")
         if snapshot.locked != last.locked:
             require(snapshot.locks > last.locks, f"other actuators are locked under the same number {last.locks}")
-        if a.ready_at != a.now:
-            came = unpack(snapshot.homing) & ~unpack(last.homing)
-            require(not came or last.mode == "starting", f"the states of {came:b} have become unknown")
 
     def _judge(self, snapshot: Snapshot, before: str) -> None:
         a, mode = self._a, snapshot.mode
         require(unpack(snapshot.sensed) == a.arm.sensed, f"sensed is {unpack(snapshot.sensed):b}")
         homing = unpack(snapshot.homing)
-        require(not homing & ~a.arm.paired, f"{homing:b} are to be homed, {a.arm.paired:b} have two outputs")
+        require(not homing & ~a.unknown, f"{homing:b} are to be homed, unknown are {a.unknown:b}")
+        if mode in ("ready", "executing"):
+            lasting = a.unknown & ~a.locked & ~a.ground.came_since(a.now - SEEN_WITHIN)
+            require(not lasting & ~homing, f"{homing:b} are to be homed, unknown are {a.unknown:b}")
         for fault in snapshot.faults:
             require(fault.code in STANDING, f"{fault} without a cause")
         require(mode != "fault", f"the mode is fault without a cause: {snapshot.reason}")
@@ -165,7 +181,7 @@ class Snapshots:
         ever, always = 0, -1
         for states in a.ground.states_since(a.now - SEEN_WITHIN):
             ever, always = ever | states, always & states
-        wrong = (told & ~ever | ~told & always) & a.arm.everything & ~homing
+        wrong = (told & ~ever | ~told & always) & a.arm.everything & ~homing & ~(a.unknown & a.locked)
         require(not wrong, f"outputs {told:b} are shown, the boards drive {a.ground.states:b}")
 
     def _judge_moving(self, snapshot: Snapshot) -> None:

@@ -10,7 +10,7 @@ import msgspec
 
 from controller.arm.arm import Arm
 from controller.executor.core.arm import ExecutedArm
-from controller.host.process import Log, Quit
+from controller.host.process import Log
 from controller.motion.stages.pacing import pace_of
 from controller.planning.core.events import Action, Answered, Event, FromExecutor, Payload, Record, Start, ToExecutor
 from controller.planning.core.tasks import Answer, BuildScene, BuildTables, Failed, SceneBuilt, Tables, Task
@@ -117,7 +117,7 @@ class Daemon:
         self.judge.at(self.agenda.now)
         self.judge.begins(0)
         if self.together:
-            self._executor.post(Quit())
+            self._executor.quit()
         self.awake_since = min(self.awake_since, self.agenda.now)
         self.agenda.after(self._random.choice([0.2, 1.0, 3.0]), self.start)
 
