@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 from controller.executor.core.events import ClientGone, ClientId, Event, ExecutorTick, FaultPlayed, FromClient, Health
 from controller.host.process import Quit
-from controller.program import Goodbye, Hello, Up, Welcome
+from controller.program import Counts, Goodbye, Hello, Up, Welcome
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 from tests.simulation.agenda import Agenda
@@ -18,10 +20,11 @@ class Feed(Witness):
     Args:
         judge: takes the facts.
         agenda: time.
+        raised: takes the counts of the planner's ledger.
     """
 
-    def __init__(self, judge: Judge, agenda: Agenda) -> None:
-        self._judge, self._agenda = judge, agenda
+    def __init__(self, judge: Judge, agenda: Agenda, raised: Callable[[Sequence[int]], None]) -> None:
+        self._judge, self._agenda, self._raised = judge, agenda, raised
         self._instances = 0
         self._planner: ClientId | None = None
         self._greeted: tuple[ClientId, Hello] | None = None
@@ -48,6 +51,8 @@ class Feed(Witness):
                 judge.ticks()
             case FromClient(client, message):
                 self._greeted = (client, message) if isinstance(message, Hello) else None
+                if isinstance(message, Counts) and client == self._planner:
+                    self._raised(message.counts)
                 judge.hears(Client(client.number, client == self._planner), message)
             case ClientGone(client):
                 judge.loses(Client(client.number, client == self._planner))

@@ -35,7 +35,7 @@ from tests.simulation.executor.programs import Author, Drawn
 ACTS = {
     **{"program": 30, "bad program": 8, "replacement": 12, "park": 6, "resume": 12},
     **{"set-point": 20, "wait": 40, "cancel": 3},
-    **{"cancel program": 2, "reset": 1, "lock": 4, "counts": 0.5, "stray answer": 1, "acknowledge": 8, "operator": 1},
+    **{"cancel program": 2, "reset": 1, "lock": 4, "counts": 1.0, "stray answer": 1, "acknowledge": 8, "operator": 1},
 }
 
 
@@ -234,13 +234,19 @@ class ScriptedPlanner:
                 actuator = random.randrange(len(self._arm.actuators) + 1)
                 self.connection.send(Lock(self._next(), actuator, random.choice([-1, 0, 1])))
             case "counts":
-                self.connection.send(Counts(tuple(0 for _ in range(random.randint(0, len(self._arm.actuators))))))
+                self.connection.send(Counts(self._ledger()))
             case "stray answer":
                 self.connection.send(Clearance(random.randint(0, 10), random.choice([None, "the box"])))
             case "acknowledge":
                 self._acknowledge()
             case "operator" if random.random() < 0.5:
                 self.connection.halt()
+
+    def _ledger(self) -> tuple[int, ...]:
+        """Returns counts of the ledger: lower ones, some that are greater than the executor's, or too few."""
+        random, count = self._random, len(self._arm.actuators)
+        few = random.randint(0, count)
+        return random.choice([(0,) * few, tuple(random.randint(0, 100) for _ in range(count)), (10**6,) * few])
 
     def _acknowledge(self) -> None:
         for result in self.results:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from controller.executor.core.arm import ExecutedArm
 from controller.executor.core.events import Event, FromClient
@@ -73,6 +73,12 @@ class Record(Witness):
         """Records an event that the executor takes."""
         self._note(("executor takes", event))
         self._message = event.message if isinstance(event, FromClient) else None
+
+    def raised(self, counts: Sequence[int], journal: Sequence[int]) -> None:
+        """Records that the planner's ledger has greater counts than the switch journal: these are valid."""
+        if len(counts) == len(journal):
+            for k, (count, known) in enumerate(zip(counts, journal, strict=True)):
+                self.synced[k] += max(count - known, 0)
 
     def says(self, message: Up) -> None:
         """Records a message to a client."""

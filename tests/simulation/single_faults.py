@@ -48,7 +48,9 @@ class SingleFaults:
         drawn = self._random.random()
         if drawn < 0.15:
             self._end_executor()
-        elif drawn < 0.5:
+        elif drawn < 0.25:
+            self._lose_planner(planner)
+        elif drawn < 0.55:
             self._boots.happen()
         else:
             world.judge.disturb()
@@ -75,9 +77,29 @@ class SingleFaults:
         instance = world.executor.instances
         if in_order:
             world.executor.quit()
+            if self._random.random() < 0.4:  # a second signal
+                world.agenda.after(self._random.uniform(0.0, 0.3), world.executor.quit_again)
         else:
             world.executor.kill()
         world.wait(lambda: world.executor.instances > instance, "started again", RESTARTED)
+        world.wait(world.settled, "ready", world.ready_within)
+
+    def _lose_planner(self, planner: ScriptedPlanner) -> None:
+        """Makes the planner die or stand still while a program may run; the judge goes on to judge each fact exactly."""
+        world, timeout = self._world, self._world.arm.planner_timeout
+        if self._random.random() < 0.7:
+            planner.ask_for_motion()
+            world.pass_time(self._random.uniform(0.0, 0.3))
+        dies = self._random.random() < 0.4
+        world.trouble.made["only: planner dies" if dies else "only: planner stands still"] += 1
+        world.note("only fault: the planner dies or stands still")
+        if dies:
+            planner.die()
+            world.pass_time(self._random.uniform(0.0, 0.5))
+        else:
+            planner.stall(timeout * self._random.choice([0.7, 1.2, 2.0]))
+        world.wait(lambda: planner.awake, "awake", 3.0 * timeout)
+        world.pass_time(0.3)
         world.wait(world.settled, "ready", world.ready_within)
 
     def _judge(self, name: str, fault: Fault, planner: ScriptedPlanner) -> None:

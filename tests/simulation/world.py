@@ -74,7 +74,7 @@ class World:
             for bus in arm.wiring.buses
         }
         self.judge = judge = Judge(arm)
-        witness = Witnesses(record, Feed(judge, agenda))
+        witness = Witnesses(record, Feed(judge, agenda, lambda counts: record.raised(counts, self.executor.journal.counts)))
         self.habits = habits = Habits(drawn("habits"), simulated=planned is None)
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness, habits)
         judge.clients.playable = habits.simulation
@@ -84,6 +84,7 @@ class World:
         for bus in self.buses.values():
             bus.spares_commands = bool(self.kinds.pulse)  # see `fault_kinds.NOT_DRAWN`
         self.planner: ScriptedPlanner | Daemon
+        self.strangers: Strangers | None = None
         self.daemon: Daemon | None = None
         if planned is None:
             self.planner = ScriptedPlanner(arm, agenda, drawn("planner"), self.executor)
@@ -121,6 +122,7 @@ class World:
                 for _ in range(4):
                     self.single_faults.happen()
             self.planner.be_calm(False)
+            self._let_strangers_stop(True)
             self.pass_time(self._random.uniform(1.0, 6.0))
             if self.daemon is not None or self.drawn_half():
                 self.judge.disturb()
@@ -147,8 +149,13 @@ class World:
         if self.daemon is not None:
             self.daemon.judge.at(self.agenda.now)
 
+    def _let_strangers_stop(self, may: bool) -> None:
+        if self.strangers is not None:
+            self.strangers.may_stop = may
+
     def calm(self) -> None:
         """Ends all trouble; the arm becomes ready, runs a program, and everything agrees."""
+        self._let_strangers_stop(False)
         self.trouble.end()
         self.planner.be_calm(True)
         self.wait(lambda: self.executor.awake and self.planner.awake, "awake", LONGEST_STANDSTILL + 2.0)

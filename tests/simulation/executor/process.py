@@ -155,12 +155,15 @@ class ExecutorProcess:
             self._agenda.after(self._random.choice([0.05, 0.2, 1.0]), self.start)
 
     def quit(self) -> None:
-        """Asks the process to end in order; a second call ends it at once."""
-        if self._quitting and self.core is not None and self.awake and not self._events:
-            self._finish()
-        elif not self._quitting:
+        """Asks the process to end in order."""
+        if not self._quitting:
             self._quitting = self.core is not None
             self.post(Quit())
+
+    def quit_again(self) -> None:
+        """Asks a process that ends in order to end at once."""
+        if self._quitting and self.awake and not self._events:
+            self._finish()
 
     def at_next_start(self, happen: Callable[[], None]) -> None:
         """Calls a function once, after the next start of a process."""

@@ -31,6 +31,7 @@ class Counts:
         self._handed: Counter[str] = Counter()
         self._received: Counter[str] = Counter()
         self._beats: dict[tuple[str, int], float] = {}
+        self._least: tuple[int, ...] = ()  # counts below which nothing may be told any more
 
     def begin(self) -> None:
         """Forgets the last process. Nobody can tell whether a pulse of its last commit has switched."""
@@ -41,6 +42,16 @@ class Counts:
         self._beats.clear()
         if self._a.committing:
             self._base = {}
+
+    def raised(self, counts: tuple[int, ...]) -> None:
+        """The planner tells the counts of its ledger: the greater ones are right."""
+        a = self._a
+        if len(counts) != a.arm.count:
+            return
+        least = self._least or (0,) * a.arm.count
+        self._least = tuple(map(max, least, counts))
+        for k, base in list(self._base.items()):
+            self._base[k] = max(base, counts[k] - a.ground.counts[k])
 
     def tick(self, connected: bool) -> None:
         """Finds missing diagnostics."""
@@ -70,6 +81,9 @@ class Counts:
     def told(self, counts: Sequence[int]) -> None:
         """Judges counts in a message. Switches count when they were read back."""
         a = self._a
+        low = [k for k, (count, least) in enumerate(zip(counts, self._least, strict=False)) if count < least]
+        require(not low, f"counts {counts} are told after {self._least}")
+        self._least = tuple(counts)
         if not a.clear or a.homing or self._clear_since != a.clear_since:
             self._base, self._clear_since = {}, a.clear_since
         if not a.clear or a.homing or a.committing:

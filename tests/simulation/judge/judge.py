@@ -28,6 +28,7 @@ from controller.program import (
     Stop,
     Welcome,
 )
+from controller.program import Counts as LedgerCounts
 from tests.simulation.judge.account import Account, Commit
 from tests.simulation.judge.arm import JudgedArm
 from tests.simulation.judge.boards import BoardObjects, Endings
@@ -212,6 +213,8 @@ class Judge:
                     run.held_at = self.account.now
             case Acknowledge() if client.planner:
                 self.programs.unacknowledged.pop(message.result, None)
+            case LedgerCounts() if client.planner:
+                self.counts.raised(message.counts)
             case Cancel() if client.planner:
                 self._cancel(message)
             case Stop():
@@ -238,6 +241,7 @@ class Judge:
         match message:
             case Welcome():
                 self.requests.welcome(message)
+                self.counts.told(message.counts)
             case Accepted():
                 self.programs.accepted(message)
                 self.commands.begins()
