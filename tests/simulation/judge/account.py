@@ -83,6 +83,7 @@ class Run:
         homes: mask of actuators that may be homed before the first stage.
         homed: states to which they are homed.
         taken_at: time of the last `Begun` [s].
+        accepted_at: time of the acceptance [s].
         question: number of the open question; None if none is open.
         touched: whether the last answer said that the stage is not clear.
         held_at: last time when something kept the next report from coming [s].
@@ -100,7 +101,7 @@ class Run:
         self.homes = homing & (unpack(message.homed) if message.homed else -1)
         ends_elsewhere = bool(message.homed and self.stages)
         self.homed = self.stages[-1].states if ends_elsewhere else self.start
-        self.taken_at = self.held_at = accepted.begin
+        self.taken_at = self.held_at = self.accepted_at = accepted.begin
         self.mark = self.begun = self.generation = -1
         self.planned, self.open_mark, self.touched = True, False, False
         self.question: int | None = None

@@ -145,3 +145,7 @@ class Clients:
         for (client, request), at in self._operators.items():
             if a.clear and at >= a.clear_since:
                 require(a.now - at <= longest, f"stop {request} of client {client} has no answer for {a.now - at:g} s")
+
+    def ends(self) -> None:
+        """The process has ended in order: each stop of an operator has its answer."""
+        require(not self._operators, f"the executor has ended in order, and has not answered {self._operators}")

@@ -17,6 +17,9 @@ EVERY = 1.0 + 3 * TICK  # [s], longest time between two diagnostics
 class Counts:
     """Judges counts of switches, and diagnostics.
 
+    Attributes:
+        connected: whether a planner was connected at the last tick.
+
     Args:
         account: of the executor.
     """
@@ -31,6 +34,8 @@ class Counts:
         self._handed: Counter[str] = Counter()
         self._received: Counter[str] = Counter()
         self._beats: dict[tuple[str, int], float] = {}
+        self._counted_at = 0.0
+        self.connected = False
         self._least: tuple[int, ...] = ()  # counts below which nothing may be told any more
 
     def begin(self) -> None:
@@ -55,7 +60,7 @@ class Counts:
 
     def tick(self, connected: bool) -> None:
         """Finds missing diagnostics."""
-        a = self._a
+        a, self.connected = self._a, connected
         if not a.clear or not connected:
             self._told_at = a.now
         require(a.now - self._told_at <= EVERY, f"no diagnostics for {a.now - self._told_at:g} s")
@@ -96,6 +101,21 @@ class Counts:
             missing = seen + before - count
             text = f"actuator {k}: {count} switches are told, the bus had {seen + before}"
             require(missing == 0 or (missing == 1 and not steady), text)
+
+    @property
+    def counted_now(self) -> bool:
+        """Whether counts were told in this step."""
+        return self._counted_at == self._a.now
+
+    def ends(self) -> None:
+        """The process has ended in order: the planner knows the last counts."""
+        planner = self.connected
+        require(not planner or self.counted_now, "the executor has ended, and has not told its counts")
+
+    def counted(self, counts: Sequence[int]) -> None:
+        """Judges the message that tells counts before a result, and at the end."""
+        self._counted_at = self._a.now
+        self.told(counts)
 
     def diagnosed(self, message: Diagnostics) -> None:
         """Judges diagnostics."""

@@ -39,11 +39,14 @@ from tests.simulation.judge.ground import Ground
 from tests.simulation.judge.log import Log
 from tests.simulation.judge.programs import Programs
 from tests.simulation.judge.pulses import Pulses
+from tests.simulation.judge.reasons import Reasons
 from tests.simulation.judge.requests import Requests
 from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import Snapshots
 from tests.simulation.judge.streams import Streams
 from tests.simulation.judge.traffic import Look, Traffic
+from tests.simulation.judge.travels import Travels
+from tests.simulation.judge.verdict import require
 
 SYNC = 0x80
 RPDOS = range(0x200, 0x580, 0x100)
@@ -73,11 +76,13 @@ class Judge:
         self.commands = Commands(self.account, arm)
         self.silence = Silence(self.account, self._lose_silent)
         self.snapshots = Snapshots(self.account, self.silence)
-        self.programs = Programs(self.account, self.snapshots, self.silence)
+        self.travels, self.reasons = Travels(self.account), Reasons(self.account)
+        self.programs = Programs(self.account, self.snapshots, self.silence, self.travels, self.reasons)
         self.pulses = Pulses(self.account)
         self.streams = Streams(self.account, self.programs)
-        self.requests = Requests(self.account, self.programs, self.snapshots, self.silence)
+        self.requests = Requests(self.account, self.programs, self.snapshots, self.silence, self.reasons)
         self.counts, self.clients = Counts(self.account), Clients(self.account)
+        self._over = False  # whether the process was told to end at once
         self._ticks = False  # whether the event that is handled begins a period
         self._asked_to_end: bool | None = None  # at a request to end, whether the arm contracts before
         self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
@@ -110,15 +115,20 @@ class Judge:
         self._forget()
 
     def _forget(self) -> None:
-        self._ticks, self._asked_to_end = False, None
+        self._ticks, self._asked_to_end, self._over = False, None, False
         self.counts.begin()
         self.account.begin()
         parts = self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log
-        for part in (*parts, self.commands, self.silence, self.clients):
+        for part in (*parts, self.commands, self.silence, self.clients, self.travels, self.reasons):
             part.begin()
 
     def dies(self) -> None:
         """The process has ended."""
+        if self._over and self.account.clear:
+            self.programs.ends()
+            self.requests.ends()
+            self.clients.ends()
+            self.counts.ends()
         self.endings.dies()
         self._forget()
 
@@ -128,6 +138,7 @@ class Judge:
         a = self.account
         if not a.quitting:
             self._asked_to_end = a.arm.contracts_at_end and a.mode in ("ready", "executing") if a.clear else None
+        self._over = a.quitting
         self.endings.quits()
         a.quitting = True
         self.commands.hold()
@@ -188,6 +199,7 @@ class Judge:
         """The planner is gone or silent: what it asked for ends."""
         if not self.account.quitting:
             self.commands.hold()
+        self.reasons.holds("the planner is")
         self.programs.end("planner", "aborted")
         self.account.stream = None
 
@@ -205,7 +217,8 @@ class Judge:
                 self.programs.receive(message)
             case Setpoint() if client.planner:
                 self.commands.receive(message)
-                self.streams.receive(message)
+                if self.streams.receive(message):
+                    self.reasons.follows(message)
             case Clearance() if client.planner:
                 run = self.account.run
                 if run is not None and run.question == message.question:
@@ -221,6 +234,7 @@ class Judge:
                 self.endings.interferes()
                 self.commands.hold()
                 self.snapshots.epoch_causes += 1
+                self.reasons.enters("a stop was requested")
                 self.programs.end("stop", "aborted")
                 self.account.stream = None
             case Lock() | Reset() if client.planner:
@@ -232,9 +246,11 @@ class Judge:
             self.commands.hold()
         if message.program is None:
             self.snapshots.epoch_causes += 1
+            self.reasons.holds("canceled", "following" if run is None else run.message.name)
             self.account.stream = None
         if run is not None and message.program in (None, run.number):
-            self.programs.end("cancel", "canceled")
+            self.reasons.holds("canceled", run.message.name)
+            self.programs.end("cancel", "canceled", message.reason or "canceled; the arm holds")
 
     def tells(self, message: object) -> None:
         """The process sends a message to a client."""
@@ -258,19 +274,23 @@ class Judge:
                 self.programs.settled(message)
             case Ended():
                 self.programs.ended(message)
+                counted = self.requests.tells_again or self.counts.counted_now
+                require(counted, f"the counts are not told before {message}")
                 self.requests.result(message)
             case Question():
                 self.requests.question(message)
             case Answer():
                 self.requests.answer(message)
             case Counted(counts):
-                self.counts.told(counts)
+                self.counts.counted(counts)
             case Diagnostics():
                 self.counts.diagnosed(message)
             case Snapshot():
                 self.log.shows(self.account.shown, message)
                 self.streams.shown(message)
+                last = self.account.shown
                 self.snapshots.show(message)
+                self.reasons.shows(last, message)
                 self.commands.shows(message)
                 if message.mode not in ("ready", "executing"):
                     self.programs.end("fault", "aborted")
@@ -308,15 +328,18 @@ class Judge:
             self.commands.switched(states, mask, commit)
             self.account.mover = self.account.commit
             self.programs.switched(mask)
+            self.travels.switched(mask)
             self.traffic.switched()
 
     def energises(self, on: int, came: int, cause: str) -> None:
         """The actuators of mask `on` have one of two outputs on; those of `came` since this cause."""
         self.ground.energise(self.account.now, on, came)
         if cause == "SYNC":
+            self.travels.switched(came & self.account.unknown)
             self.account.unknown &= ~came
         self.pulses.energises(on, came, cause)
 
     def reads(self, extended: int, contracted: int) -> None:
         """The end-stops read 1 where these masks say so."""
         self.ground.read(self.account.now, extended, contracted)
+        self.travels.reads(extended, contracted)

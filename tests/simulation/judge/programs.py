@@ -7,8 +7,10 @@ from collections.abc import Callable
 from controller.program import Accepted, Begun, Declined, Ended, Program, Replaced, Replacement, Settled, unpack
 from tests.simulation.judge.acceptance import MODE_REASONS, misfits, must_decline
 from tests.simulation.judge.account import EPSILON, Account, Run
+from tests.simulation.judge.reasons import Reasons
 from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import Snapshots
+from tests.simulation.judge.travels import Travels
 from tests.simulation.judge.verdict import require
 
 TICK = 0.01  # [s], period of the executor's loop
@@ -34,6 +36,7 @@ class Ending:
     def __init__(self, run: Run, at: float) -> None:
         self.run, self.at = run, at
         self.causes: dict[str, str] = {}  # permitted status by cause
+        self.words: dict[str, str] = {}  # the message by cause, where it is known
 
 
 class Programs:
@@ -41,15 +44,21 @@ class Programs:
 
     Attributes:
         count: takes the mask of the actuators that a SYNC has switched.
+        switches_for: program for which the last RPDOs were handed out.
 
     Args:
         account: of the executor.
         snapshots: judges measured states.
         silence: of the planner.
+        travels: measured by the judge.
+        reasons: of the modes.
     """
 
-    def __init__(self, account: Account, snapshots: Snapshots, silence: Silence) -> None:
+    def __init__(
+        self, account: Account, snapshots: Snapshots, silence: Silence, travels: Travels, reasons: Reasons
+    ) -> None:
         self._a, self._snapshots, self._silence = account, snapshots, silence
+        self._travels, self._reasons = travels, reasons
         self.count: Callable[[int], None] = lambda mask: None
         self.begin()
 
@@ -58,7 +67,7 @@ class Programs:
         self._message: Program | Replacement | None = None
         self._endings: dict[int, Ending] = {}
         self.unacknowledged: dict[int, Ended] = {}
-        self._switched_in: Run | None = None
+        self.switches_for: Run | None = None
         self.unfed_since: float | None = None
         self._unfed, self._ticked = 0.0, self._a.now  # awake time without further stages, until the last tick
 
@@ -101,7 +110,7 @@ class Programs:
         require(abs(message.begin - begin) < EPSILON, f"program {asked.program} begins at {message.begin:g}")
         self.end("replaced", "replaced")
         a.run = Run(asked, message, a.locked, a.locked_states, a.homing)
-        a.run.held_at = a.run.taken_at = a.now
+        a.run.held_at = a.run.taken_at = a.run.accepted_at = a.now
         a.stream = None
         a.program_number = asked.program
         a.greatest = max(a.greatest, asked.program)
@@ -217,23 +226,24 @@ class Programs:
 
     def committed_for(self, run: Run | None) -> None:
         """Records for which program RPDOs were handed out."""
-        self._switched_in = run
+        self.switches_for = run
 
     def switched(self, mask: int) -> None:
         """Counts actuators that a SYNC switched."""
-        if self._switched_in is not None:
-            self._switched_in.switches += mask.bit_count()
+        if self.switches_for is not None:
+            self.switches_for.switches += mask.bit_count()
         self.count(mask)
 
     # --- the end
 
-    def end(self, cause: str, status: str) -> None:
+    def end(self, cause: str, status: str, words: str = "") -> None:
         """Records that something ends the running program; its result is owed from now on."""
         a, run = self._a, self._a.run
         a.run = None
         if run is not None:
             ending = self._endings.setdefault(run.number, Ending(run, a.now))
             ending.causes[cause] = status
+            ending.words[cause] = words
 
     def ended(self, message: Ended) -> None:
         """Judges a result."""
@@ -245,11 +255,14 @@ class Programs:
         ending = self._endings.pop(message.program, None)
         run = a.run if a.run is not None and a.run.number == message.program else None
         if ending is not None:
-            run, causes = ending.run, ending.causes
+            run, causes, sayings = ending.run, ending.causes, ending.words
         elif run is not None:
-            causes = self._own_end(run)
+            causes, sayings = self._own_end(run), {"done": "all stages have settled"}
             if isinstance(self._message, Program):  # its acceptance follows
                 causes["replaced"] = "replaced"
+                sayings["replaced"] = f"replaced by {self._message.name}"
+            else:
+                self._reasons.enters(run.message.name, "done" if message.status == "done" else "")
             a.run = None
         else:
             require(False, f"{message} is of no running program")
@@ -266,15 +279,14 @@ class Programs:
         words = [WORDS[cause] for cause in fits if cause in WORDS]
         told = len(words) < len(fits) or any(word in message.message for word in words)
         require(told, f"{text} says {message.message!r}; causes are {causes}")
+        right = any(sayings.get(cause, "") in ("", message.message) for cause in fits)
+        require(right, f"{text} says {message.message!r}; {sayings} are due")
         if message.status == "done":
             moving = a.ground.surely_moving(a.now)
             require(not moving, f"{text} is done while {moving:b} travel")
         self._snapshots.judge_states(message.measured, message.known, text)
         self._judge_switches(run, message.switches, text)
-        for travel in message.travels:
-            longest = a.arm.travel[travel.actuator][travel.state] + PROMPT
-            has = (a.arm.contracted_ends, a.arm.extended_ends)[travel.state] >> travel.actuator & 1
-            require(has and 0 <= travel.seconds <= longest, f"{text} tells {travel}")
+        self._travels.ended(run, message.travels, text)
 
     def _own_end(self, run: Run) -> dict[str, str]:
         """Returns the causes for which a program may end by itself now."""
@@ -294,6 +306,11 @@ class Programs:
         if self._silence.due:
             causes["planner"] = "aborted"
         return causes
+
+    def ends(self) -> None:
+        """The process has ended in order: each program has its result."""
+        without = [*self._endings, *([] if self._a.run is None else [self._a.run.number])]
+        require(not without, f"the executor has ended in order, and programs {without} have no result")
 
     # --- time
 

@@ -18,9 +18,10 @@ from controller.program import (
     Welcome,
     unpack,
 )
-from tests.simulation.judge.account import Account
+from tests.simulation.judge.account import Account, Commit
 from tests.simulation.judge.arm import bits_of
 from tests.simulation.judge.programs import READ_BACK, TICK, Programs
+from tests.simulation.judge.reasons import HELD, Reasons
 from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import SEEN_WITHIN, Snapshots
 from tests.simulation.judge.verdict import require
@@ -32,8 +33,9 @@ if TYPE_CHECKING:
 class Waiting:
     """A stop or cancel that was heard and not answered."""
 
-    def __init__(self, message: Stop | Cancel, at: float, running: bool) -> None:
+    def __init__(self, message: Stop | Cancel, at: float, running: bool, leaves: Commit | None) -> None:
         self.message, self.at, self.running = message, at, running
+        self.leaves = leaves  # the commit whose SYNC was handed out, and was not heard to have left
 
 
 class Requests:
@@ -44,10 +46,14 @@ class Requests:
         programs: has the results.
         snapshots: shows locks and epochs.
         silence: of the planner.
+        reasons: of the modes.
     """
 
-    def __init__(self, account: Account, programs: Programs, snapshots: Snapshots, silence: Silence) -> None:
+    def __init__(
+        self, account: Account, programs: Programs, snapshots: Snapshots, silence: Silence, reasons: Reasons
+    ) -> None:
         self._a, self._programs, self._snapshots, self._silence = account, programs, snapshots, silence
+        self._reasons = reasons
         self.begin()
 
     def begin(self) -> None:
@@ -69,7 +75,8 @@ class Requests:
                 self._due = message if a.run is None or a.run.number != message.program else None
             if self._due is None and client.planner:
                 running = a.run is not None or a.stream is not None
-                self._held.append(Waiting(message, a.now, running))
+                leaves = a.commit if a.commit is not None and a.commit.awaited else None
+                self._held.append(Waiting(message, a.now, running, leaves))
         elif client.planner and isinstance(message, Program | Replacement | Reset | Lock):
             self._due = message
             self._lock_moving = not a.ground.surely_at_rest(a.now, SEEN_WITHIN + TICK)
@@ -92,6 +99,11 @@ class Requests:
         require(message.instance == a.instance, f"instance {message.instance} is told, it is {a.instance}")
         if a.clear:
             require(message.program == a.greatest, f"number {message.program} is told, the greatest is {a.greatest}")
+
+    @property
+    def tells_again(self) -> bool:
+        """Whether a new planner gets results in this step."""
+        return self._again is not None
 
     def new_planner(self) -> None:
         """Requires that a new planner gets all results that were not acknowledged."""
@@ -142,12 +154,28 @@ class Requests:
         require(message.refused is None, f"{held.message} is refused: {message}")
         if not a.clear:
             return
+        self._judge_under_way(held, message)
         if isinstance(held.message, Stop):
             require("stopped" in message.message and "until reset" in message.message, f"a stop is told as {message}")
         elif held.running or (isinstance(held.message, Cancel) and held.message.program is not None):
             require(message.message.startswith("canceled"), f"{held.message} is answered by {message}")
         else:
             require("no goal" in message.message, f"{held.message} is answered by {message}, and nothing ran")
+
+    def _judge_under_way(self, held: Waiting, message: Answer) -> None:
+        """Judges how many switches the answer to a stop or cancel tells: those of a SYNC that was handed out."""
+        leaves, count = held.leaves, 0
+        if leaves is not None:
+            if leaves.homing or leaves.open:
+                return
+            count = leaves.switched.bit_count()
+        words = "1 switch was under way" if count == 1 else f"{count} switches were under way" if count else ""
+        right = words in message.message if count else "under way" not in message.message
+        require(right, f"{held.message} is answered by {message}; {count} switches were under way")
+
+    def ends(self) -> None:
+        """The process has ended in order: each stop and cancel has its answer."""
+        require(not self._held, f"the executor has ended in order, and has not answered {[vars(h) for h in self._held]}")
 
     def _judge_reset(self, asked: Reset, message: Answer) -> None:
         a, mode = self._a, self._a.mode
@@ -168,6 +196,8 @@ class Requests:
         if message.refused is None:
             self._snapshots.epoch_causes += 1
             self._snapshots.locks_asked += 1
+            if a.mode == "ready":
+                self._reasons.enters(HELD)
         if not a.clear:
             return
         reading = a.ground.readings[-1]

@@ -152,7 +152,7 @@ class Snapshots:
         require(unpack(snapshot.sensed) == a.arm.sensed, f"sensed is {unpack(snapshot.sensed):b}")
         homing = unpack(snapshot.homing)
         require(not homing & ~a.unknown, f"{homing:b} are to be homed, unknown are {a.unknown:b}")
-        if mode in ("ready", "executing"):
+        if mode in ("ready", "executing") and a.knows_unknown:
             lasting = a.unknown & ~a.locked & ~a.ground.came_since(a.now - SEEN_WITHIN)
             require(not lasting & ~homing, f"{homing:b} are to be homed, unknown are {a.unknown:b}")
         for fault in snapshot.faults:

@@ -1,0 +1,71 @@
+"""Travels in results: from the SYNC that switched an actuator to the frame that reports its end-stop."""
+
+from __future__ import annotations
+
+from controller.program import MOST_TRAVELS, Travel
+from tests.simulation.judge.account import EPSILON, Account, Run
+from tests.simulation.judge.arm import bits_of
+from tests.simulation.judge.verdict import require
+
+FRAME = 0.02  # [s], longest time from an end-stop to the end of its frame, behind others on a slow bus
+
+
+class Arrival:
+    """An actuator that has reached an end with an end-stop."""
+
+    def __init__(self, actuator: int, state: int, seconds: float, at: float) -> None:
+        self.actuator, self.state, self.seconds, self.at = actuator, state, seconds, at
+
+
+class Travels:
+    """Measures the travels of each program, and judges those in its result.
+
+    Args:
+        account: of the executor.
+    """
+
+    def __init__(self, account: Account) -> None:
+        self._a = account
+        self._switched: dict[int, tuple[float, int]] = {}  # time and state by actuator
+        self._arrived: list[Arrival] = []  # in no result yet
+
+    def begin(self) -> None:
+        """Forgets the last process."""
+        self._switched.clear()
+        self._arrived.clear()
+
+    def switched(self, mask: int) -> None:
+        """A SYNC has switched actuators."""
+        a, reading = self._a, self._a.ground.readings[-1]
+        for k in bits_of(mask):
+            self._switched.pop(k, None)
+            state = a.ground.states >> k & 1
+            ends = a.arm.extended_ends if state else a.arm.contracted_ends
+            reads = reading.extended if state else reading.contracted
+            if ends >> k & 1 and not reads >> k & 1:
+                self._switched[k] = a.now, state
+
+    def reads(self, extended: int, contracted: int) -> None:
+        """End-stops have changed."""
+        now = self._a.now
+        for k, (at, state) in list(self._switched.items()):
+            if (extended if state else contracted) >> k & 1:
+                del self._switched[k]
+                self._arrived.append(Arrival(k, state, now - at, now))
+
+    def ended(self, run: Run, told: tuple[Travel, ...], text: str) -> None:
+        """Judges the travels of a result: those that have arrived while its program was running."""
+        a = self._a
+        for travel in told:
+            fits = [
+                one
+                for one in self._arrived
+                if (one.actuator, one.state) == (travel.actuator, travel.state)
+                and 0.0 <= travel.seconds - one.seconds + EPSILON <= FRAME
+            ]
+            require(fits, f"{text} tells {travel}; arrived are {[vars(one) for one in self._arrived]}")
+            self._arrived.remove(fits[0])
+        first = max(run.accepted_at, a.clear_since) + FRAME
+        missing = [vars(one) for one in self._arrived if first < one.at < a.now - FRAME]
+        require(not missing or len(told) == MOST_TRAVELS, f"{text} tells {told}, and not {missing}")
+        self._arrived = [one for one in self._arrived if one.at >= a.now - FRAME]
