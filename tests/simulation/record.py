@@ -16,6 +16,7 @@ from tests.simulation.buses.bus_model import RPDOS
 from tests.simulation.executor.process import Witness
 from tests.simulation.facts import Energised, Step, Switch
 
+LATELY = 0.5  # [s], longest time from a refusal of the executor to the planner's answer
 MASTER_HEARTBEAT = cia301.HEARTBEAT + 127
 
 
@@ -51,7 +52,7 @@ class Record(Witness):
         self.misses: Callable[[int], None] = lambda suspect: None
         self.last_heartbeat = {bus.name: agenda.now for bus in arm.wiring.buses}
         self.disturbed_at = dict(self.last_heartbeat)
-        self.open_since, self.unread_at = math.inf, agenda.now
+        self.open_since, self.unread_at, self._closed_at = math.inf, agenda.now, -math.inf
         self._mode = "starting"
         self._agenda, self._note = agenda, note
         self._message: object = None
@@ -150,7 +151,13 @@ class Record(Witness):
 
     def doors(self, are_open: bool) -> None:
         """Records whether an interlock is open."""
+        if not are_open and self.open_since < math.inf:
+            self._closed_at = self._agenda.now
         self.open_since = min(self.open_since, self._agenda.now) if are_open else math.inf
+
+    def open_lately(self) -> bool:
+        """Returns whether an interlock is open, or was a moment ago."""
+        return self.open_since < math.inf or self._agenda.now - self._closed_at < LATELY
 
     def doubt(self, intended: int) -> None:
         """Permits a difference of the counts where nobody can tell whether an intended switch took place.

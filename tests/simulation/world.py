@@ -15,6 +15,7 @@ from tests.simulation.buses.board_side import BoardSide
 from tests.simulation.buses.bus_model import BusModel, OnItsWay
 from tests.simulation.buses.trouble import LONGEST_STANDSTILL, Trouble
 from tests.simulation.calm import check_daemon, run_a_goal, run_a_program
+from tests.simulation.executor.arm_file import judge_file
 from tests.simulation.executor.arms import draw_arm, draw_boards
 from tests.simulation.executor.habits import Habits
 from tests.simulation.executor.process import ExecutorProcess
@@ -32,6 +33,7 @@ from tests.simulation.single_faults import SingleFaults
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
+FILES = 0.4  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
 
@@ -64,6 +66,8 @@ class World:
         if whole:
             arm, planned = draw_planned_arm(drawn("modules"), arm)
         arm, variants = draw_boards(drawn("boards"), arm)
+        if not whole and random.random() < FILES:
+            judge_file(arm, random)
         self.arm = arm
         self.most = len(arm.actuators) if arm.inrush is None else arm.inrush
         self.agenda = agenda = Agenda()

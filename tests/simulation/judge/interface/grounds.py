@@ -251,7 +251,7 @@ def _lock_moving(a: InterfaceAccount, request: Request) -> bool:
 
 
 def _interlock(a: InterfaceAccount, request: Request) -> bool:
-    return _any(a, lambda s: any(fault.code == "interlock" for fault in s.faults))
+    return a.interlock_open() or _any(a, lambda s: any(fault.code == "interlock" for fault in s.faults))
 
 
 def _without_state(a: InterfaceAccount, request: Request) -> bool:
