@@ -188,11 +188,11 @@ class ScriptedPlanner:
         self._wanted = self._number
         return self._number
 
-    def ask_to_switch(self, actuator: int) -> None:
-        """Sends a program that switches one actuator."""
+    def ask_to_switch(self, actuator: int, times: int = 1, pause: float = 0.0) -> None:
+        """Sends a program that switches one actuator, perhaps to and fro with pauses [s]."""
         assert self.snapshot is not None
         self._number += 1
-        self._drawn = self._author.switch(self.snapshot, self._number, actuator)
+        self._drawn = self._author.switch(self.snapshot, self._number, actuator, times, pause)
         self.connection.send(self._drawn.program)
         self._wanted = self._number
 

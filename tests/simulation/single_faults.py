@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from tests.simulation.boot_faults import BootFaults
 from tests.simulation.fault_kinds import Fault, FaultKinds
-from tests.simulation.judge.expected import told
+from tests.simulation.judge.expected import judge_locks, told
 from tests.simulation.judge.verdict import require
 from tests.simulation.planner import ScriptedPlanner
 
@@ -124,7 +124,13 @@ class SingleFaults:
             self._watch(expected, KEPT)
             self._require_mode("fault", name)
             planner.patient = False
+        world.wait(lambda: self._is("ready"), f"ready after {name}", world.ready_within)
+        judge_locks(expected, planner.snapshot)
         world.wait(world.settled, f"ready after {name}", world.ready_within)
+
+    def _is(self, mode: str) -> bool:
+        snapshot = self._world.planner.snapshot
+        return snapshot is not None and snapshot.mode == mode
 
     def _require_mode(self, mode: str, name: str) -> None:
         snapshot = self._world.planner.snapshot

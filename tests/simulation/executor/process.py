@@ -30,6 +30,7 @@ from tests.simulation.buses.bus_model import BusModel
 from tests.simulation.executor.habits import Habits
 
 SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
+LOOP_FAILS = "the simulated loop fails"  # text of a defect that the world draws
 WAKE_UP = 0.0002  # [s], longest wake-up time of a process that is not stalled
 
 

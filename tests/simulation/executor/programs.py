@@ -70,10 +70,11 @@ class Author:
         )
         return Drawn(program, stages)
 
-    def switch(self, snapshot: Snapshot, number: int, actuator: int) -> Drawn:
-        """Returns a program of one stage that switches one actuator."""
-        states = pack(unpack(snapshot.outputs) ^ 1 << actuator, self._count)
-        stages = [Stage(states, 0.0, 1, 0.0)]
+    def switch(self, snapshot: Snapshot, number: int, actuator: int, times: int, pause: float) -> Drawn:
+        """Returns a program that switches one actuator to and fro, once in each pause [s]."""
+        before = unpack(snapshot.outputs)
+        after = (before ^ (k + 1) % 2 << actuator for k in range(times))
+        stages = [Stage(pack(states, self._count), k * pause, k + 1, 0.0) for k, states in enumerate(after)]
         name, outputs = f"goal {number}", snapshot.outputs
         return Drawn(Program(number, snapshot.epoch, outputs, 0.0, tuple(stages), True, False, name), stages)
 

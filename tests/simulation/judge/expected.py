@@ -22,6 +22,7 @@ class Expected(NamedTuple):
         also: codes that may be told as well.
         cleared: whether the arm becomes ready without a reset when the cause is gone.
         words: words that the message of this fault must contain.
+        locks: label of an actuator, and whether it is locked when the arm is ready again; None: nothing is judged.
         refused: reason for which a reset is refused while the cause is there; "" if it is not.
     """
 
@@ -32,6 +33,7 @@ class Expected(NamedTuple):
     cleared: bool = False
     refused: str = ""
     words: tuple[str, ...] = ()
+    locks: tuple[str, bool] | None = None
 
 
 def told(expected: Expected, snapshot: Snapshot | None) -> bool:
@@ -60,3 +62,12 @@ def told(expected: Expected, snapshot: Snapshot | None) -> bool:
     elif snapshot.mode == "fault":
         require(False, f"mode fault, and only warnings are told: {snapshot.faults}")
     return found
+
+
+def judge_locks(expected: Expected, snapshot: Snapshot | None) -> None:
+    """Judges whether an actuator is locked after a fault."""
+    if expected.locks is None or snapshot is None or snapshot.mode != "ready":
+        return
+    label, locked = expected.locks
+    told = any(fault.code == "degraded" and fault.source == label for fault in snapshot.faults)
+    require(told == locked, f"actuator {label} is told as locked: {told}; the arm continues on stuck: {locked}")

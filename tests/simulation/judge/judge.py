@@ -158,6 +158,7 @@ class Judge:
         self.counts.tick(self.silence.connected)
         self.clients.tick()
         self.log.tick()
+        self.pulses.ticks()
 
     def close_step(self) -> None:
         """The process has handled an event."""
@@ -291,6 +292,7 @@ class Judge:
                 last = self.account.shown
                 self.snapshots.show(message)
                 self.reasons.shows(last, message)
+                self.pulses.shows(message)
                 self.commands.shows(message)
                 if message.mode not in ("ready", "executing"):
                     self.programs.end("fault", "aborted")

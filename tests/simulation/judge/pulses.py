@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from controller.program import Snapshot
 from tests.simulation.judge.account import EPSILON, Account
 from tests.simulation.judge.arm import bits_of
 from tests.simulation.judge.verdict import require
@@ -14,11 +15,17 @@ LONGER = 0.02  # [s] that it may be too long: to the next tick, and a commit tha
 TICK = 0.01  # [s], period of the executor's loop
 
 
+TOLD_IN = ("ready", "executing", "fault", "stopped")  # modes
+OVERDUE = 0.1  # [s] after its end at which a pulse must be told as overdue
+TICKS = 4  # periods of an executor that is awake, within which it is told
+
+
 class Away:
     """The time for which the executor could not end a pulse."""
 
     def __init__(self, now: float) -> None:
         self.seconds, self._until, self._unreached = 0.0, now, False
+        self.ticks = 0  # periods since the pulse is overdue
 
     def count(self, now: float, reached: bool) -> float:
         """Counts the time until now; returns the whole time."""
@@ -41,7 +48,7 @@ class Pulses:
     def __init__(self, account: Account) -> None:
         self.suspect = 0
         self._a = account
-        self._since: dict[int, float] = {}
+        self._since: dict[int, float] = {}  # when an output came on
         self._away: dict[int, Away] = {}
 
     def watch(self, now: float, reaches: Callable[[int], bool]) -> None:
@@ -60,6 +67,24 @@ class Pulses:
             away = self._away[k].count(now, knows and reaches(k))
             longest = length + away + TICK * (1 + (away > 0.0))  # the executor hears of it, then acts
             require(now - since <= longest + EPSILON, f"actuator {k}: a coil is on for {now - since:g} s, of {longest:g} s")
+
+    def ticks(self) -> None:
+        """A period begins: pulses may be overdue. Boots look for them when they have ended."""
+        a = self._a
+        for k, since in self._since.items():
+            late = k in a.arm.pulse and a.now - since > a.arm.pulse[k] + OVERDUE and a.mode in TOLD_IN
+            away = self._away[k]
+            away.ticks = away.ticks + 1 if late and not self.suspect >> k & 1 else 0
+
+    def shows(self, snapshot: Snapshot) -> None:
+        """Requires that overdue pulses are told."""
+        if snapshot.mode not in TOLD_IN:
+            return
+        for k, away in self._away.items():
+            if k in self._since and away.ticks > TICKS:
+                label = self._a.arm.labels[k]
+                told = any(f.code == "pulse-overdue" and label in f.source for f in snapshot.faults)
+                require(told, f"actuator {k}: a pulse is overdue for {away.ticks} periods, and {snapshot.faults} are told")
 
     def energises(self, on: int, came: int, cause: str) -> None:
         """Takes the mask of the actuators with an output on, and of those whose output has just come on."""

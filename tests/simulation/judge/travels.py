@@ -56,7 +56,7 @@ class Travels:
     def ended(self, run: Run, told: tuple[Travel, ...], text: str) -> None:
         """Judges the travels of a result: those that have arrived while its program was running."""
         a = self._a
-        for travel in told:
+        for travel in reversed(told):
             fits = [
                 one
                 for one in self._arrived
@@ -64,7 +64,7 @@ class Travels:
                 and 0.0 <= travel.seconds - one.seconds + EPSILON <= FRAME
             ]
             require(fits, f"{text} tells {travel}; arrived are {[vars(one) for one in self._arrived]}")
-            self._arrived.remove(fits[0])
+            self._arrived.remove(fits[-1])
         first = max(run.accepted_at, a.clear_since) + FRAME
         missing = [vars(one) for one in self._arrived if first < one.at < a.now - FRAME]
         require(not missing or len(told) == MOST_TRAVELS, f"{text} tells {told}, and not {missing}")
