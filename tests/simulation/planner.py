@@ -19,6 +19,7 @@ from controller.program import (
     Ended,
     Goodbye,
     Lock,
+    PlayFault,
     Question,
     Replaced,
     Reset,
@@ -35,8 +36,10 @@ from tests.simulation.executor.programs import Author, Drawn
 ACTS = {
     **{"program": 30, "bad program": 8, "replacement": 12, "park": 6, "resume": 12},
     **{"set-point": 20, "wait": 40, "cancel": 3},
-    **{"cancel program": 2, "reset": 1, "lock": 4, "counts": 1.0, "stray answer": 1, "acknowledge": 8, "operator": 1},
+    **{"cancel program": 2, "reset": 1, "lock": 4, "counts": 1.0, "stray answer": 1, "acknowledge": 8, "operator": 1, "fault to play": 1},
 }
+PLAYED = 10**9  # number of the requests of faults to play, which are answered when they were played
+BOARDS = ("can0/1", "can1/2")
 
 
 class ScriptedPlanner:
@@ -134,7 +137,7 @@ class ScriptedPlanner:
                 self._drawn.answered(message.accepted)
             case Question():
                 self._answer(message)
-            case Answer() if message.request:
+            case Answer() if 0 < message.request < PLAYED:
                 assert self._answered < message.request <= self._request, "answers come once, in order"
                 self._answered, self.last_answer = message.request, message
 
@@ -237,6 +240,8 @@ class ScriptedPlanner:
                 self.connection.send(Counts(self._ledger()))
             case "stray answer":
                 self.connection.send(Clearance(random.randint(0, 10), random.choice([None, "the box"])))
+            case "fault to play":
+                self.connection.send(PlayFault(PLAYED, f"silence {random.choice(BOARDS)}"))
             case "acknowledge":
                 self._acknowledge()
             case "operator" if random.random() < 0.5:

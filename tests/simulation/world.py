@@ -25,6 +25,7 @@ from tests.simulation.feed import Feed, Witnesses
 from tests.simulation.interface_feed import InterfaceFeed, interface_judge
 from tests.simulation.invariants import INVARIANTS
 from tests.simulation.judge.judge import Judge
+from tests.simulation.judge.memory import Memory
 from tests.simulation.judge.traffic import Look
 from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
@@ -109,6 +110,7 @@ class World:
         self.single_faults = SingleFaults(self, drawn("single faults"))
         self._random = drawn("periods")
         self._counts: list[int] = []
+        self._memory = Memory()
         self.executor.start()
 
     # --- it runs
@@ -216,6 +218,7 @@ class World:
         without = sorted(number for key in accepted - set(record.results) for number in key[1:])
         require(not without, f"programs {without} have no result")
         require(self.intended == 0, "the journal waits for nothing")
+        self._memory.judge(record.instance, self.executor.core, len(self.judge.programs.unacknowledged))
 
     def drawn_half(self) -> bool:
         """Returns True half of the time."""

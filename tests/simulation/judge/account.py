@@ -149,6 +149,7 @@ class Account:
         commit: the last commit.
         mover: the last commit that switched an actuator.
         ticked: time of the last tick [s].
+        asked_states: states in which locked actuators without an end-stop are locked, by the arm's file or a request.
         unknown: mask of the actuators with two outputs, both off since the process started or their board has, and
             with no end-stop that tells their state. Of those that are locked, the executor tells a guess as output.
     """
@@ -173,6 +174,7 @@ class Account:
         self.quitting = False
         self.locked, self.locked_states = self.arm.declared
         self.locks_changed_at = self.now
+        self.asked_states = self.locked_states
         self.unknown = self.arm.paired
         self.knows_unknown = False  # whether `unknown` is exact, because the world was clear at the last boot
 

@@ -19,7 +19,7 @@ from controller.program import (
     unpack,
 )
 from tests.simulation.judge.account import Account, Commit
-from tests.simulation.judge.arm import bits_of
+from tests.simulation.judge.arm import bits_of, merged
 from tests.simulation.judge.programs import READ_BACK, TICK, Programs
 from tests.simulation.judge.reasons import HELD, Reasons
 from tests.simulation.judge.silence import Silence
@@ -196,6 +196,7 @@ class Requests:
         if message.refused is None:
             self._snapshots.epoch_causes += 1
             self._snapshots.locks_asked += 1
+            a.asked_states = merged(bit, -1 if asked.state > 0 else 0, a.asked_states)
             if a.mode == "ready":
                 self._reasons.enters(HELD)
         if not a.clear:

@@ -116,6 +116,9 @@ class Snapshots:
     def _take_locks(self, last: Snapshot | None, snapshot: Snapshot) -> None:
         a = self._a
         a.locked = unpack(snapshot.locked)
+        blind = a.locked & ~a.arm.sensed & unpack(snapshot.known)
+        wrong = (unpack(snapshot.measured) ^ a.asked_states) & blind
+        require(not wrong, f"{blind:b} are locked in {a.asked_states:b}, and {unpack(snapshot.measured):b} is told")
         if last is None or snapshot.locks != last.locks or a.ready_at == a.now:
             a.locked_states = unpack(snapshot.measured) & a.locked
             a.locks_changed_at = a.now
