@@ -41,3 +41,8 @@ class Step:
     switches: list[Switch] = field(default_factory=list)
     energised: list[Energised] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing has happened."""
+        return not (self.frames or self.switches or self.energised or self.errors)

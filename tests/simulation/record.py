@@ -34,6 +34,7 @@ class Record(Witness):
         suspect: mask of the actuators whose boards have missed a frame since their boot.
         misses: takes `suspect` when it changes.
         last_heartbeat: time of the executor's last heartbeat on each bus [s].
+        looks_at: time of the next look at the buses [s].
         disturbed_at: last time when its heartbeats could not be sent on each bus [s].
         open_since: time when an interlock was opened [s]; infinity if all are closed.
         unread_at: last time when the board of the interlock did not send its inputs [s].
@@ -52,6 +53,7 @@ class Record(Witness):
         self.misses: Callable[[int], None] = lambda suspect: None
         self.last_heartbeat = {bus.name: agenda.now for bus in arm.wiring.buses}
         self.disturbed_at = dict(self.last_heartbeat)
+        self.looks_at = 0.0
         self.open_since, self.unread_at, self._closed_at = math.inf, agenda.now, -math.inf
         self._mode = "starting"
         self._agenda, self._note = agenda, note
@@ -164,6 +166,8 @@ class Record(Witness):
 
         This is so for outputs that went off unnoticed, and for pairs that are off with broken wires of end-stops.
         """
+        if not intended and not self._lied:
+            return
         lied = intended & self.lying
         for k in range(len(self.slack)):
             self.slack[k] += ((self.fallen & intended) | (lied & ~self._lied)) >> k & 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 from random import Random
 from typing import TYPE_CHECKING
 
+from drivers.simulation.variants import VARIANTS
 from tests.simulation.boot_faults import BootFaults
 from tests.simulation.fault_kinds import Fault, FaultKinds
 from tests.simulation.judge.expected import judge_locks, told
@@ -19,6 +20,7 @@ NOTHING = 1.0  # [s] for which it is watched that nothing is told
 SUPERVISED = 0.6  # [s] until the last motion is supervised, and all outputs are read back after a pulse
 KEPT = 1.5  # [s] for which a fault must wait for its reset; faults that clear are tried once a second
 ANSWERED = 0.1  # [s] until a reset is answered
+STOPS = VARIANTS["guarding-with-1029h"]
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
 
 
@@ -33,6 +35,9 @@ class SingleFaults:
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
         self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
+        boards = world.boards.simulated
+        stops = any(boards.board(name).variant is STOPS for name in boards.names)  # see `fault_kinds.NOT_DRAWN`
+        self._often = 0.0 if stops else 0.25 if world.arm.contract_on_stop else 0.12  # that the executor ends
 
     def happen(self) -> None:
         """Causes one fault, mends it, and brings the arm back.
@@ -46,11 +51,11 @@ class SingleFaults:
         planner.patient = True
         self._rest()
         drawn = self._random.random()
-        if drawn < 0.15:
-            self._end_executor()
-        elif drawn < 0.25:
+        if drawn < self._often:
+            self._end_executor(planner)
+        elif drawn < 0.32:
             self._lose_planner(planner)
-        elif drawn < 0.55:
+        elif drawn < 0.5:
             self._boots.happen()
         else:
             world.judge.disturb()
@@ -68,13 +73,16 @@ class SingleFaults:
         world.wait(lambda: not world.boards.coils() & world.kinds.pulsed, "without pulses", world.ready_within)
         world.pass_time(SUPERVISED)
 
-    def _end_executor(self) -> None:
+    def _end_executor(self, planner: ScriptedPlanner) -> None:
         """Ends the executor, in order or by a kill; the judge goes on to judge each fact exactly."""
         world = self._world
         in_order = self._random.random() < 0.6
         world.trouble.made["only: executor ends" if in_order else "only: executor is killed"] += 1
         world.note("only fault: the executor ends")
         instance = world.executor.instances
+        if self._random.random() < 0.7:
+            planner.ask_for_motion()
+            world.pass_time(self._random.choice([0.001, 0.05, 0.3, 1.0]))
         if in_order:
             world.executor.quit()
             if self._random.random() < 0.4:  # a second signal

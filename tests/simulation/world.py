@@ -34,6 +34,7 @@ from tests.simulation.single_faults import SingleFaults
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
+SINGLE_FAULTS = 3  # in each round of a world with a scripted planner
 FILES = 0.4  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
@@ -125,7 +126,7 @@ class World:
         self.calm()
         while True:
             if self.daemon is None:
-                for _ in range(4):
+                for _ in range(SINGLE_FAULTS):
                     self.single_faults.happen()
             self.planner.be_calm(False)
             self._let_strangers_stop(True)
@@ -133,7 +134,7 @@ class World:
             if self.daemon is not None or self.drawn_half():
                 self.judge.disturb()
                 self.trouble.begin()
-                self.pass_time(self._random.uniform(2.0, 15.0))
+                self.pass_time(self._random.uniform(2.0, 15.0 if self.daemon is not None else 8.0))
                 self.calm()
             if self.agenda.steps >= end:
                 break
@@ -146,7 +147,8 @@ class World:
 
     def one_step(self) -> None:
         """Runs the next event, and judges it."""
-        self.record.step = Step()
+        if not self.record.step.empty:
+            self.record.step = Step()
         self.agenda.step()
         self.record.doubt(self.intended)
         for holds in INVARIANTS:

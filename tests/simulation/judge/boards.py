@@ -148,7 +148,7 @@ class Endings:
         self._quit_at = a.now
 
     def interferes(self) -> None:
-        """A stop came, which ends a contraction."""
+        """A stop or a cancel came, which ends a contraction."""
         self._contracts = False
 
     def tick(self) -> None:

@@ -76,7 +76,7 @@ class Judge:
         self.commands = Commands(self.account, arm)
         self.silence = Silence(self.account, self._lose_silent)
         self.snapshots = Snapshots(self.account, self.silence)
-        self.travels, self.reasons = Travels(self.account), Reasons(self.account)
+        self.travels, self.reasons = Travels(self.account, arm), Reasons(self.account)
         self.programs = Programs(self.account, self.snapshots, self.silence, self.travels, self.reasons)
         self.pulses = Pulses(self.account)
         self.streams = Streams(self.account, self.programs)
@@ -130,6 +130,7 @@ class Judge:
             self.clients.ends()
             self.counts.ends()
         self.endings.dies()
+        self.pulses.dies()
         self._forget()
 
     def quits(self) -> None:
@@ -246,6 +247,7 @@ class Judge:
         if message.program is None or (run is not None and message.program == run.number):
             self.commands.hold()
         if message.program is None:
+            self.endings.interferes()
             self.snapshots.epoch_causes += 1
             self.reasons.holds("canceled", "following" if run is None else run.message.name)
             self.account.stream = None
@@ -302,6 +304,7 @@ class Judge:
         """The process hands a frame to a bus; returns the commit of a SYNC."""
         a = self.account
         self.traffic.hands_out(bus, frame_id, data)
+        self.travels.hands_out(bus, frame_id, data)
         self.counts.hands_out(bus)
         if frame_id & 0x780 in RPDOS:
             if a.commit is None or a.commit.at != a.now:

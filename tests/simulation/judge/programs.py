@@ -261,6 +261,8 @@ class Programs:
             if isinstance(self._message, Program):  # its acceptance follows
                 causes["replaced"] = "replaced"
                 sayings["replaced"] = f"replaced by {self._message.name}"
+            elif "planner" in causes:
+                self._reasons.enters("the planner is" if message.status == "aborted" else "")
             else:
                 self._reasons.enters(run.message.name, "done" if message.status == "done" else "")
             a.run = None

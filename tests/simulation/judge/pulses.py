@@ -49,6 +49,7 @@ class Pulses:
         self.suspect = 0
         self._a = account
         self._since: dict[int, float] = {}  # when an output came on
+        self._died_at = 0.0  # the boards switch off the pulses of a process that has ended
         self._away: dict[int, Away] = {}
 
     def watch(self, now: float, reaches: Callable[[int], bool]) -> None:
@@ -67,6 +68,10 @@ class Pulses:
             away = self._away[k].count(now, knows and reaches(k))
             longest = length + away + TICK * (1 + (away > 0.0))  # the executor hears of it, then acts
             require(now - since <= longest + EPSILON, f"actuator {k}: a coil is on for {now - since:g} s, of {longest:g} s")
+
+    def dies(self) -> None:
+        """The process has ended."""
+        self._died_at = self._a.now
 
     def ticks(self) -> None:
         """A period begins: pulses may be overdue. Boots look for them when they have ended."""
@@ -91,7 +96,7 @@ class Pulses:
         a = self._a
         for k in [k for k in self._since if not on >> k & 1 or came >> k & 1]:
             since = self._since.pop(k)
-            if k not in a.arm.pulse or not a.clear or since < a.clear_since:
+            if k not in a.arm.pulse or not a.clear or since < max(a.clear_since, self._died_at):
                 continue
             length = a.now - since
             reversed_ = on >> k & 1  # by a later stage

@@ -74,7 +74,8 @@ class Requests:
             if isinstance(message, Cancel) and message.program is not None:
                 self._due = message if a.run is None or a.run.number != message.program else None
             if self._due is None and client.planner:
-                running = a.run is not None or a.stream is not None
+                contracts = a.quitting and a.arm.contracts_at_end and a.mode == "executing"
+                running = a.run is not None or a.stream is not None or contracts
                 leaves = a.commit if a.commit is not None and a.commit.awaited else None
                 self._held.append(Waiting(message, a.now, running, leaves))
         elif client.planner and isinstance(message, Program | Replacement | Reset | Lock):
