@@ -10,7 +10,8 @@ from tests.simulation.judge.account import Account
 from tests.simulation.judge.programs import READ_BACK, TICK
 from tests.simulation.judge.verdict import require
 
-HEARTBEAT = 0x700
+HEARTBEAT, EMERGENCY = 0x700, 0x080
+WAITED = 5  # periods of an open question of which one must be told as a wait
 EVERY = 1.0 + 3 * TICK  # [s], longest time between two diagnostics
 
 
@@ -34,6 +35,8 @@ class Counts:
         self._handed: Counter[str] = Counter()
         self._received: Counter[str] = Counter()
         self._beats: dict[tuple[str, int], float] = {}
+        self._emergencies: set[tuple[str, int]] = set()  # boards that this process has heard an emergency of
+        self._waits = self._open_ticks = 0
         self._counted_at = 0.0
         self.connected = False
         self._least: tuple[int, ...] = ()  # counts below which nothing may be told any more
@@ -45,6 +48,8 @@ class Counts:
         self._handed.clear()
         self._received.clear()
         self._beats.clear()
+        self._emergencies.clear()
+        self._waits = self._open_ticks = 0
         if self._a.committing:
             self._base = {}
 
@@ -61,6 +66,7 @@ class Counts:
     def tick(self, connected: bool) -> None:
         """Finds missing diagnostics."""
         a, self.connected = self._a, connected
+        self._open_ticks += a.run is not None and a.run.question is not None
         if not a.clear or not connected:
             self._told_at = a.now
         require(a.now - self._told_at <= EVERY, f"no diagnostics for {a.now - self._told_at:g} s")
@@ -80,6 +86,8 @@ class Counts:
     def hears(self, bus: str, cob_id: int) -> None:
         """The process hears a frame of another node."""
         self._received[bus] += 1
+        if cob_id & 0x780 == EMERGENCY:
+            self._emergencies.add((bus, cob_id & 0x7F))
         if cob_id & 0x780 == HEARTBEAT:
             self._beats[bus, cob_id & 0x7F] = self._a.now
 
@@ -122,6 +130,9 @@ class Counts:
         a = self._a
         self.told(message.counts)
         self._told_at = a.now
+        grown, self._waits = message.waits - self._waits, message.waits
+        asked, self._open_ticks = self._open_ticks, 0
+        require(grown >= 0 and (grown or asked <= WAITED), f"waits grow by {grown} in {asked} periods of a question")
         told = dict(message.loop), message.dropped
         require(told == self._health, f"loop and dropped messages are told as {told}, the process says {self._health}")
         if not a.clear or a.mode not in ("ready", "executing") or a.now < a.ready_at + 0.2:
@@ -142,4 +153,5 @@ class Counts:
             require(isinstance(age, float) and 0 <= age <= oldest, f"{board}: its heartbeat is younger")
             heard = a.now - self._beats.get((str(board["bus"]), int(str(board["node"]))), 0.0)
             require(abs(age - heard) <= 2 * TICK, f"{board}: its heartbeat was heard {heard:g} s ago")
-            require(board["emergency"] is None, f"{board}: no emergency stands")
+            sent = (str(board["bus"]), int(str(board["node"]))) in self._emergencies
+            require(sent or board["emergency"] is None, f"{board}: no emergency stands")

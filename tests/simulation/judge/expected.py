@@ -17,7 +17,7 @@ class Expected(NamedTuple):
 
     Attributes:
         codes: one of them must be told; empty: nothing may be told.
-        sources: words of which the source of this fault must contain one.
+        sources: of which the source of this fault must be one, perhaps with its place in brackets.
         within: time from the cause until it is told [s].
         also: codes that may be told as well.
         cleared: whether the arm becomes ready without a reset when the cause is gone.
@@ -36,6 +36,10 @@ class Expected(NamedTuple):
     locks: tuple[str, bool] | None = None
 
 
+def _names(source: str, name: str) -> bool:
+    return source == name or source.startswith(f"{name} (")
+
+
 def told(expected: Expected, snapshot: Snapshot | None) -> bool:
     """Returns whether a snapshot tells the expected fault, and judges all that it tells.
 
@@ -51,7 +55,7 @@ def told(expected: Expected, snapshot: Snapshot | None) -> bool:
         ours = fault.code in expected.codes
         require(ours or fault.code in expected.also, f"{fault} is told; only {sorted(expected.codes)} has a cause")
         if ours:
-            right = not expected.sources or any(word in fault.source for word in expected.sources)
+            right = not expected.sources or any(_names(fault.source, word) for word in expected.sources)
             require(right or fault.code in expected.also, f"{fault} is told; its source is in {expected.sources}")
             worded = not right or all(word in fault.message for word in expected.words)
             require(worded, f"{fault} is told; its sentence has {expected.words}")

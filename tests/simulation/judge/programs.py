@@ -255,9 +255,9 @@ class Programs:
         ending = self._endings.pop(message.program, None)
         run = a.run if a.run is not None and a.run.number == message.program else None
         if ending is not None:
-            run, causes, sayings = ending.run, ending.causes, ending.words
+            run, causes, sayings, ended_at = ending.run, ending.causes, ending.words, ending.at
         elif run is not None:
-            causes, sayings = self._own_end(run), {"done": "all stages have settled"}
+            causes, sayings, ended_at = self._own_end(run), {"done": "all stages have settled"}, a.now
             if isinstance(self._message, Program):  # its acceptance follows
                 causes["replaced"] = "replaced"
                 sayings["replaced"] = f"replaced by {self._message.name}"
@@ -288,7 +288,7 @@ class Programs:
             require(not moving, f"{text} is done while {moving:b} travel")
         self._snapshots.judge_states(message.measured, message.known, text)
         self._judge_switches(run, message.switches, text)
-        self._travels.ended(run, message.travels, text)
+        self._travels.ended(run, ended_at, message.travels, text)
 
     def _own_end(self, run: Run) -> dict[str, str]:
         """Returns the causes for which a program may end by itself now."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from controller.program import (
+    Alive,
     Answer,
     Cancel,
     Ended,
@@ -14,6 +15,7 @@ from controller.program import (
     Question,
     Replacement,
     Reset,
+    Setpoint,
     Stop,
     Welcome,
     unpack,
@@ -63,11 +65,15 @@ class Requests:
         self._held: list[Waiting] = []
         self._lock_moving = False
         self._question = 0
+        self._way: tuple[bytes, bytes] | None = None  # of the open question of a stream that goes on
 
     def receive(self, client: Client, message: object) -> None:
         """Takes a message of a client."""
         a = self._a
         self._due = None
+        followed = isinstance(message, Setpoint) and a.stream is not None and message.stages
+        if not (isinstance(message, Alive) or (followed and message.start == a.stream.message.start)):  # type: ignore
+            self._way = None
         if isinstance(message, Hello):
             self._due = message
         elif isinstance(message, Stop) or (isinstance(message, Cancel) and client.planner):
@@ -123,6 +129,9 @@ class Requests:
         a, run = self._a, self._a.run
         require(message.question > self._question, f"question {message.question} comes after {self._question}")
         self._question = message.question
+        way = message.start, message.stage
+        require(way != self._way, f"{message} asks again, and the last question has no answer")
+        self._way = None if a.stream is None else way
         if run is None:
             require(a.stream is not None or not a.clear, f"{message}, and nothing runs")
             return
@@ -236,6 +245,8 @@ class Requests:
     def tick(self) -> None:
         """Finds stops and cancels without an answer."""
         a = self._a
+        if a.stream is None or a.now > a.stream.until or a.mode != "executing":
+            self._way = None
         longest = a.arm.timing.heartbeat_timeout / 2 + 2 * TICK
         for held in self._held:
             if a.clear and held.at >= a.clear_since:

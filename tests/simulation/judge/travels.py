@@ -75,7 +75,7 @@ class Travels:
                 arrival.asked = self._asked(arrival)
                 self._arrived.append(arrival)
 
-    def ended(self, run: Run, told: tuple[Travel, ...], text: str) -> None:
+    def ended(self, run: Run, ended_at: float, told: tuple[Travel, ...], text: str) -> None:
         """Judges the travels of a result: those that have arrived while its program was running."""
         a = self._a
         for travel in reversed(told):
@@ -88,7 +88,7 @@ class Travels:
             require(fits, f"{text} tells {travel}; arrived are {[vars(one) for one in self._arrived]}")
             self._arrived.remove(fits[-1])
         first = max(run.accepted_at, a.clear_since) + FRAME
-        late = [one for one in self._arrived if first < one.at < a.now - FRAME]
+        late = [one for one in self._arrived if first < one.at < ended_at - FRAME]
         missing = [vars(one) for one in late if not self._asked(one)]
         require(not missing or len(told) == MOST_TRAVELS, f"{text} tells {told}, and not {missing}")
         self._arrived = [one for one in self._arrived if one.at >= a.now - FRAME]
