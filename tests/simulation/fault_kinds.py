@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -24,6 +25,8 @@ SHOWN = 0.1  # [s] until a warning is told, by the next snapshot
 RESTARTS = 0.5  # [s] until a board without supply has booted
 READ_BACK = 2.0  # [s] until outputs that do not follow are told: about a second, and eight reads
 TIMES = 8  # stages that switch an actuator to and fro
+LOOSE = 0.3  # [s] for which a wire is loose; a board that does not answer for longer is a fault
+WAYS = {"clear": "answers", "touched": "finds an obstacle", "silent": "is silent", "stream": "sends set-points"}
 ASKED = 0.3  # [s] until the boards of a late actuator were asked
 
 # What the executor gets wrong today, and which faults are not drawn for that reason. A later change mends the code and
@@ -222,12 +225,29 @@ class FaultKinds:
             made["actuator is stuck"] = Fault(stick, lambda: boards.fault("release", label), stuck)
             missed = stuck._replace(within=TIMES * pause + late)
             made["actuator misses commands"] = Fault(miss, lambda: boards.fault("release", label), missed)
+            others = [j for j in free if j != k]
+            loose = world.boards.positions() >> k & 1 and world.judge.arm.extended_ends >> k & 1 and others
+            tells = channel.input_contracted is None and "input" not in channel.inverted
+            if loose and tells and not world.judge.account.locked:
+                way = self._random.choice(list(WAYS))
+                cause = partial(self._loosen, label, bus, partial(planner.ask_strictly, others[0], way))
+                asks = NO_FAULT._replace(asks=True)
+                made[f"wires are loose, the planner {WAYS[way]}"] = Fault(cause, nothing, asks)
             made["TPDO is lost"] = Fault(lose_tpdo, nothing, NO_FAULT)
         if channel.pulse is None:
             also = codes("stuck", "not-switched", "unexpected-motion")
             unheard = Expected(also, (label, board), READ_BACK + late, also=also)
             made["a board loses a SYNC"] = Fault(lose_sync, nothing, unheard)
         return made
+
+    def _loosen(self, label: str, bus: BusModel, ask: Callable[[], None]) -> None:
+        """Cuts the wires of an end-stop for a moment, in which its board cannot be asked, before a strict stage."""
+        boards, agenda = self._world.boards, self._world.agenda
+        bus.mute = True
+        boards.fault("cut_wires", label)
+        agenda.after(LOOSE / 5, ask)
+        agenda.after(LOOSE, lambda: boards.fault("restore_sensor", label))
+        agenda.after(LOOSE, bus.hear_answers)
 
     def _of_executor(self) -> dict[str, Fault]:
         executor, timing = self._world.executor, self._world.arm.timing

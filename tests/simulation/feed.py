@@ -42,6 +42,10 @@ class Feed(Witness):
         self._judge.dies()
         self._planner = None
 
+    def hurries(self) -> None:
+        """Tells that a process is asked to end at once."""
+        self._judge.endings.hurries()
+
     def told(self, event: Event) -> None:
         """Tells an event."""
         judge = self._judge
@@ -83,6 +87,7 @@ class Feed(Witness):
     def logs(self, level: int, text: str) -> None:
         """Tells a line of the log."""
         self._judge.log.logs(level, text)
+        self._judge.endings.logs(text)
 
     def notifies(self, text: str) -> None:
         """Tells a message for systemd."""
@@ -123,6 +128,10 @@ class Witnesses(Witness):
     def killed(self) -> None:
         for witness in self._witnesses:
             witness.killed()
+
+    def hurries(self) -> None:
+        for witness in self._witnesses:
+            witness.hurries()
 
     def told(self, event: Event) -> None:
         for witness in self._witnesses:

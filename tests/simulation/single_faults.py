@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 NOTHING = 1.0  # [s] for which it is watched that nothing is told
 SUPERVISED = 0.6  # [s] until the last motion is supervised, and all outputs are read back after a pulse
 KEPT = 1.5  # [s] for which a fault must wait for its reset; faults that clear are tried once a second
+LONG = 2.2  # [s] for which a fault may last, so that two attempts to leave it fail
 ANSWERED = 0.1  # [s] until a reset is answered
 STOPS = VARIANTS["guarding-with-1029h"]
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
@@ -85,7 +86,10 @@ class SingleFaults:
             world.pass_time(self._random.choice([0.001, 0.05, 0.3, 1.0]))
         if in_order:
             world.executor.quit()
-            if self._random.random() < 0.4:  # a second signal
+            drawn = self._random.random()
+            if drawn < 0.25 and world.arm.contract_on_stop:  # somebody stops the arm in its contraction
+                world.agenda.after(self._random.uniform(0.0, 0.3), planner.halt)
+            elif drawn < 0.5:  # a second signal
                 world.agenda.after(self._random.uniform(0.0, 0.3), world.executor.quit_again)
         else:
             world.executor.kill()
@@ -112,15 +116,19 @@ class SingleFaults:
 
     def _judge(self, name: str, fault: Fault, planner: ScriptedPlanner) -> None:
         world, expected = self._world, fault.expected
+        asked = world.judge.requests.asked
         fault.cause()
         if not expected.codes:
             self._watch(expected, NOTHING)
+            require(not expected.asks or world.judge.requests.asked > asked, f"{name}, and the planner is not asked")
+            planner.way = ""
             fault.mend()
             self._watch(expected, NOTHING / 5)
             self._require_mode("ready", name)
             return
         world.wait(lambda: told(expected, planner.snapshot), f"told: {name}", expected.within)
-        self._watch(expected, self._random.uniform(0.0, 0.5))
+        long = expected.cleared and self._random.random() < 0.3
+        self._watch(expected, LONG if long else self._random.uniform(0.0, 0.5))
         if expected.refused:
             planner.ask_to_reset()
             world.wait(lambda: planner.last_answer is not None, "answered", ANSWERED)

@@ -154,8 +154,9 @@ class BoardSide(AttachedBoards):
             self._record.lying |= 1 << self.simulated.labels.index(name)
         elif verb == "restore_sensor":
             self._record.lying &= ~(1 << self.simulated.labels.index(name))
-        self._read = True
         super().fault(verb, name, *numbers)
+        self._read = True  # of an end-stop that reads otherwise since the fault
+        self.see("fault")
         self.silent = any(self.simulated.board(board).silent for board in self.names)
 
     def emergency(self, board: str, code: int) -> None:

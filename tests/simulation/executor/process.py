@@ -43,6 +43,9 @@ class Witness:
     def killed(self) -> None:
         """Is called after the end of a process."""
 
+    def hurries(self) -> None:
+        """Is called before a process that ends in order is asked to end at once."""
+
     def told(self, event: Event) -> None:
         """Is called before an event is handled."""
 
@@ -164,6 +167,7 @@ class ExecutorProcess:
     def quit_again(self) -> None:
         """Asks a process that ends in order to end at once."""
         if self._quitting and self.awake and not self._events:
+            self._witness.hurries()
             self._finish()
 
     def at_next_start(self, happen: Callable[[], None]) -> None:

@@ -17,7 +17,7 @@ from tests.simulation.judge.verdict import require
 
 OUTPUTS, RPDO_PARAMETERS, DUMMIES = 0x6200, range(0x1400, 0x1410), 0x20
 INVALID = 1 << 31  # bit of a COB-ID
-KEPT_SETPOINTS = 3  # the stages of an earlier set-point are kept while a question about it is open
+KEPT_SETPOINTS = 12  # bad ones among them; the stages of an earlier set-point are kept while a question about it is open
 
 
 class Line(NamedTuple):
@@ -99,10 +99,15 @@ class Commands:
         if run is not None:
             stages = enumerate(run.stages)
             return [s.states for k, s in stages if k > run.taken and run.begin + s.at <= a.now + EPSILON]
-        if self._setpoints and a.now <= self._setpoints[-1].until + EPSILON:
-            every = (unpack(states) for setpoint in self._setpoints for states in setpoint.stages)
-            return [merged(a.locked, a.locked_states, states) for states in every]
-        return []
+        every = (unpack(states) for setpoint in self._alive for states in setpoint.stages)
+        return [merged(a.locked, a.locked_states, states) for states in every]
+
+    @property
+    def _alive(self) -> list[Setpoint]:
+        """The set-points that may be followed now."""
+        size, now = self._a.arm.size, self._a.now - EPSILON
+        alive = self._setpoints if any(s.until >= now for s in self._setpoints) else ()
+        return [s for s in alive if all(len(states) == size for states in (s.start, *s.stages))]
 
     @property
     def _contracts(self) -> bool:
@@ -117,11 +122,11 @@ class Commands:
             states = unpack(a.shown.outputs)
         if run is not None:
             mask, states = run.homes, run.homed
-        elif self._setpoints:
-            mask, states = unknown, unpack(self._setpoints[-1].start)
+        elif alive := self._alive:
+            mask, states = unknown, unpack(alive[-1].start)
         else:
             mask = unknown if self._contracts else 0
-        asked = run is not None or bool(self._setpoints) or self._contracts
+        asked = run is not None or bool(self._alive) or self._contracts
         return (mask | a.locked if asked else 0), merged(a.locked, a.locked_states, states)
 
     # --- what is commanded

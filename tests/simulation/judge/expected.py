@@ -23,6 +23,7 @@ class Expected(NamedTuple):
         cleared: whether the arm becomes ready without a reset when the cause is gone.
         words: words that the message of this fault must contain.
         locks: label of an actuator, and whether it is locked when the arm is ready again; None: nothing is judged.
+        asks: whether the executor must ask the planner about a stage.
         refused: reason for which a reset is refused while the cause is there; "" if it is not.
     """
 
@@ -34,6 +35,7 @@ class Expected(NamedTuple):
     refused: str = ""
     words: tuple[str, ...] = ()
     locks: tuple[str, bool] | None = None
+    asks: bool = False
 
 
 def _names(source: str, name: str) -> bool:

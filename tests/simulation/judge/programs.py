@@ -340,7 +340,8 @@ class Programs:
         passed, self._ticked = min(a.now - self._ticked, 2 * TICK), a.now
         starves = run.taken == len(run.stages) - 1 and not run.final
         self._unfed = self._unfed + passed if starves else 0.0
-        longest = STARVES_AFTER + (PROMPT if a.clear and not run.open_mark else SETTLED_WITHIN)
+        settles = max(map(max, a.arm.travel)) + max(a.arm.margin) + PROMPT if a.clear and not run.open_mark else None
+        longest = STARVES_AFTER + (SETTLED_WITHIN if settles is None else settles)
         require(self._unfed < longest, f"program {run.number} waits for stages for {self._unfed:g} s")
 
     def _kept(self, run: Run) -> bool:

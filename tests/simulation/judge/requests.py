@@ -43,6 +43,9 @@ class Waiting:
 class Requests:
     """Judges the answers of one executor.
 
+    Attributes:
+        asked: number of its questions to the planner.
+
     Args:
         account: of the executor.
         programs: has the results.
@@ -56,6 +59,7 @@ class Requests:
     ) -> None:
         self._a, self._programs, self._snapshots, self._silence = account, programs, snapshots, silence
         self._reasons = reasons
+        self.asked = 0
         self.begin()
 
     def begin(self) -> None:
@@ -127,6 +131,7 @@ class Requests:
     def question(self, message: Question) -> None:
         """Judges a question about the next stage of a strict program."""
         a, run = self._a, self._a.run
+        self.asked += 1
         require(message.question > self._question, f"question {message.question} comes after {self._question}")
         self._question = message.question
         way = message.start, message.stage

@@ -57,6 +57,8 @@ class Travels:
     def switched(self, mask: int) -> None:
         """A SYNC has switched actuators."""
         a, reading = self._a, self._a.ground.readings[-1]
+        for one in self._arrived:  # the frame of its end-stop may come after this SYNC
+            one.asked |= bool(mask >> one.actuator & 1) and a.now - one.at < FRAME
         for k in bits_of(mask):
             self._switched.pop(k, None)
             state = a.ground.states >> k & 1
