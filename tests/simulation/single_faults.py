@@ -97,7 +97,7 @@ class SingleFaults:
         world.wait(world.settled, "ready", world.ready_within)
 
     def _lose_planner(self, planner: ScriptedPlanner) -> None:
-        """Makes the planner die or stand still while a program may run; the judge goes on to judge each fact exactly."""
+        """Makes the planner die or stand still while a program may run; the judge still judges each fact exactly."""
         world, timeout = self._world, self._world.arm.planner_timeout
         if self._random.random() < 0.7:
             planner.ask_for_motion()

@@ -80,7 +80,9 @@ class World:
             for bus in arm.wiring.buses
         }
         self.judge = judge = Judge(arm)
-        witness = Witnesses(record, Feed(judge, agenda, lambda counts: record.raised(counts, self.executor.journal.counts)))
+        witness = Witnesses(
+            record, Feed(judge, agenda, lambda counts: record.raised(counts, self.executor.journal.counts))
+        )
         self.habits = habits = Habits(drawn("habits"), simulated=planned is None)
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness, habits)
         judge.clients.playable = habits.simulation

@@ -66,9 +66,13 @@ def _fields(arm: ExecutedArm, real_time: int | None) -> dict[str, Any]:
             "settle_margin": timing.settle_margin,
             "on_loss": wiring.on_loss,
             "shared_rpdo": wiring.shared_rpdo,
-            "nodes": [{key: value for key, value in asdict(node).items() if value is not None} for node in wiring.nodes],
+            "nodes": [
+                {key: value for key, value in asdict(node).items() if value is not None} for node in wiring.nodes
+            ],
         },
-        "buses": [{"name": b.name, "interface": "virtual", "channel": b.channel, "bitrate": b.bitrate} for b in wiring.buses],
+        "buses": [
+            {"name": b.name, "interface": "virtual", "channel": b.channel, "bitrate": b.bitrate} for b in wiring.buses
+        ],
         "actuators": [_actuator(arm, k, channel) for k, channel in enumerate(wiring.channels)],
         "interlocks": {
             lock.name: {"bus": lock.bus, "node": lock.node, "input": lock.input, "inverted": lock.inverted}

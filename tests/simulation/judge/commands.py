@@ -9,15 +9,17 @@ from __future__ import annotations
 from collections import deque
 from typing import Any, NamedTuple
 
-from controller.program import Setpoint, Snapshot, Stop, unpack
-from tests.simulation.judge.account import EPSILON, Account, Commit, Run
-from tests.simulation.judge.arm import bits_of, mask_of, merged
+from controller.program import Setpoint, Snapshot, unpack
+from tests.simulation.judge.account import EPSILON, Account, Commit
+from tests.simulation.judge.arm import bits_of, merged
 from tests.simulation.judge.traffic import Look
 from tests.simulation.judge.verdict import require
 
 OUTPUTS, RPDO_PARAMETERS, DUMMIES = 0x6200, range(0x1400, 0x1410), 0x20
 INVALID = 1 << 31  # bit of a COB-ID
-KEPT_SETPOINTS = 12  # bad ones among them; the stages of an earlier set-point are kept while a question about it is open
+KEPT_SETPOINTS = (
+    12  # bad ones among them; the stages of an earlier set-point are kept while a question about it is open
+)
 
 
 class Line(NamedTuple):
@@ -45,7 +47,9 @@ class Commands:
         self.look: dict[str, Look] = {}
         self.suspect = 0
         self._a, wiring = account, arm.wiring
-        self._outputs: dict[str, list[tuple[int, int, bool, bool]]] = {}  # of each board: bit, actuator, kind, inversion
+        self._outputs: dict[
+            str, list[tuple[int, int, bool, bool]]
+        ] = {}  # of each board: bit, actuator, kind, inversion
         for k, channel in enumerate(wiring.channels):
             of_board = self._outputs.setdefault(f"{channel.bus}/{channel.node}", [])
             of_board.append((channel.output, k, False, "output" in channel.inverted))
@@ -157,7 +161,8 @@ class Commands:
 
     def _judge(self, bus: str, cob_id: int, mask: int, extends: int, contracts: int) -> None:
         a, commit = self._a, self._a.commit
-        assert commit is not None and commit.stages is not None
+        assert commit is not None
+        assert commit.stages is not None
         paired, text = a.arm.paired, f"{bus}: RPDO {cob_id:03X}h"
         require(not extends & contracts, f"{text} commands both outputs of {extends & contracts:b}")
         on = (extends | contracts) & paired
@@ -183,7 +188,9 @@ class Commands:
         if commit.contracts and not changed & (extends | commit.locked):
             return
         wrong = changed & ~(commit.homing & ~(commit.homes ^ extends))
-        require(not wrong, f"{text} commands {extends & wrong:b} of {wrong:b} in mode {a.mode}, and nothing asks for it")
+        require(
+            not wrong, f"{text} commands {extends & wrong:b} of {wrong:b} in mode {a.mode}, and nothing asks for it"
+        )
 
     def _read_mappings(self) -> None:
         for name, outputs in self._outputs.items():
@@ -214,7 +221,7 @@ class Commands:
 
     def switched(self, states: int, changed: int, commit: Commit | None) -> None:
         """Judges what a SYNC has switched at the boards."""
-        a, sure = self._a, changed & ~self.suspect
+        sure = changed & ~self.suspect
         require(commit is not None or not sure, f"a SYNC without RPDOs switched {sure:b}")
         if commit is None or not sure:
             return

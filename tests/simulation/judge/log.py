@@ -76,7 +76,9 @@ class Log:
         """The process was asked to end, and has handled it."""
         require("STOPPING=1" in self._notified, "systemd is not told STOPPING=1")
         longer = any(text.startswith("EXTEND") for text in self._notified)
-        require(longer == contracts, f"systemd is told that the end takes longer: {longer}; the arm contracts: {contracts}")
+        require(
+            longer == contracts, f"systemd is told that the end takes longer: {longer}; the arm contracts: {contracts}"
+        )
 
     def logs(self, level: int, text: str) -> None:
         """Takes a line."""

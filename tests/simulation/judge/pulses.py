@@ -67,7 +67,9 @@ class Pulses:
             knows = a.ready_at < math.inf  # a process that has just started learns of a pulse by its first boot
             away = self._away[k].count(now, knows and reaches(k))
             longest = length + away + TICK * (1 + (away > 0.0))  # the executor hears of it, then acts
-            require(now - since <= longest + EPSILON, f"actuator {k}: a coil is on for {now - since:g} s, of {longest:g} s")
+            require(
+                now - since <= longest + EPSILON, f"actuator {k}: a coil is on for {now - since:g} s, of {longest:g} s"
+            )
 
     def dies(self) -> None:
         """The process has ended."""
@@ -89,7 +91,9 @@ class Pulses:
             if k in self._since and away.ticks > TICKS:
                 label = self._a.arm.labels[k]
                 told = any(f.code == "pulse-overdue" and label in f.source for f in snapshot.faults)
-                require(told, f"actuator {k}: a pulse is overdue for {away.ticks} periods, and {snapshot.faults} are told")
+                require(
+                    told, f"actuator {k}: a pulse is overdue for {away.ticks} periods, and {snapshot.faults} are told"
+                )
 
     def energises(self, on: int, came: int, cause: str) -> None:
         """Takes the mask of the actuators with an output on, and of those whose output has just come on."""

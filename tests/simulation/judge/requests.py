@@ -190,7 +190,9 @@ class Requests:
 
     def ends(self) -> None:
         """The process has ended in order: each stop and cancel has its answer."""
-        require(not self._held, f"the executor has ended in order, and has not answered {[vars(h) for h in self._held]}")
+        require(
+            not self._held, f"the executor has ended in order, and has not answered {[vars(h) for h in self._held]}"
+        )
 
     def _judge_reset(self, asked: Reset, message: Answer) -> None:
         a, mode = self._a, self._a.mode

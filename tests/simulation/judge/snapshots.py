@@ -139,7 +139,6 @@ class Snapshots:
             a.unknown |= homing
 
     def _judge_changes(self, last: Snapshot, snapshot: Snapshot) -> None:
-        a = self._a
         grows = snapshot.epoch > last.epoch
         require(
             grows == (self.epoch_causes > 0),
