@@ -191,6 +191,10 @@ class Snapshots:
         last = max(ground.switched_at)
         if not snapshot.moving:
             moving = ground.surely_moving(now) if now - last > SEEN_WITHIN else 0
+            begun = sum(1 << k for k in range(a.arm.count) if ground.switched_at[k] > a.ready_at)
+            late = [k for k in range(a.arm.count) if moving & ~begun & 1 << k and ground.due(k) > snapshot.free_at]
+            require(not late, f"{late} travel since before the end of the boot, and free_at is {snapshot.free_at:.6f}")
+            moving &= begun
             require(not moving, f"nothing is shown as moving, {moving:b} travel")
         else:
             rest = ground.surely_at_rest(now, SEEN_WITHIN + TICK)
