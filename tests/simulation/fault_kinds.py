@@ -35,7 +35,6 @@ NOT_DRAWN = {
     "a board loses an RPDO or a SYNC that begins or ends a pulse": "a lost release is not repeated, the coil stays on",
     "a board is unplugged while it gets a pulse": "a state without end-stop is believed, although nobody read it back",
     "one bus is stuck while another one has a pulse": "commit and release are one transaction over all buses",
-    "the executor ends while boards are guarded that stop without a master": "the life time may end in the next boot",
     "the bus loses frames again and again": "questions starve reads, and a wait is not bounded",
 }
 

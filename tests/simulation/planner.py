@@ -8,7 +8,7 @@ from random import Random
 from msgspec.structs import replace
 
 from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import ClientId
+from controller.executor.core.events import ClientId, FromClient
 from controller.program import (
     ALIVE_EVERY,
     Accepted,
@@ -29,6 +29,7 @@ from controller.program import (
     Reset,
     Setpoint,
     Snapshot,
+    Stop,
     Up,
     Welcome,
     unpack,
@@ -61,6 +62,7 @@ ACTS = {
     },
 }
 CALM_PATIENCE = {"": 0.01, "clear": 0.03, "touched": 0.03, "silent": 1e6, "stream": 0.12}  # [s] until an answer
+INTERRUPTS = 2 * 10**9  # number of the requests that arrive at once
 PLAYED = 10**9  # number of the requests of faults to play, which are answered when they were played
 BOARDS = ("can0/1", "can1/2")
 
@@ -88,7 +90,7 @@ class ScriptedPlanner:
         self.calm = self.patient = False
         self.snapshot: Snapshot | None = None
         self.results: list[int] = []
-        self._arm, self._agenda, self._random = arm, agenda, random
+        self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
         self._author = Author(arm, random)
         self.connection = Connection(arm.name, agenda, random, executor, self._hear, lambda: self._awake_at)
         self._awake_at = 0.0
@@ -225,6 +227,13 @@ class ScriptedPlanner:
         self._drawn = self._author.switch(self.snapshot, self._number, actuator, times, pause)
         self.connection.send(self._drawn.program)
         self._wanted = self._number
+
+    def interrupt(self) -> None:
+        """Sends a stop or a cancel that arrives at once."""
+        client = self.connection.client
+        if client is not None:
+            message = Stop(INTERRUPTS) if self._random.random() < 0.5 else Cancel(INTERRUPTS, None, "interrupted")
+            self._executor.hear(client, FromClient(client, message))
 
     def halt(self) -> None:
         """Makes an operator stop the arm, if an executor runs."""

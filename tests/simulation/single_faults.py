@@ -5,7 +5,6 @@ from __future__ import annotations
 from random import Random
 from typing import TYPE_CHECKING
 
-from drivers.simulation.variants import VARIANTS
 from tests.simulation.boot_faults import BootFaults
 from tests.simulation.fault_kinds import Fault, FaultKinds
 from tests.simulation.judge.expected import judge_locks, told
@@ -16,12 +15,11 @@ if TYPE_CHECKING:
     from tests.simulation.judge.expected import Expected
     from tests.simulation.world import World
 
-NOTHING = 1.0  # [s] for which it is watched that nothing is told
+NOTHING = 0.8  # [s] for which it is watched that nothing is told
 SUPERVISED = 0.6  # [s] until the last motion is supervised, and all outputs are read back after a pulse
-KEPT = 1.5  # [s] for which a fault must wait for its reset; faults that clear are tried once a second
+KEPT = 1.2  # [s] for which a fault must wait for its reset; faults that clear are tried once a second
 LONG = 2.2  # [s] for which a fault may last, so that two attempts to leave it fail
 ANSWERED = 0.1  # [s] until a reset is answered
-STOPS = VARIANTS["guarding-with-1029h"]
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
 
 
@@ -36,9 +34,7 @@ class SingleFaults:
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
         self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
-        boards = world.boards.simulated
-        stops = any(boards.board(name).variant is STOPS for name in boards.names)  # see `fault_kinds.NOT_DRAWN`
-        self._often = 0.0 if stops else 0.25 if world.arm.contract_on_stop else 0.12  # that the executor ends
+        self._often = 0.3 if world.arm.contract_on_stop or world.kinds.pulse else 0.12  # that the executor ends
 
     def happen(self) -> None:
         """Causes one fault, mends it, and brings the arm back.
@@ -56,7 +52,9 @@ class SingleFaults:
             self._end_executor(planner)
         elif drawn < 0.32:
             self._lose_planner(planner)
-        elif drawn < 0.5:
+        elif drawn < 0.42:
+            self._interrupt(planner)
+        elif drawn < 0.56:
             self._boots.happen()
         else:
             world.judge.disturb()
@@ -77,13 +75,13 @@ class SingleFaults:
     def _end_executor(self, planner: ScriptedPlanner) -> None:
         """Ends the executor, in order or by a kill; the judge goes on to judge each fact exactly."""
         world = self._world
-        in_order = self._random.random() < 0.6
+        in_order = self._random.random() < 0.7
         world.trouble.made["only: executor ends" if in_order else "only: executor is killed"] += 1
         world.note("only fault: the executor ends")
         instance = world.executor.instances
         if self._random.random() < 0.7:
             planner.ask_for_motion()
-            world.pass_time(self._random.choice([0.001, 0.05, 0.3, 1.0]))
+            world.pass_time(self._random.choice([0.003, 0.02, 0.3, 1.0]))
         if in_order:
             world.executor.quit()
             drawn = self._random.random()
@@ -94,6 +92,16 @@ class SingleFaults:
         else:
             world.executor.kill()
         world.wait(lambda: world.executor.instances > instance, "started again", RESTARTED)
+        world.wait(world.settled, "ready", world.ready_within)
+
+    def _interrupt(self, planner: ScriptedPlanner) -> None:
+        """Stops the arm, or cancels its program, when a SYNC or an RPDO is handed out."""
+        world, bus = self._world, self._random.choice(list(self._world.buses.values()))
+        planner.ask_for_motion()
+        at_next = self._random.choice([bus.at_next_sync, bus.at_next_sync, bus.at_next_rpdo])
+        at_next(lambda: world.agenda.after(0.0, planner.interrupt))
+        world.trouble.made["only: interrupted"] += 1
+        world.pass_time(self._random.uniform(0.3, 1.0))
         world.wait(world.settled, "ready", world.ready_within)
 
     def _lose_planner(self, planner: ScriptedPlanner) -> None:

@@ -34,7 +34,7 @@ from tests.simulation.single_faults import SingleFaults
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
-SINGLE_FAULTS = 3  # in each round of a world with a scripted planner
+SINGLE_FAULTS = 2  # in each round of a world with a scripted planner
 FILES = 0.4  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 

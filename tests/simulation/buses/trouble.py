@@ -24,7 +24,7 @@ KINDS = {
     **{"board without supply": 0.8, "board is silent": 0.8, "board reboots": 0.8, "emergency": 0.6},
     **{"actuator is stuck": 0.8, "actuator is slow": 0.6, "sensor is lost": 0.5, "actuator is jammed": 0.5},
     **{"wires are cut": 0.3, "wires are shorted": 0.3, "door is opened": 4.0},
-    **{"foreign NMT": 0.5, "answers are lost": 0.5, "TPDO is lost": 0.5},
+    **{"echoes are lost": 0.5, "foreign NMT": 0.5, "answers are lost": 0.5, "TPDO is lost": 0.5},
     **{"kill in mid boot": 0.4, "bus-off in mid boot": 0.4, "power-cycle in mid boot": 0.4},
     **{"stop in mid commit": 0.8, "wires are loose": 8.0},
 }
@@ -151,6 +151,9 @@ class Trouble:
             case "answers are lost":
                 bus.mute = True
                 world.agenda.after(random.uniform(0.5, 3.0), bus.hear_answers)
+            case "echoes are lost":
+                bus.echoes = False
+                self._later(1.0, bus.restore)
             case "TPDO is lost":
                 bus.tpdos_to_lose = 1
             case "kill in mid boot":

@@ -89,7 +89,7 @@ class Author:
         states = drawn.stages[first - 1].states if first else drawn.program.start
         earliest = drawn.stages[first - 1].at if first else 0.0
         stages = self._walk(unpack(states), locked, random.randint(0, 4), earliest)
-        return self._replacing(drawn, first, tuple(stages), random.random() < 0.8, random.random() < 0.1)
+        return self._replacing(drawn, first, tuple(stages), random.random() < 0.8, random.random() < 0.4)
 
     def parking(self, drawn: Drawn) -> Replacement:
         """Returns a replacement that parks a program: its stages that have not begun are cut off."""

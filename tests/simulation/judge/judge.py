@@ -48,7 +48,7 @@ from tests.simulation.judge.traffic import Look, Traffic
 from tests.simulation.judge.travels import Travels
 from tests.simulation.judge.verdict import require
 
-SYNC = 0x80
+SYNC, STOPPED = 0x80, 4
 RPDOS = range(0x200, 0x580, 0x100)
 
 
@@ -105,6 +105,11 @@ class Judge:
     def disturb(self) -> None:
         """Ends the time in which nothing disturbs the world."""
         self.account.clear_since = math.inf
+
+    def _stopped(self, board: str) -> bool:
+        """Returns whether a board is stopped: the loss of one executor may stop it in the boot of the next one."""
+        look = self.traffic.look.get(board)
+        return look is not None and look.state() == STOPPED
 
     # --- the executor's process
 
@@ -289,6 +294,8 @@ class Judge:
             case Diagnostics():
                 self.counts.diagnosed(message)
             case Snapshot():
+                if any(fault.code == "board-missing" and self._stopped(fault.source) for fault in message.faults):
+                    self.disturb()
                 self.log.shows(self.account.shown, message)
                 self.streams.shown(message)
                 last = self.account.shown
