@@ -62,9 +62,9 @@ class World:
             return Random(f"{seed} {what}")
 
         random, planned = drawn("arm"), None
-        arm = draw_arm(random)
+        arm = draw_arm(random, whole)
         while whole and not 4 <= len(arm.actuators) <= 9:
-            arm = draw_arm(random)
+            arm = draw_arm(random, whole)
         if whole:
             arm, planned = draw_planned_arm(drawn("modules"), arm)
         arm, variants = draw_boards(drawn("boards"), arm)

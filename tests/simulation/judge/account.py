@@ -83,6 +83,7 @@ class Run:
         homes: mask of actuators that may be homed before the first stage.
         homed: states to which they are homed.
         taken_at: time of the last `Begun` [s].
+        delayed: whether its zero of time may be later, because actuators are homed before, or were a moment ago.
         accepted_at: time of the acceptance [s].
         question: number of the open question; None if none is open.
         touched: whether the last answer said that the stage is not clear.
@@ -103,7 +104,7 @@ class Run:
         self.homed = self.stages[-1].states if ends_elsewhere else self.start
         self.taken_at = self.held_at = self.accepted_at = accepted.begin
         self.mark = self.begun = self.generation = -1
-        self.planned, self.open_mark, self.touched = True, False, False
+        self.planned, self.open_mark, self.touched, self.delayed = True, False, False, False
         self.question: int | None = None
 
     def aligned(self, states: int) -> int:

@@ -111,6 +111,8 @@ class Programs:
         self.end("replaced", "replaced")
         a.run = Run(asked, message, a.locked, a.locked_states, a.homing)
         a.run.held_at = a.run.taken_at = a.run.accepted_at = a.now
+        homed = a.commit.homing & a.arm.paired if a.commit is not None and a.now < a.commit.at + READ_BACK else 0
+        a.run.delayed = bool(a.run.homes or homed)
         a.stream = None
         a.program_number = asked.program
         a.greatest = max(a.greatest, asked.program)
@@ -157,7 +159,7 @@ class Programs:
         commit = a.mover if a.mover is not None and a.mover.at >= run.taken_at else None
         at, before = (a.now, a.ground.states) if commit is None else (commit.at, commit.before)
         states = run.stages[k].states
-        if a.clear and not run.homes:
+        if a.clear and not run.delayed:
             self._judge_begun(run, k, at, before)
         if a.clear:
             self._judge_switches(run, message.switches, f"stage {k} of program {run.number}")
@@ -211,7 +213,7 @@ class Programs:
         if not a.clear:
             return
         early = run.begin + run.stages[run.taken].settled - a.now
-        require(early <= EPSILON or run.homes, f"{text} settled {early:g} s early")
+        require(early <= EPSILON or run.delayed, f"{text} settled {early:g} s early")
         moving = a.ground.surely_moving(a.now)
         require(not moving, f"{text} settled while {moving:b} travel")
         self._snapshots.judge_states(message.measured, message.known, text)
