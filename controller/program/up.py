@@ -214,7 +214,7 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
         sensed: packed, 1 where there is an end-stop.
         locked: packed, 1 where the actuator is locked.
         locks: number that grows with each change of `locked`.
-        moving: whether an actuator may be travelling.
+        moving: whether an actuator may be travelling. Of travels that began before the end of a boot, `free_at` tells.
         free_at: time at which the last stage has settled, by travel time [s].
         program: number of the running program, -1 if none.
         mark: its last mark reached, -1 if none.

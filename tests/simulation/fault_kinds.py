@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
+from controller.executor.core.events import Defect
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame
 from drivers.canopen.wire.events import BusOverrun, FrameReceived
 from tests.simulation.board_faults import BoardFaults
+from tests.simulation.executor.process import LOOP_FAILS
 from tests.simulation.judge.expected import Expected
 from tests.simulation.planner import ScriptedPlanner
 
@@ -21,6 +24,9 @@ AT_ONCE = 0.05  # [s] until a frame on a slow bus, or a change of a bus, is told
 SHOWN = 0.1  # [s] until a warning is told, by the next snapshot
 RESTARTS = 0.5  # [s] until a board without supply has booted
 READ_BACK = 2.0  # [s] until outputs that do not follow are told: about a second, and eight reads
+TIMES = 8  # stages that switch an actuator to and fro
+LOOSE = 0.3  # [s] for which a wire is loose; a board that does not answer for longer is a fault
+WAYS = {"clear": "answers", "touched": "finds an obstacle", "silent": "is silent", "stream": "sends set-points"}
 ASKED = 0.3  # [s] until the boards of a late actuator were asked
 
 # What the executor gets wrong today, and which faults are not drawn for that reason. A later change mends the code and
@@ -68,7 +74,7 @@ class FaultKinds:
     def draw(self) -> tuple[str, Fault]:
         """Returns the name of a fault, and the fault."""
         makers = [self._of_bus, self._of_board, self._of_frames, self._of_actuator, self._of_motion, self._of_executor]
-        makers += [self._of_running_boards] * 3
+        makers += [self._of_running_boards] * 3 + [self._of_motion] * 2
         while True:
             made = self._random.choice(makers)()
             if made:
@@ -205,17 +211,42 @@ class FaultKinds:
             boards.loses_sync = board
             planner.ask_to_switch(k)
 
+        pause = max(world.kinds.travel[k]) + world.kinds.margin[k] / 2 + world.arm.rest
+
+        def miss() -> None:
+            boards.fault("stick", label, at)
+            planner.ask_to_switch(k, times=TIMES, pause=pause)
+
         made = {}
         if world.judge.arm.sensed >> k & 1:
-            cleared = world.arm.continue_on_stuck
-            stuck = Expected(codes("stuck"), (label,), late, also=codes("unexpected-motion"), cleared=cleared)
+            cleared, also = world.arm.continue_on_stuck, codes("unexpected-motion")
+            stuck = Expected(codes("stuck"), (label,), late, also=also, cleared=cleared, locks=(label, cleared))
             made["actuator is stuck"] = Fault(stick, lambda: boards.fault("release", label), stuck)
+            missed = stuck._replace(within=TIMES * pause + late)
+            made["actuator misses commands"] = Fault(miss, lambda: boards.fault("release", label), missed)
+            others = [j for j in free if j != k]
+            loose = world.boards.positions() >> k & 1 and world.judge.arm.extended_ends >> k & 1 and others
+            tells = channel.input_contracted is None and "input" not in channel.inverted
+            if loose and tells and not world.judge.account.locked:
+                way = self._random.choice(list(WAYS))
+                cause = partial(self._loosen, label, bus, partial(planner.ask_strictly, others[0], way))
+                asks = NO_FAULT._replace(asks=True)
+                made[f"wires are loose, the planner {WAYS[way]}"] = Fault(cause, nothing, asks)
             made["TPDO is lost"] = Fault(lose_tpdo, nothing, NO_FAULT)
         if channel.pulse is None:
             also = codes("stuck", "not-switched", "unexpected-motion")
-            missed = Expected(also, (label, board), READ_BACK + late, also=also)
-            made["a board loses a SYNC"] = Fault(lose_sync, nothing, missed)
+            unheard = Expected(also, (label, board), READ_BACK + late, also=also)
+            made["a board loses a SYNC"] = Fault(lose_sync, nothing, unheard)
         return made
+
+    def _loosen(self, label: str, bus: BusModel, ask: Callable[[], None]) -> None:
+        """Cuts the wires of an end-stop for a moment, in which its board cannot be asked, before a strict stage."""
+        boards, agenda = self._world.boards, self._world.agenda
+        bus.mute = True
+        boards.fault("cut_wires", label)
+        agenda.after(LOOSE / 5, ask)
+        agenda.after(LOOSE, lambda: boards.fault("restore_sensor", label))
+        agenda.after(LOOSE, bus.hear_answers)
 
     def _of_executor(self) -> dict[str, Fault]:
         executor, timing = self._world.executor, self._world.arm.timing
@@ -223,7 +254,9 @@ class FaultKinds:
         long = timing.heartbeat_timeout * self._random.choice([1.3, 3.0]) + self._random.choice([0.1, 1.0, 20.0])
         also = codes("interlock", "board-stopped", "emergency", "board-lost")
         halted = Expected(codes("halted"), ("executor",), long + AT_ONCE, also=also)
+        defect = Expected(codes("internal-error"), ("executor",), AT_ONCE)
         return {
+            "executor's loop fails": Fault(lambda: executor.post(Defect(LOOP_FAILS)), nothing, defect),
             "executor stalls for a moment": Fault(lambda: executor.stall(short), nothing, NO_FAULT),
             "executor stands still": Fault(lambda: executor.stall(long), nothing, halted),
         }

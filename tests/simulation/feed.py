@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from controller.executor.core.events import ClientGone, ClientId, Event, ExecutorTick, FromClient, Health
+from collections.abc import Callable, Sequence
+
+from controller.executor.core.events import ClientGone, ClientId, Event, ExecutorTick, FaultPlayed, FromClient, Health
 from controller.host.process import Quit
-from controller.program import Goodbye, Hello, Up, Welcome
+from controller.program import Counts, Goodbye, Hello, Up, Welcome
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 from tests.simulation.agenda import Agenda
@@ -18,10 +20,11 @@ class Feed(Witness):
     Args:
         judge: takes the facts.
         agenda: time.
+        raised: takes the counts of the planner's ledger.
     """
 
-    def __init__(self, judge: Judge, agenda: Agenda) -> None:
-        self._judge, self._agenda = judge, agenda
+    def __init__(self, judge: Judge, agenda: Agenda, raised: Callable[[Sequence[int]], None]) -> None:
+        self._judge, self._agenda, self._raised = judge, agenda, raised
         self._instances = 0
         self._planner: ClientId | None = None
         self._greeted: tuple[ClientId, Hello] | None = None
@@ -39,6 +42,10 @@ class Feed(Witness):
         self._judge.dies()
         self._planner = None
 
+    def hurries(self) -> None:
+        """Tells that a process is asked to end at once."""
+        self._judge.endings.hurries()
+
     def told(self, event: Event) -> None:
         """Tells an event."""
         judge = self._judge
@@ -48,6 +55,8 @@ class Feed(Witness):
                 judge.ticks()
             case FromClient(client, message):
                 self._greeted = (client, message) if isinstance(message, Hello) else None
+                if isinstance(message, Counts) and client == self._planner:
+                    self._raised(message.counts)
                 judge.hears(Client(client.number, client == self._planner), message)
             case ClientGone(client):
                 judge.loses(Client(client.number, client == self._planner))
@@ -62,23 +71,31 @@ class Feed(Witness):
             case Health(loop, dropped):
                 judge.other_event()
                 judge.counts.process(loop, dropped)
+            case FaultPlayed(client, request, text, done):
+                judge.other_event()
+                judge.clients.played(client.number, request, text, done)
             case Quit():
                 judge.quits()
             case _:
                 judge.other_event()
 
-    def sends(self, bus: str, frame: Frame) -> None:
-        """Tells a frame that is handed out."""
+    def sends(self, bus: str, frame: Frame) -> object:
+        """Tells a frame that is handed out; returns the commit of a SYNC."""
         self._judge.at(self._agenda.now)
-        self._judge.hands_out(bus, frame.id, frame.data)
+        return self._judge.hands_out(bus, frame.id, frame.data)
 
     def logs(self, level: int, text: str) -> None:
         """Tells a line of the log."""
         self._judge.log.logs(level, text)
+        self._judge.endings.logs(text)
 
     def notifies(self, text: str) -> None:
         """Tells a message for systemd."""
         self._judge.log.notifies(text)
+
+    def tells(self, client: ClientId, message: Up) -> None:
+        """Tells who gets a message."""
+        self._judge.clients.tells(client.number, message)
 
     def says(self, message: Up) -> None:
         """Tells a message to a client."""
@@ -95,7 +112,7 @@ class Feed(Witness):
 
 
 class Witnesses(Witness):
-    """Several witnesses; the first one tells the commit of a frame."""
+    """Several witnesses; one of them tells the commit of a frame."""
 
     def __init__(self, *witnesses: Witness) -> None:
         self._witnesses = list(witnesses)
@@ -112,17 +129,25 @@ class Witnesses(Witness):
         for witness in self._witnesses:
             witness.killed()
 
+    def hurries(self) -> None:
+        for witness in self._witnesses:
+            witness.hurries()
+
     def told(self, event: Event) -> None:
         for witness in self._witnesses:
             witness.told(event)
 
     def sends(self, bus: str, frame: Frame) -> object:
-        first, *_ = [witness.sends(bus, frame) for witness in self._witnesses]
-        return first
+        told = [witness.sends(bus, frame) for witness in self._witnesses]
+        return next((commit for commit in told if commit is not None), None)
 
     def says(self, message: Up) -> None:
         for witness in self._witnesses:
             witness.says(message)
+
+    def tells(self, client: ClientId, message: Up) -> None:
+        for witness in self._witnesses:
+            witness.tells(client, message)
 
     def logs(self, level: int, text: str) -> None:
         for witness in self._witnesses:

@@ -62,6 +62,7 @@ def interface_judge(
             return known and not doubtful and not ending
 
         of.sure = sure
+        of.interlock_open = record.open_lately
         judge.programs.count = made.switches
         return made
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from random import Random
 
+from msgspec.structs import replace
+
 from controller.executor.core.arm import ExecutedArm
+from controller.executor.core.events import ClientId, FromClient
 from controller.program import (
     ALIVE_EVERY,
     Accepted,
@@ -19,10 +23,13 @@ from controller.program import (
     Ended,
     Goodbye,
     Lock,
+    PlayFault,
     Question,
     Replaced,
     Reset,
+    Setpoint,
     Snapshot,
+    Stop,
     Up,
     Welcome,
     unpack,
@@ -33,10 +40,31 @@ from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.executor.programs import Author, Drawn
 
 ACTS = {
-    **{"program": 30, "bad program": 8, "replacement": 12, "park": 6, "resume": 12},
+    **{
+        "program": 30,
+        "bad program": 8,
+        "bad set-point": 6,
+        "bad replacement": 5,
+        "replacement": 12,
+        "park": 6,
+        "resume": 12,
+    },
     **{"set-point": 20, "wait": 40, "cancel": 3},
-    **{"cancel program": 2, "reset": 1, "lock": 4, "counts": 0.5, "stray answer": 1, "acknowledge": 8, "operator": 1},
+    **{
+        "cancel program": 2,
+        "reset": 1,
+        "lock": 4,
+        "counts": 1.0,
+        "stray answer": 1,
+        "acknowledge": 8,
+        "operator": 1,
+        "fault to play": 1,
+    },
 }
+CALM_PATIENCE = {"": 0.01, "clear": 0.03, "touched": 0.03, "silent": 1e6, "stream": 0.12}  # [s] until an answer
+INTERRUPTS = 2 * 10**9  # number of the requests that arrive at once
+PLAYED = 10**9  # number of the requests of faults to play, which are answered when they were played
+BOARDS = ("can0/1", "can1/2")
 
 
 class ScriptedPlanner:
@@ -48,6 +76,7 @@ class ScriptedPlanner:
         snapshot: the latest snapshot; None before the first of a connection.
         results: results that it has not acknowledged.
         connection: its connection to the executor.
+        way: how it answers questions while it is calm: "clear", "touched", "silent" or "stream"; "": it answers soon.
         last_answer: the last answer to a request with a number; None before it comes.
 
     Args:
@@ -61,7 +90,7 @@ class ScriptedPlanner:
         self.calm = self.patient = False
         self.snapshot: Snapshot | None = None
         self.results: list[int] = []
-        self._arm, self._agenda, self._random = arm, agenda, random
+        self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
         self._author = Author(arm, random)
         self.connection = Connection(arm.name, agenda, random, executor, self._hear, lambda: self._awake_at)
         self._awake_at = 0.0
@@ -70,6 +99,7 @@ class ScriptedPlanner:
         self._drawn: Drawn | None = None
         self._answered = 0
         self.last_answer: Answer | None = None
+        self.way = ""
         agenda.after(0.0, self._live)
         agenda.after(0.0, self._act)
 
@@ -134,13 +164,15 @@ class ScriptedPlanner:
                 self._drawn.answered(message.accepted)
             case Question():
                 self._answer(message)
-            case Answer() if message.request:
+            case Answer() if 0 < message.request < PLAYED:
                 assert self._answered < message.request <= self._request, "answers come once, in order"
                 self._answered, self.last_answer = message.request, message
 
     def _answer(self, question: Question) -> None:
         touched = "the disc" if self._random.random() < 0.1 and not self.calm else None
-        patience = 0.01 if self.calm else self._random.choice([0.0, 0.01, 0.1, 2.0, 1e6])
+        if self.calm and self.way:
+            touched = "the disc" if self.way == "touched" else None
+        patience = CALM_PATIENCE[self.way] if self.calm else self._random.choice([0.0, 0.01, 0.1, 2.0, 1e6])
         client = self.connection.client
 
         def answer() -> None:
@@ -188,13 +220,43 @@ class ScriptedPlanner:
         self._wanted = self._number
         return self._number
 
-    def ask_to_switch(self, actuator: int) -> None:
-        """Sends a program that switches one actuator."""
+    def ask_to_switch(self, actuator: int, times: int = 1, pause: float = 0.0) -> None:
+        """Sends a program that switches one actuator, perhaps to and fro with pauses [s]."""
         assert self.snapshot is not None
         self._number += 1
-        self._drawn = self._author.switch(self.snapshot, self._number, actuator)
+        self._drawn = self._author.switch(self.snapshot, self._number, actuator, times, pause)
         self.connection.send(self._drawn.program)
         self._wanted = self._number
+
+    def interrupt(self) -> None:
+        """Sends a stop or a cancel that arrives at once."""
+        client = self.connection.client
+        if client is not None:
+            message = Stop(INTERRUPTS) if self._random.random() < 0.5 else Cancel(INTERRUPTS, None, "interrupted")
+            self._executor.hear(client, FromClient(client, message))
+
+    def halt(self) -> None:
+        """Makes an operator stop the arm, if an executor runs."""
+        if self.connection.client is not None:
+            self.connection.halt()
+
+    def ask_strictly(self, actuator: int, way: str) -> None:
+        """Asks for a strict stage that switches one actuator, by a program or by set-points; see `way`."""
+        if self.snapshot is None or self.connection.client is None:
+            return
+        self.way, self._number = way, self._number + 1
+        if way != "stream":
+            self._drawn = self._author.switch(self.snapshot, self._number, actuator, 1, 0.0, strict=True)
+            self.connection.send(self._drawn.program)
+            self._wanted = self._number
+            return
+        first = self._author.strict_setpoint(self.snapshot, self._number, self._agenda.now, actuator)
+        for k in range(4):
+            self._agenda.after(k * 0.04, partial(self._follow, first, self.connection.client, k))
+
+    def _follow(self, message: Setpoint, client: ClientId, k: int) -> None:
+        if self.connection.client == client:
+            self.connection.send(replace(message, until=message.until + k * 0.04, reason=f"following {k}"))
 
     def ask_to_reset(self) -> None:
         """Sends a reset."""
@@ -213,7 +275,17 @@ class ScriptedPlanner:
             case "bad program":
                 self._number += 1
                 good = self._author.program(snapshot, self._number, now)
-                self.connection.send(self._author.spoiled(good.program, snapshot))
+                self.connection.send(self._author.spoiled(good.program, snapshot, now))
+            case "bad set-point":
+                good_one = self._author.setpoint(snapshot, self._number + 1, now)
+                self.connection.send(self._author.spoiled_setpoint(good_one, snapshot, now))
+                self._number += 1
+            case "bad replacement" if self._drawn is not None and self._drawn.sent is None:
+                replacement = self._author.replacement(self._drawn, unpack(snapshot.locked))
+                self._drawn.sent = self._author.spoiled_replacement(replacement)
+                self.connection.send(self._drawn.sent)
+                if self._drawn.sent.program != self._drawn.program.program:
+                    self._drawn.sent = None  # the answer names another program
             case "replacement" if self._drawn is not None and self._drawn.sent is None:
                 self.connection.send(self._author.replacement(self._drawn, unpack(snapshot.locked)))
             case "park" if self._drawn is not None and self._drawn.sent is None:
@@ -234,13 +306,21 @@ class ScriptedPlanner:
                 actuator = random.randrange(len(self._arm.actuators) + 1)
                 self.connection.send(Lock(self._next(), actuator, random.choice([-1, 0, 1])))
             case "counts":
-                self.connection.send(Counts(tuple(0 for _ in range(random.randint(0, len(self._arm.actuators))))))
+                self.connection.send(Counts(self._ledger()))
             case "stray answer":
                 self.connection.send(Clearance(random.randint(0, 10), random.choice([None, "the box"])))
+            case "fault to play":
+                self.connection.send(PlayFault(PLAYED, f"silence {random.choice(BOARDS)}"))
             case "acknowledge":
                 self._acknowledge()
             case "operator" if random.random() < 0.5:
                 self.connection.halt()
+
+    def _ledger(self) -> tuple[int, ...]:
+        """Returns counts of the ledger: lower ones, some that are greater than the executor's, or too few."""
+        random, count = self._random, len(self._arm.actuators)
+        few = random.randint(0, count)
+        return random.choice([(0,) * few, tuple(random.randint(0, 100) for _ in range(count)), (10**6,) * few])
 
     def _acknowledge(self) -> None:
         for result in self.results:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from tests.simulation.boot_faults import BootFaults
 from tests.simulation.fault_kinds import Fault, FaultKinds
-from tests.simulation.judge.expected import told
+from tests.simulation.judge.expected import judge_locks, told
 from tests.simulation.judge.verdict import require
 from tests.simulation.planner import ScriptedPlanner
 
@@ -15,9 +15,10 @@ if TYPE_CHECKING:
     from tests.simulation.judge.expected import Expected
     from tests.simulation.world import World
 
-NOTHING = 1.0  # [s] for which it is watched that nothing is told
+NOTHING = 0.8  # [s] for which it is watched that nothing is told
 SUPERVISED = 0.6  # [s] until the last motion is supervised, and all outputs are read back after a pulse
-KEPT = 1.5  # [s] for which a fault must wait for its reset; faults that clear are tried once a second
+KEPT = 1.2  # [s] for which a fault must wait for its reset; faults that clear are tried once a second
+LONG = 2.2  # [s] for which a fault may last, so that two attempts to leave it fail
 ANSWERED = 0.1  # [s] until a reset is answered
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
 
@@ -33,6 +34,7 @@ class SingleFaults:
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
         self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
+        self._often = 0.3 if world.arm.contract_on_stop or world.kinds.pulse else 0.12  # that the executor ends
 
     def happen(self) -> None:
         """Causes one fault, mends it, and brings the arm back.
@@ -46,9 +48,13 @@ class SingleFaults:
         planner.patient = True
         self._rest()
         drawn = self._random.random()
-        if drawn < 0.15:
-            self._end_executor()
-        elif drawn < 0.5:
+        if drawn < self._often:
+            self._end_executor(planner)
+        elif drawn < 0.32:
+            self._lose_planner(planner)
+        elif drawn < 0.42:
+            self._interrupt(planner)
+        elif drawn < 0.56:
             self._boots.happen()
         else:
             world.judge.disturb()
@@ -66,31 +72,71 @@ class SingleFaults:
         world.wait(lambda: not world.boards.coils() & world.kinds.pulsed, "without pulses", world.ready_within)
         world.pass_time(SUPERVISED)
 
-    def _end_executor(self) -> None:
+    def _end_executor(self, planner: ScriptedPlanner) -> None:
         """Ends the executor, in order or by a kill; the judge goes on to judge each fact exactly."""
         world = self._world
-        in_order = self._random.random() < 0.6
+        in_order = self._random.random() < 0.7
         world.trouble.made["only: executor ends" if in_order else "only: executor is killed"] += 1
         world.note("only fault: the executor ends")
         instance = world.executor.instances
+        if self._random.random() < 0.7:
+            planner.ask_for_motion()
+            world.pass_time(self._random.choice([0.003, 0.02, 0.3, 1.0]))
         if in_order:
             world.executor.quit()
+            drawn = self._random.random()
+            if drawn < 0.25 and world.arm.contract_on_stop:  # somebody stops the arm in its contraction
+                world.agenda.after(self._random.uniform(0.0, 0.3), planner.halt)
+            elif drawn < 0.5:  # a second signal
+                world.agenda.after(self._random.uniform(0.0, 0.3), world.executor.quit_again)
         else:
             world.executor.kill()
         world.wait(lambda: world.executor.instances > instance, "started again", RESTARTED)
         world.wait(world.settled, "ready", world.ready_within)
 
+    def _interrupt(self, planner: ScriptedPlanner) -> None:
+        """Stops the arm, or cancels its program, when a SYNC or an RPDO is handed out."""
+        world, bus = self._world, self._random.choice(list(self._world.buses.values()))
+        planner.ask_for_motion()
+        at_next = self._random.choice([bus.at_next_sync, bus.at_next_sync, bus.at_next_rpdo])
+        at_next(lambda: world.agenda.after(0.0, planner.interrupt))
+        world.trouble.made["only: interrupted"] += 1
+        world.pass_time(self._random.uniform(0.3, 1.0))
+        world.wait(world.settled, "ready", world.ready_within)
+
+    def _lose_planner(self, planner: ScriptedPlanner) -> None:
+        """Makes the planner die or stand still while a program may run; the judge still judges each fact exactly."""
+        world, timeout = self._world, self._world.arm.planner_timeout
+        if self._random.random() < 0.7:
+            planner.ask_for_motion()
+            world.pass_time(self._random.uniform(0.0, 0.3))
+        dies = self._random.random() < 0.4
+        world.trouble.made["only: planner dies" if dies else "only: planner stands still"] += 1
+        world.note("only fault: the planner dies or stands still")
+        if dies:
+            planner.die()
+            world.pass_time(self._random.uniform(0.0, 0.5))
+        else:
+            planner.stall(timeout * self._random.choice([0.7, 1.2, 2.0]))
+        world.wait(lambda: planner.awake, "awake", 3.0 * timeout)
+        world.pass_time(0.3)
+        world.wait(world.settled, "ready", world.ready_within)
+
     def _judge(self, name: str, fault: Fault, planner: ScriptedPlanner) -> None:
         world, expected = self._world, fault.expected
+        asked = world.judge.requests.asked
         fault.cause()
         if not expected.codes:
             self._watch(expected, NOTHING)
+            require(not expected.asks or world.judge.requests.asked > asked, f"{name}, and the planner is not asked")
+            planner.way = ""
             fault.mend()
             self._watch(expected, NOTHING / 5)
             self._require_mode("ready", name)
             return
         world.wait(lambda: told(expected, planner.snapshot), f"told: {name}", expected.within)
-        self._watch(expected, self._random.uniform(0.0, 0.5))
+        long = expected.cleared and self._random.random() < 0.3
+        self._watch(expected, LONG if long else self._random.uniform(0.0, 0.5))
         if expected.refused:
             planner.ask_to_reset()
             world.wait(lambda: planner.last_answer is not None, "answered", ANSWERED)
@@ -102,7 +148,13 @@ class SingleFaults:
             self._watch(expected, KEPT)
             self._require_mode("fault", name)
             planner.patient = False
+        world.wait(lambda: self._is("ready"), f"ready after {name}", world.ready_within)
+        judge_locks(expected, planner.snapshot)
         world.wait(world.settled, f"ready after {name}", world.ready_within)
+
+    def _is(self, mode: str) -> bool:
+        snapshot = self._world.planner.snapshot
+        return snapshot is not None and snapshot.mode == mode
 
     def _require_mode(self, mode: str, name: str) -> None:
         snapshot = self._world.planner.snapshot

@@ -21,8 +21,10 @@ from controller.executor.motion.motion import ArmMotion
 from controller.executor.motion.motion_supervision import MotionSupervision
 from controller.executor.motion.program_execution import ProgramExecution
 from controller.executor.motion.readings import Readings
+from controller.executor.motion.travel_times import TravelTimes
 from controller.executor.process.clients import Clients
-from controller.program import Replacement
+from controller.executor.process.switch_journal import MemoryJournal
+from controller.program import Replacement, pack
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 from drivers.canopen.run.board import Board
@@ -43,6 +45,9 @@ _receive_state = Board._receive_state
 _record_switched = Actuation.record_switched
 _add = ProgramResults.add
 _due, _settle = ProgramExecution.due, ProgramExecution.settle
+_follow, _receive_request = ClientRequests._follow, ClientRequests.receive_request
+_resolve, _contract, _send_counts = MemoryJournal.resolve, Ending._contract, ProgramResults.send_counts
+_unwelcome, _packed, _drain_arrived = Clients._refusal, Readings.packed, TravelTimes.drain_arrived
 
 
 def _keep_mild(self: ProgramExecution, message: Replacement, most: int, actuators: int) -> None:
@@ -60,13 +65,13 @@ def _tell_no_counts(self: Reports, now: float) -> Any:
     return msgspec.structs.replace(told, counts=tuple(count and count - 1 for count in told.counts))
 
 
-def _take_any_start(self: ClientRequests, message: Any) -> Any:
-    refusal = _refusal(self, message)
+def _take_any_start(self: ClientRequests, message: Any, now: float) -> Any:
+    refusal = _refusal(self, message, now)
     return None if refusal is not None and refusal.reason.value == "moved-since-planned" else refusal
 
 
-def _refuse_too_much(self: ClientRequests, message: Any) -> Any:
-    refusal = _refusal(self, message)
+def _refuse_too_much(self: ClientRequests, message: Any, now: float) -> Any:
+    refusal = _refusal(self, message, now)
     return Refusal(Reason.OVERTAKEN) if refusal is None and message.strict else refusal
 
 
@@ -104,6 +109,84 @@ def _settle_late(self: ProgramExecution, now: float) -> bool:
     return _settle(self, now - 0.3)
 
 
+def _take_any_epoch(self: ClientRequests, message: Any, now: float) -> Any:
+    return _refusal(self, msgspec.structs.replace(message, epoch=self._modes.epoch), now)
+
+
+def _take_too_late(self: ClientRequests, message: Any, now: float) -> Any:
+    return _refusal(self, msgspec.structs.replace(message, until=1e12), now)
+
+
+def _follow_any_epoch(self: ClientRequests, message: Any, now: float) -> None:
+    _follow(self, msgspec.structs.replace(message, epoch=self._modes.epoch), now)
+
+
+def _reset_any_epoch(self: ClientRequests, client: Any, message: Any, now: float) -> None:
+    _reset(self, client, msgspec.structs.replace(message, epoch=self._modes.epoch), now)
+
+
+def _reset_no_epoch(self: ClientRequests, client: Any, message: Any, now: float) -> None:
+    _reset(self, client, msgspec.structs.replace(message, epoch=self._modes.epoch + 1), now)
+
+
+def _send_no_more(self: ProgramResults) -> None:
+    """Sends what is new since the last planner, as if all that was sent before had been read."""
+    sent = self.__dict__.setdefault("_sent", set())
+    for number, result in self._stored.items():
+        if number not in sent:
+            self._send(result)
+    sent.update(self._stored)
+
+
+def _count_unknown(self: MemoryJournal, states: int, unknown: int = 0) -> int:
+    return _resolve(self, states)
+
+
+def _contract_locked(self: Ending) -> None:
+    mask, self._locked.mask = self._locked.mask, 0
+    _contract(self)
+    self._locked.mask = mask
+
+
+def _keep_requests(self: ClientRequests, client: Any, message: Any, now: float) -> None:
+    self.__dict__.setdefault("_history", []).append(message)
+    _receive_request(self, client, message, now)
+
+
+def _tell_counts(self: ProgramResults) -> None:
+    counts = self._journal.counts
+    self._journal.counts = [max(count - 1, 0) for count in counts]
+    _send_counts(self)
+    self._journal.counts = counts
+
+
+def _greet_all(self: Clients, client: Any, hello: Any) -> str | None:
+    reason = _unwelcome(self, client, hello)
+    return None if reason is not None and "version" in reason else reason
+
+
+def _hear_operators(self: ClientRequests, client: Any, message: Any, now: float) -> None:
+    self._clients.roles[client] = "planner"
+    _receive_request(self, client, message, now)
+
+
+def _ignore_ledger(self: MemoryJournal, counts: Any) -> None:
+    """Keeps the journal's counts."""
+
+
+def _tell_all_known(self: Readings) -> Any:
+    measured, known = _packed(self)
+    return measured, bytes(a | b for a, b in zip(known, pack(self._kinds.everything, self._actuators), strict=True))
+
+
+def _end_with_pulses(self: Actuation, now: float) -> bool:
+    return False
+
+
+def _travel_twice(self: TravelTimes, *arguments: Any) -> Any:
+    return [travel for travel in _drain_arrived(self, *arguments) for _ in range(2)]
+
+
 Patch = tuple[Any, str, Callable[..., Any]]
 
 FAST: dict[str, Patch] = {
@@ -121,10 +204,28 @@ FAST: dict[str, Patch] = {
     "diagnostics never come": (Reports, "diagnostics_due", lambda self, now: False),
     "nothing is found stuck": (MotionSupervision, "_find_stuck", lambda *_: 0),
     "all is found stuck": (MotionSupervision, "_confirm", lambda *_: (0, 0)),
+    "programs of any epoch are accepted": (ClientRequests, "_refusal", _take_any_epoch),
+    "resets of the present epoch are refused": (ClientRequests, "_reset", _reset_no_epoch),
+    "counts before results are too low": (ProgramResults, "send_counts", _tell_counts),
+    "no switch is counted": (MemoryJournal, "resolve", lambda *_: 0),
+    "requests are kept for ever": (ClientRequests, "receive_request", _keep_requests),
+    "operators may do all": (ClientRequests, "receive_request", _hear_operators),
+    "each travel is told twice": (TravelTimes, "drain_arrived", _travel_twice),
+    "all states are told as known": (Readings, "packed", _tell_all_known),
     "pauses are not noticed": (Heartbeat, "find_pause", lambda self, clock: None),
 }
 
 SLOW: dict[str, Patch] = {
+    "programs are accepted too late": (ClientRequests, "_refusal", _take_too_late),
+    "set-points of any epoch are followed": (ClientRequests, "_follow", _follow_any_epoch),
+    "resets of any epoch are carried out": (ClientRequests, "_reset", _reset_any_epoch),
+    "results are not sent twice": (ProgramResults, "send_again", _send_no_more),
+    "unknown actuators are counted after a kill": (MemoryJournal, "resolve", _count_unknown),
+    "locked actuators contract at the end": (Ending, "_contract", _contract_locked),
+    "clients of any version are welcome": (Clients, "_refusal", _greet_all),
+    "greater counts of the ledger are ignored": (MemoryJournal, "raise_to", _ignore_ledger),
+    "nobody waits for the end of a pulse": (Actuation, "pulsing", _end_with_pulses),
+    "overdue pulses are not told": (Actuation, "find_overdue", lambda *_: []),
     "a silent planner is not noticed": (Clients, "fell_silent", lambda self, clock: False),
     "diagnostics count too little": (Reports, "diagnostics", _tell_no_counts),
     "faults do not clear": (Modes, "recover", lambda self, now: None),

@@ -143,13 +143,13 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
 
 FOUND = {  # words of the violation, where another invariant could find the defect as well
     "START applies other outputs": "START switched",
-    "waiting RPDOs are switched after a stop": "after a stop was answered",
+    "waiting RPDOs are switched after a stop": "a SYNC for RPDOs that a stop",
     "pulses do not end": "a coil is on for",
-    "the loss of the planner begins no epoch": "before the loss of the planner",
+    "the loss of the planner begins no epoch": "before the loss of its planner|the epoch is still",
     "marks settle again after a replacement": "is reported again|settled .* early|is told after",
     "stages are taken again after a replacement": "is reported after|comes after",
-    "programs wait for stages for ever": "waits for stages for ever",
-    "programs do not wait for stages": "was given up after|no further stages for 10 s; causes are {}",
+    "programs wait for stages for ever": "waits for stages for",
+    "programs do not wait for stages": "says 'the planner sent no further stages for 10 s' after",
 }
 
 

@@ -15,13 +15,17 @@ from tests.simulation.buses.board_side import BoardSide
 from tests.simulation.buses.bus_model import BusModel, OnItsWay
 from tests.simulation.buses.trouble import LONGEST_STANDSTILL, Trouble
 from tests.simulation.calm import check_daemon, run_a_goal, run_a_program
+from tests.simulation.executor.arm_file import judge_file
 from tests.simulation.executor.arms import draw_arm, draw_boards
+from tests.simulation.executor.habits import Habits
 from tests.simulation.executor.process import ExecutorProcess
+from tests.simulation.executor.strangers import Strangers
 from tests.simulation.facts import Step
 from tests.simulation.feed import Feed, Witnesses
 from tests.simulation.interface_feed import InterfaceFeed, interface_judge
 from tests.simulation.invariants import INVARIANTS
 from tests.simulation.judge.judge import Judge
+from tests.simulation.judge.memory import Memory
 from tests.simulation.judge.traffic import Look
 from tests.simulation.judge.verdict import Violation, require
 from tests.simulation.planner import ScriptedPlanner
@@ -30,6 +34,8 @@ from tests.simulation.single_faults import SingleFaults
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
+SINGLE_FAULTS = 2  # in each round of a world with a scripted planner
+FILES = 0.4  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
 
@@ -43,6 +49,7 @@ class World:
         kinds: outputs and end-stops of the actuators.
         planner: the scripted planner, or the daemon.
         daemon: the whole daemon but its executor; None in a world with a scripted planner.
+        let_go: mask of the actuators with two outputs that their boards contract without the executor.
 
     Args:
         seed: seed of all random numbers.
@@ -55,12 +62,14 @@ class World:
             return Random(f"{seed} {what}")
 
         random, planned = drawn("arm"), None
-        arm = draw_arm(random)
+        arm = draw_arm(random, whole)
         while whole and not 4 <= len(arm.actuators) <= 9:
-            arm = draw_arm(random)
+            arm = draw_arm(random, whole)
         if whole:
             arm, planned = draw_planned_arm(drawn("modules"), arm)
         arm, variants = draw_boards(drawn("boards"), arm)
+        if not whole and random.random() < FILES:
+            judge_file(arm, random)
         self.arm = arm
         self.most = len(arm.actuators) if arm.inrush is None else arm.inrush
         self.agenda = agenda = Agenda()
@@ -71,16 +80,25 @@ class World:
             for bus in arm.wiring.buses
         }
         self.judge = judge = Judge(arm)
-        witness = Witnesses(record, Feed(judge, agenda))
-        self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness)
-        record.core = lambda: self.executor.core
+        witness = Witnesses(
+            record, Feed(judge, agenda, lambda counts: record.raised(counts, self.executor.journal.counts))
+        )
+        self.habits = habits = Habits(drawn("habits"), simulated=planned is None)
+        self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness, habits)
+        judge.clients.playable = habits.simulation
+        judge.log.simulated, judge.log.watchdog = habits.simulation is not None, habits.watchdog
+        record.misses = judge.misses
         self.kinds = Kinds(arm.wiring, arm.timing)
         for bus in self.buses.values():
             bus.spares_commands = bool(self.kinds.pulse)  # see `fault_kinds.NOT_DRAWN`
         self.planner: ScriptedPlanner | Daemon
+        self.strangers: Strangers | None = None
         self.daemon: Daemon | None = None
         if planned is None:
             self.planner = ScriptedPlanner(arm, agenda, drawn("planner"), self.executor)
+            count = len(arm.actuators)
+            parts = arm.name, count, agenda, drawn("strangers"), self.executor
+            self.strangers = Strangers(*parts, lambda: judge.silence.connected)
         else:
             of = interface_judge(judge, arm, planned, record)
             self.planner = self.daemon = Daemon(arm, planned, agenda, drawn, self.executor, self.note, of)
@@ -88,12 +106,14 @@ class World:
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)
         self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge)
-        judge.traffic.look = {name: self._look(name) for name in self.boards.simulated.names}
+        judge.looks_at({name: self._look(name) for name in self.boards.simulated.names})
+        levels = arm.wiring.loss_levels[len(arm.actuators) :]
+        self.let_go = sum(1 << k for k, level in zip(arm.wiring.paired, levels, strict=True) if level == 1)
         self.trouble = Trouble(self, drawn("trouble"))
         self.single_faults = SingleFaults(self, drawn("single faults"))
-        self.epoch_before, self.mode_before = 0, "starting"
         self._random = drawn("periods")
         self._counts: list[int] = []
+        self._memory = Memory()
         self.executor.start()
 
     # --- it runs
@@ -108,14 +128,15 @@ class World:
         self.calm()
         while True:
             if self.daemon is None:
-                for _ in range(4):
+                for _ in range(SINGLE_FAULTS):
                     self.single_faults.happen()
             self.planner.be_calm(False)
+            self._let_strangers_stop(True)
             self.pass_time(self._random.uniform(1.0, 6.0))
             if self.daemon is not None or self.drawn_half():
                 self.judge.disturb()
                 self.trouble.begin()
-                self.pass_time(self._random.uniform(2.0, 15.0))
+                self.pass_time(self._random.uniform(2.0, 15.0 if self.daemon is not None else 8.0))
                 self.calm()
             if self.agenda.steps >= end:
                 break
@@ -128,17 +149,23 @@ class World:
 
     def one_step(self) -> None:
         """Runs the next event, and judges it."""
-        self.record.step = Step()
-        self.epoch_before, self.mode_before = self.record.epoch, self.record.mode
+        if not self.record.step.empty:
+            self.record.step = Step()
         self.agenda.step()
         self.record.doubt(self.intended)
         for holds in INVARIANTS:
             holds(self)
+        self.judge.pulses.watch(self.agenda.now, self.reaches)
         if self.daemon is not None:
             self.daemon.judge.at(self.agenda.now)
 
+    def _let_strangers_stop(self, may: bool) -> None:
+        if self.strangers is not None:
+            self.strangers.may_stop = may
+
     def calm(self) -> None:
         """Ends all trouble; the arm becomes ready, runs a program, and everything agrees."""
+        self._let_strangers_stop(False)
         self.trouble.end()
         self.planner.be_calm(True)
         self.wait(lambda: self.executor.awake and self.planner.awake, "awake", LONGEST_STANDSTILL + 2.0)
@@ -195,6 +222,7 @@ class World:
         without = sorted(number for key in accepted - set(record.results) for number in key[1:])
         require(not without, f"programs {without} have no result")
         require(self.intended == 0, "the journal waits for nothing")
+        self._memory.judge(record.instance, self.executor.core, len(self.judge.programs.unacknowledged))
 
     def drawn_half(self) -> bool:
         """Returns True half of the time."""
@@ -227,13 +255,7 @@ class World:
     # --- for the invariants, and for a person
 
     def reaches(self, actuator: int) -> bool:
-        """Returns whether frames of the executor reach the board of an actuator, and take effect there.
-
-        An executor that has just started learns of a pulse by its first boot.
-        """
-        core = self.executor.core
-        if core is None or core.motion.actuation._adopted is None:
-            return False
+        """Returns whether frames of the executor reach the board of an actuator, and take effect there."""
         channel = self.arm.wiring.channels[actuator]
         bus = self.buses[channel.bus]
         fit = self.executor.awake and bus.healthy and not bus.loss

@@ -222,7 +222,7 @@ class Board:
             bus=self.layout.bus,
             node=self.layout.node,
             state="lost" if self._lost and self.state is not None else state,
-            heartbeat_age=None if self._beat_at is None else now - self._beat_at,
+            heartbeat_age=None if self._beat_at is None else max(now - self._beat_at, 0.0),
             unverified=self.unverified,
             emergency=None if self.emergency is None else cia301.emergency_words(self.emergency),
         )

@@ -11,7 +11,8 @@ from drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import OnItsWay
-from tests.simulation.facts import Commit, Energised, Switch
+from tests.simulation.facts import Energised, Switch
+from tests.simulation.judge.account import Commit
 from tests.simulation.judge.judge import Judge
 from tests.simulation.record import Record
 
@@ -153,8 +154,9 @@ class BoardSide(AttachedBoards):
             self._record.lying |= 1 << self.simulated.labels.index(name)
         elif verb == "restore_sensor":
             self._record.lying &= ~(1 << self.simulated.labels.index(name))
-        self._read = True
         super().fault(verb, name, *numbers)
+        self._read = True  # of an end-stop that reads otherwise since the fault
+        self.see("fault")
         self.silent = any(self.simulated.board(board).silent for board in self.names)
 
     def emergency(self, board: str, code: int) -> None:
@@ -200,7 +202,7 @@ class BoardSide(AttachedBoards):
             self._on = on
             self._judge.energises(on, came, cause)
             if changed:
-                self._judge.drives(after, changed, cause)
+                self._judge.drives(after, changed, cause, commit)
             if self._read:
                 self._read_ends()
         for bus, mask in self._masks.items():

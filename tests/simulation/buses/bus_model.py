@@ -78,6 +78,7 @@ class BusModel:
         self._agenda, self._random = agenda, random
         self._to_boards, self._to_executor = to_boards, to_executor
         self._at_rpdo: Callable[[], None] = lambda: None
+        self._at_sync: Callable[[], None] = lambda: None
         self._queue: deque[OnItsWay] = deque()  # of the executor; the first ones are in the mailboxes
         self._others: deque[Frame] = deque()
         self._on_wire: OnItsWay | Frame | None = None  # of the executor, or of a board
@@ -106,6 +107,9 @@ class BusModel:
         if split(frame.id)[0] in RPDOS:
             happen, self._at_rpdo = self._at_rpdo, lambda: None
             happen()
+        if frame.id == SYNC:
+            happen, self._at_sync = self._at_sync, lambda: None
+            happen()
         self._queue.append(OnItsWay(frame, belongs_to))
         self.begin()
         return None
@@ -133,6 +137,10 @@ class BusModel:
     def at_next_rpdo(self, happen: Callable[[], None]) -> None:
         """Calls a function once, when the executor hands out an RPDO."""
         self._at_rpdo = happen
+
+    def at_next_sync(self, happen: Callable[[], None]) -> None:
+        """Calls a function once, when the executor hands out a SYNC."""
+        self._at_sync = happen
 
     def drop(self) -> None:
         """Loses the frames that wait in queue and controller."""

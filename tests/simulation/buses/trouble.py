@@ -7,7 +7,6 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
-from controller.host.process import Quit
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame
 from drivers.canopen.wire.events import FrameReceived
@@ -25,9 +24,9 @@ KINDS = {
     **{"board without supply": 0.8, "board is silent": 0.8, "board reboots": 0.8, "emergency": 0.6},
     **{"actuator is stuck": 0.8, "actuator is slow": 0.6, "sensor is lost": 0.5, "actuator is jammed": 0.5},
     **{"wires are cut": 0.3, "wires are shorted": 0.3, "door is opened": 4.0},
-    **{"foreign NMT": 0.5, "answers are lost": 0.5, "TPDO is lost": 0.5},
+    **{"echoes are lost": 0.5, "foreign NMT": 0.5, "answers are lost": 0.5, "TPDO is lost": 0.5},
     **{"kill in mid boot": 0.4, "bus-off in mid boot": 0.4, "power-cycle in mid boot": 0.4},
-    **{"stop in mid commit": 0.8},
+    **{"stop in mid commit": 0.8, "wires are loose": 8.0},
 }
 
 
@@ -38,7 +37,6 @@ DAEMON_KINDS = {
         "searches fail": 0.8,
         "a search hangs": 0.02,
         "disk is full": 0.6,
-        "wires are loose": 8.0,
         "clock is set": 0.3,
         "clients read slowly": 0.5,
         "planner stands still": 0.4,
@@ -114,7 +112,7 @@ class Trouble:
             case "executor is killed":
                 world.executor.kill_after(random.randint(0, 20))
             case "executor is restarted":
-                world.executor.post(Quit())
+                world.executor.quit()
             case "planner hangs":
                 world.planner.stall(random.choice([0.3, 0.9, 1.2, LONGEST_STALL]))
             case "planner dies":
@@ -155,6 +153,9 @@ class Trouble:
             case "answers are lost":
                 bus.mute = True
                 world.agenda.after(random.uniform(0.5, 3.0), bus.hear_answers)
+            case "echoes are lost":
+                bus.echoes = False
+                self._later(1.0, bus.restore)
             case "TPDO is lost":
                 bus.tpdos_to_lose = 1
             case "kill in mid boot":
@@ -164,6 +165,8 @@ class Trouble:
                 self._later(2.0, bus.restore)
             case "power-cycle in mid boot":
                 self._in_mid_boot(lambda: self._break("board reboots", board, label))
+            case "wires are loose":
+                self._at_strict_stages(self._loosen)
             case "stop in mid commit":
                 bus.at_next_rpdo(lambda: self._stop_in_mid_commit(bus))
             case _ if kind in DAEMON_KINDS and world.daemon is not None:
@@ -191,8 +194,6 @@ class Trouble:
                 self._later(3.0, mood.mend)
             case "a search hangs":
                 mood.hangs = True
-            case "wires are loose":
-                self._at_strict_stages(self._loosen)
             case "disk is full":
                 daemon.fill_disk(random.choice([0, 0, 1, 2, 5]))
                 self._later(4.0, daemon.mend)
@@ -217,9 +218,10 @@ class Trouble:
         def consider() -> None:
             if not self._active or turn != self._round:
                 return
-            core = self._world.executor.core
-            execution = None if core is None else core.motion.execution
-            if execution is not None and execution.strict and self._random.random() < 0.5:
+            account = self._world.judge.account
+            strict = account.run is not None and account.run.strict
+            strict |= account.stream is not None and account.stream.message.strict
+            if strict and self._random.random() < 0.5:
                 self._world.agenda.after(self._random.uniform(0.0, 0.05), happen)
             for bus in self._world.buses.values():
                 bus.at_next_rpdo(consider)

@@ -46,8 +46,13 @@ HOLDING = (
 UNSHARED = ("fixed-mapping", "outputs-in-rpdo5", "maker-object", "short-mapping")
 
 
-def draw_arm(random: Random) -> ExecutedArm:
-    """Returns an arm of 2..12 actuators on 1..4 boards and 1..2 buses."""
+def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
+    """Returns an arm of 2..12 actuators on 1..4 boards and 1..2 buses.
+
+    Args:
+        random: draws.
+        whole: whether a whole daemon drives it; without it, fewer heartbeats take steps, and more arms contract.
+    """
     rates = [125_000, 500_000, 1_000_000]  # [bit/s]
     buses = [BusWiring(name, "simulated", name, random.choice(rates)) for name in ("can0", "can1")]
     del buses[random.choice([1, 1, 2]) :]
@@ -66,11 +71,13 @@ def draw_arm(random: Random) -> ExecutedArm:
     wiring = Wiring(
         buses=tuple(bus for bus in buses if bus.name in used),
         channels=tuple(channels),
-        on_loss="hold" if any(c.pulse is not None for c in channels) else random.choice(["hold", "hold", "contract"]),
+        on_loss="hold"
+        if any(c.pulse is not None for c in channels)
+        else random.choice(["hold", "hold", "contract"] if whole else ["hold", "contract"]),
         shared_rpdo=random.random() < 0.3,
         interlocks=interlocks,
     )
-    heartbeat = random.choice([0.02, 0.05, 0.1])
+    heartbeat = random.choice([0.02, 0.05, 0.1] if whole else [0.02, 0.05, 0.05, 0.1, 0.1, 0.1])
     timing = Timing(
         heartbeat=heartbeat,
         heartbeat_timeout=round(3.5 * heartbeat, 3),
@@ -87,9 +94,9 @@ def draw_arm(random: Random) -> ExecutedArm:
         timing=timing,
         inrush=random.choice([None, 1, 2, 3]),
         rest=random.choice([0.0, 0.0, 0.05, 0.3]),
-        contract_on_stop=random.random() < 0.3,
+        contract_on_stop=random.random() < (0.3 if whole else 0.45),
         locked=locked,
-        locked_states=locked,  # with an end-stop, the executor uses its reading
+        locked_states=locked & random.getrandbits(count),  # with an end-stop, the executor uses its reading
         continue_on_stuck=random.random() < 0.4,
         digest=64 * "0",
     )

@@ -17,16 +17,20 @@ from controller.executor.core.events import (
     FromClient,
     SendFrame,
     ToClient,
+    ToSimulation,
 )
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.flight_recorder import FlightRecorder
 from controller.host.process import Log, Notify, Quit
-from controller.program import TICK, Up
+from controller.program import TICK, Goodbye, Up
 from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import BusChanged, SendFailed
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import BusModel
+from tests.simulation.executor.habits import Habits
 
+SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
+LOOP_FAILS = "the simulated loop fails"  # text of a defect that the world draws
 WAKE_UP = 0.0002  # [s], longest wake-up time of a process that is not stalled
 
 
@@ -39,6 +43,9 @@ class Witness:
     def killed(self) -> None:
         """Is called after the end of a process."""
 
+    def hurries(self) -> None:
+        """Is called before a process that ends in order is asked to end at once."""
+
     def told(self, event: Event) -> None:
         """Is called before an event is handled."""
 
@@ -46,7 +53,10 @@ class Witness:
         """Called before a frame is handed out; returns the commit of the frame."""
 
     def says(self, message: Up) -> None:
-        """Is called before a message to a client is sent."""
+        """Is called before a message is sent, once for all its clients."""
+
+    def tells(self, client: ClientId, message: Up) -> None:
+        """Is called before a message to a client is sent, for each client."""
 
     def logs(self, level: int, text: str) -> None:
         """Is called with each line of the log."""
@@ -70,6 +80,7 @@ class ExecutorProcess:
         random: for delays.
         buses: the buses by name.
         witness: sees events and actions.
+        habits: what the process does beside its core; None: nothing.
     """
 
     def __init__(
@@ -79,13 +90,16 @@ class ExecutorProcess:
         random: Random,
         buses: Mapping[str, BusModel],
         witness: Witness,
+        habits: Habits | None = None,
     ) -> None:
         self.journal = MemoryJournal(len(arm.actuators))
         self.core: Executor | None = None
         self.instances = 0
         self.recorder: FlightRecorder | None = None
         self._arm, self._agenda, self._random, self._buses = arm, agenda, random, buses
-        self._witness = witness
+        self._witness, self._habits = witness, habits
+        self._quitting = False
+        self._last: Up | None = None  # the last message to a client
         self._to_client: Callable[[ClientId, Up], None] = lambda client, message: None
         self._dies: Callable[[], None] = lambda: None
         self._at_start: Callable[[], None] = lambda: None
@@ -104,7 +118,9 @@ class ExecutorProcess:
             return
         self.instances += 1
         self._events.clear()
-        self.core = Executor(self._arm, self.journal, self.instances)
+        habits, self._quitting = self._habits, False
+        extras = (None, None) if habits is None else (habits.watchdog, habits.simulation)
+        self.core = Executor(self._arm, self.journal, self.instances, *extras)
         if self.recorder is not None:
             core = self.core
             self.recorder.begin(core, lambda count: core.calm)
@@ -144,7 +160,15 @@ class ExecutorProcess:
 
     def quit(self) -> None:
         """Asks the process to end in order."""
-        self.post(Quit())
+        if not self._quitting:
+            self._quitting = self.core is not None
+            self.post(Quit())
+
+    def quit_again(self) -> None:
+        """Asks a process that ends in order to end at once."""
+        if self._quitting and self.awake and not self._events:
+            self._witness.hurries()
+            self._finish()
 
     def at_next_start(self, happen: Callable[[], None]) -> None:
         """Calls a function once, after the next start of a process."""
@@ -199,7 +223,11 @@ class ExecutorProcess:
             # `select` promises no order of file descriptors; buses are opened before the first tick.
             first = self._random.random() < 0.5 and self._ticked
             self._ticked = True
-            (self._events.appendleft if first else self._events.append)(ExecutorTick())
+            ticks: list[Event] = [ExecutorTick()]
+            if self._habits is not None and self.core.reports.diagnostics_due(self._agenda.now + SOON):
+                figures = self._habits.figures()
+                ticks = ticks if figures is None else [figures, *ticks]
+            (self._events.extendleft(reversed(ticks)) if first else self._events.extend(ticks))
             self._run_now()
             late = int((self._agenda.now - self._next_tick) / TICK)
             self._next_tick += (1 + late) * TICK
@@ -216,16 +244,25 @@ class ExecutorProcess:
 
     def _run_now(self) -> None:
         while self._events and self.core is not None:
-            event = self._events.popleft()
-            self._witness.told(event)
-            actions = self.core.step(event, self._agenda.now)
-            if self.recorder is not None:
-                self.recorder(event, self._agenda.now, None, actions)
-            for action in actions:
-                if self.core is not None:
-                    self._do(action)
+            self._step(self._events.popleft())
             if self.core is not None and self.core.ended:
-                self.kill()
+                self._finish()
+
+    def _step(self, event: Event) -> None:
+        assert self.core is not None
+        self._witness.told(event)
+        actions = self.core.step(event, self._agenda.now)
+        if self.recorder is not None:
+            self.recorder(event, self._agenda.now, None, actions)
+        for action in actions:
+            if self.core is not None:
+                self._do(action)
+
+    def _finish(self) -> None:
+        """Ends the process in order: the core tells the last results and counts."""
+        if self._habits is not None:
+            self._step(Quit())
+        self.kill()
 
     def _do(self, action: Action) -> None:
         if self._actions_left is not None:
@@ -239,8 +276,16 @@ class ExecutorProcess:
                 if why is not None:
                     self._events.appendleft(SendFailed(bus, frame, why))
             case ToClient(client, message):
-                self._witness.says(message)
+                if message is not self._last:
+                    self._last = message
+                    self._witness.says(message)
+                self._witness.tells(client, message)
                 self._to_client(client, message)
+                if isinstance(message, Goodbye) and self._habits is not None:  # the server closes the connection
+                    self._clients.discard(client)
+                    self.post(ClientGone(client))
+            case ToSimulation() if self._habits is not None:
+                self.post(self._habits.play(action))
             case Log(level, text):
                 self._witness.logs(level, text)
             case Notify(text):

@@ -70,12 +70,15 @@ class Author:
         )
         return Drawn(program, stages)
 
-    def switch(self, snapshot: Snapshot, number: int, actuator: int) -> Drawn:
-        """Returns a program of one stage that switches one actuator."""
-        states = pack(unpack(snapshot.outputs) ^ 1 << actuator, self._count)
-        stages = [Stage(states, 0.0, 1, 0.0)]
+    def switch(
+        self, snapshot: Snapshot, number: int, actuator: int, times: int, pause: float, strict: bool = False
+    ) -> Drawn:
+        """Returns a program that switches one actuator to and fro, once in each pause [s]."""
+        before = unpack(snapshot.outputs)
+        after = (before ^ (k + 1) % 2 << actuator for k in range(times))
+        stages = [Stage(pack(states, self._count), k * pause, k + 1, 0.0) for k, states in enumerate(after)]
         name, outputs = f"goal {number}", snapshot.outputs
-        return Drawn(Program(number, snapshot.epoch, outputs, 0.0, tuple(stages), True, False, name), stages)
+        return Drawn(Program(number, snapshot.epoch, outputs, 0.0, tuple(stages), True, strict, name), stages)
 
     def replacement(self, drawn: Drawn, locked: int) -> Replacement:
         """Returns a replacement of a program's stages, from a random stage on."""
@@ -86,7 +89,7 @@ class Author:
         states = drawn.stages[first - 1].states if first else drawn.program.start
         earliest = drawn.stages[first - 1].at if first else 0.0
         stages = self._walk(unpack(states), locked, random.randint(0, 4), earliest)
-        return self._replacing(drawn, first, tuple(stages), random.random() < 0.8, random.random() < 0.1)
+        return self._replacing(drawn, first, tuple(stages), random.random() < 0.8, random.random() < 0.4)
 
     def parking(self, drawn: Drawn) -> Replacement:
         """Returns a replacement that parks a program: its stages that have not begun are cut off."""
@@ -125,7 +128,45 @@ class Author:
             reason="following",
         )
 
-    def spoiled(self, program: Program, snapshot: Snapshot) -> Program:
+    def strict_setpoint(self, snapshot: Snapshot, stream: int, now: float, actuator: int) -> Setpoint:
+        """Returns a strict set-point that switches one actuator."""
+        states = pack(unpack(snapshot.outputs) ^ 1 << actuator, self._count)
+        return Setpoint(stream, snapshot.epoch, snapshot.outputs, (states,), now + 0.2, True, "following")
+
+    def spoiled_setpoint(self, message: Setpoint, snapshot: Snapshot, now: float) -> Setpoint:
+        """Returns a spoiled set-point, which must not be followed unless it is correct by chance."""
+        random, replace = self._random, msgspec.structs.replace
+        locked = pack(unpack(message.start) ^ unpack(snapshot.locked), self._count)
+        ways: list[Callable[[], Setpoint]] = [
+            lambda: replace(message, epoch=max(0, message.epoch - random.randint(1, 3))),
+            lambda: replace(message, epoch=message.epoch + 1),
+            lambda: replace(message, stream=max(0, message.stream - random.randint(1, 20))),
+            lambda: replace(message, until=now - random.choice([0.01, 1.0])),
+            lambda: replace(message, start=message.start + b"\0"),
+            lambda: replace(message, start=pack(self._wild(), self._count)),
+            lambda: replace(message, stages=(*message.stages, message.start + b"\0")),
+            lambda: replace(message, stages=(pack(self._wild(), self._count), *message.stages)),
+            lambda: replace(message, stages=(locked, *message.stages)),
+        ]
+        return random.choice(ways)()
+
+    def spoiled_replacement(self, message: Replacement) -> Replacement:
+        """Returns a spoiled replacement, which must be refused unless it is correct by chance."""
+        random, replace = self._random, msgspec.structs.replace
+        wild = Stage(pack(self._wild(), self._count), 1e6)
+        ways: list[Callable[[], Replacement]] = [
+            lambda: replace(message, generation=max(0, message.generation - random.randint(1, 3))),
+            lambda: replace(message, program=max(0, message.program - 1)),
+            lambda: replace(message, first=message.first + random.randint(1, 3)),
+            lambda: replace(message, start=pack(self._wild(), self._count)),
+            lambda: replace(message, start=message.start + b"\0"),
+            lambda: replace(message, stages=(*message.stages, wild)),
+            lambda: replace(message, stages=(*message.stages, replace(wild, at=-1e12))),
+            lambda: replace(message, stages=(*message.stages, replace(wild, states=b""))),
+        ]
+        return random.choice(ways)()
+
+    def spoiled(self, program: Program, snapshot: Snapshot, now: float) -> Program:
         """Returns a spoiled program, which must be declined unless it is correct by chance."""
         random, replace = self._random, msgspec.structs.replace
         stages = list(program.stages)
@@ -142,6 +183,8 @@ class Author:
             lambda: replace(program, stages=self._with(stages, k, states=pack(self._wild(), self._count))),
             lambda: replace(program, stages=self._with(stages, k, states=self._unlocking(stages[k], snapshot))),
             lambda: replace(program, stages=()),
+            lambda: replace(program, until=now - random.choice([0.01, 10.0])),
+            lambda: replace(program, homed=program.start + b"\0"),
             lambda: replace(program, begin=random.choice([-1e12, 1e12]), final=True),
         ]
         return random.choice(ways)()

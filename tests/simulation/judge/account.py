@@ -21,12 +21,38 @@ class Commit:
         before: states to which the boards drove the actuators.
         open: buses whose RPDOs were handed out, and not their SYNC yet.
         awaited: buses whose SYNC was handed out and was not heard to have left.
+        mask: actuators with an output in its RPDOs.
+        extends: those whose extending output is commanded on.
+        contracts_to: those whose contracting output is commanded on.
+        stages: states that may be commanded, as far as the RPDOs fit them; None before the first RPDO.
+        homing: mask of the actuators that may be brought to `homes` before any stage.
+        homes: see `homing`.
+        locked: mask of the locked actuators.
+        contracts: whether the arm contracts at the end of the executor.
+        releases: whether the RPDOs switch nothing on, and change no state.
+        given_up: whether no SYNC may follow any more.
+        switched: mask of the actuators that its SYNCs have switched.
+        switched_at: time of the last of these switches [s].
+        switched_to: states after it.
     """
 
     at: float
     before: int
     open: set[str] = field(default_factory=set)
     awaited: set[str] = field(default_factory=set)
+    mask: int = 0
+    extends: int = 0
+    contracts_to: int = 0
+    stages: list[int] | None = None
+    homing: int = 0
+    homes: int = 0
+    locked: int = 0
+    contracts: bool = False
+    releases: bool = True
+    given_up: bool = False
+    switched: int = 0
+    switched_at: float = 0.0
+    switched_to: int = 0
 
 
 @dataclass
@@ -55,7 +81,10 @@ class Run:
         planned: whether all stages since the last mark were carried out as planned.
         mark: the last mark reached; `open_mark` until it was told as settled.
         homes: mask of actuators that may be homed before the first stage.
+        homed: states to which they are homed.
         taken_at: time of the last `Begun` [s].
+        delayed: whether its zero of time may be later, because actuators are homed before, or were a moment ago.
+        accepted_at: time of the acceptance [s].
         question: number of the open question; None if none is open.
         touched: whether the last answer said that the stage is not clear.
         held_at: last time when something kept the next report from coming [s].
@@ -71,9 +100,11 @@ class Run:
         self.taken = self.settled = -1
         self.switches = self.counted = 0
         self.homes = homing & (unpack(message.homed) if message.homed else -1)
-        self.taken_at = self.held_at = accepted.begin
+        ends_elsewhere = bool(message.homed and self.stages)
+        self.homed = self.stages[-1].states if ends_elsewhere else self.start
+        self.taken_at = self.held_at = self.accepted_at = accepted.begin
         self.mark = self.begun = self.generation = -1
-        self.planned, self.open_mark, self.touched = True, False, False
+        self.planned, self.open_mark, self.touched, self.delayed = True, False, False, False
         self.question: int | None = None
 
     def aligned(self, states: int) -> int:
@@ -119,6 +150,9 @@ class Account:
         commit: the last commit.
         mover: the last commit that switched an actuator.
         ticked: time of the last tick [s].
+        asked_states: states in which locked actuators without an end-stop are locked, by the arm's file or a request.
+        unknown: mask of the actuators with two outputs, both off since the process started or their board has, and
+            with no end-stop that tells their state. Of those that are locked, the executor tells a guess as output.
     """
 
     def __init__(self, arm: JudgedArm, ground: Ground) -> None:
@@ -141,6 +175,9 @@ class Account:
         self.quitting = False
         self.locked, self.locked_states = self.arm.declared
         self.locks_changed_at = self.now
+        self.asked_states = self.locked_states
+        self.unknown = self.arm.paired
+        self.knows_unknown = False  # whether `unknown` is exact, because the world was clear at the last boot
 
     @property
     def clear(self) -> bool:

@@ -41,6 +41,7 @@ class JudgedArm:
         timing: times of boards.
         planner_timeout: silence after which the planner is lost [s].
         declared: mask and states of the actuators that the file declares stuck.
+        ending: longest time of the contraction before the end [s].
         contracts_at_end: whether `on_stop` is contract.
     """
 
@@ -61,6 +62,7 @@ class JudgedArm:
         self.bus_of = [c.bus for c in channels]
         self.labels = [c.actuator for c in channels]
         self.most = self.count if arm.inrush is None else arm.inrush
+        self.ending = arm.ending
         self.limited, self.rest = arm.inrush is not None, arm.rest
         self.timing, self.planner_timeout = timing, arm.planner_timeout
         self.declared = arm.locked, arm.locked_states & arm.locked

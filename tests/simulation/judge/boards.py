@@ -134,21 +134,30 @@ class Endings:
         )
         self._contracts = False
         self._ended: tuple[float, int] | None = None
-        self._quit_at = 0.0
+        self._quit_at, self._unknown = 0.0, 0
+        self._at_once = self._warned = False  # asked to end at once; the log has told that the arm is not contracted
         self._longest = arm.ending
 
     def quits(self) -> None:
         """The executor is asked to end."""
         a = self._a
-        if a.quitting:
-            self._contracts = False  # a second call ends it at once
+        if a.quitting:  # a second call: it ends now
             return
+        self._at_once = self._warned = False
         ready = a.clear and a.mode in ("ready", "executing")
-        self._contracts = a.arm.contracts_at_end and ready
+        self._contracts, self._unknown = a.arm.contracts_at_end and ready, a.homing & a.unknown
         self._quit_at = a.now
 
+    def hurries(self) -> None:
+        """The executor is asked to end at once."""
+        self._contracts, self._at_once = False, True
+
+    def logs(self, text: str) -> None:
+        """Takes a line of the log: it tells if the arm is not contracted."""
+        self._warned |= "contract" in text and "before the end" in text
+
     def interferes(self) -> None:
-        """A stop came, which ends a contraction."""
+        """A stop or a cancel came, which ends a contraction."""
         self._contracts = False
 
     def tick(self) -> None:
@@ -163,8 +172,15 @@ class Endings:
         a = self._a
         states = a.ground.states
         if a.clear and a.quitting and self._contracts:
-            left = states & ~a.locked & ~a.homing
+            left = states & ~a.locked & ~(a.homing & ~a.unknown)
             require(not left, f"on_stop is contract, and {left:b} are extended at the end")
+            left = self._unknown & ~a.ground.came_since(self._quit_at)
+            require(not left, f"on_stop is contract, and the unknown states of {left:b} are never brought there")
+        if a.clear and a.quitting and a.arm.contracts_at_end and states & ~a.locked & ~a.homing:
+            require(self._warned, f"the arm is not contracted at the end: {states:b}, and the log does not tell it")
+        if a.clear and a.quitting and not self._at_once:
+            on = a.ground.on & mask_of(a.arm.pulse)
+            require(not on, f"the executor has ended in order, and the pulses of {on:b} are on")
         self._ended = (a.now, states) if a.clear and not a.committing else None
         self._contracts = False
 

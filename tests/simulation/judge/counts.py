@@ -10,12 +10,16 @@ from tests.simulation.judge.account import Account
 from tests.simulation.judge.programs import READ_BACK, TICK
 from tests.simulation.judge.verdict import require
 
-HEARTBEAT = 0x700
+HEARTBEAT, EMERGENCY = 0x700, 0x080
+WAITED = 5  # periods of an open question of which one must be told as a wait
 EVERY = 1.0 + 3 * TICK  # [s], longest time between two diagnostics
 
 
 class Counts:
     """Judges counts of switches, and diagnostics.
+
+    Attributes:
+        connected: whether a planner was connected at the last tick.
 
     Args:
         account: of the executor.
@@ -31,6 +35,11 @@ class Counts:
         self._handed: Counter[str] = Counter()
         self._received: Counter[str] = Counter()
         self._beats: dict[tuple[str, int], float] = {}
+        self._emergencies: set[tuple[str, int]] = set()  # boards that this process has heard an emergency of
+        self._waits = self._open_ticks = 0
+        self._counted_at = 0.0
+        self.connected = False
+        self._least: tuple[int, ...] = ()  # counts below which nothing may be told any more
 
     def begin(self) -> None:
         """Forgets the last process. Nobody can tell whether a pulse of its last commit has switched."""
@@ -39,12 +48,25 @@ class Counts:
         self._handed.clear()
         self._received.clear()
         self._beats.clear()
+        self._emergencies.clear()
+        self._waits = self._open_ticks = 0
         if self._a.committing:
             self._base = {}
 
+    def raised(self, counts: tuple[int, ...]) -> None:
+        """The planner tells the counts of its ledger: the greater ones are right."""
+        a = self._a
+        if len(counts) != a.arm.count:
+            return
+        least = self._least or (0,) * a.arm.count
+        self._least = tuple(map(max, least, counts))
+        for k, base in list(self._base.items()):
+            self._base[k] = max(base, counts[k] - a.ground.counts[k])
+
     def tick(self, connected: bool) -> None:
         """Finds missing diagnostics."""
-        a = self._a
+        a, self.connected = self._a, connected
+        self._open_ticks += a.run is not None and a.run.question is not None
         if not a.clear or not connected:
             self._told_at = a.now
         require(a.now - self._told_at <= EVERY, f"no diagnostics for {a.now - self._told_at:g} s")
@@ -64,12 +86,17 @@ class Counts:
     def hears(self, bus: str, cob_id: int) -> None:
         """The process hears a frame of another node."""
         self._received[bus] += 1
+        if cob_id & 0x780 == EMERGENCY:
+            self._emergencies.add((bus, cob_id & 0x7F))
         if cob_id & 0x780 == HEARTBEAT:
             self._beats[bus, cob_id & 0x7F] = self._a.now
 
     def told(self, counts: Sequence[int]) -> None:
         """Judges counts in a message. Switches count when they were read back."""
         a = self._a
+        low = [k for k, (count, least) in enumerate(zip(counts, self._least, strict=False)) if count < least]
+        require(not low, f"counts {counts} are told after {self._least}")
+        self._least = tuple(counts)
         if not a.clear or a.homing or self._clear_since != a.clear_since:
             self._base, self._clear_since = {}, a.clear_since
         if not a.clear or a.homing or a.committing:
@@ -83,11 +110,29 @@ class Counts:
             text = f"actuator {k}: {count} switches are told, the bus had {seen + before}"
             require(missing == 0 or (missing == 1 and not steady), text)
 
+    @property
+    def counted_now(self) -> bool:
+        """Whether counts were told in this step."""
+        return self._counted_at == self._a.now
+
+    def ends(self) -> None:
+        """The process has ended in order: the planner knows the last counts."""
+        planner = self.connected
+        require(not planner or self.counted_now, "the executor has ended, and has not told its counts")
+
+    def counted(self, counts: Sequence[int]) -> None:
+        """Judges the message that tells counts before a result, and at the end."""
+        self._counted_at = self._a.now
+        self.told(counts)
+
     def diagnosed(self, message: Diagnostics) -> None:
         """Judges diagnostics."""
         a = self._a
         self.told(message.counts)
         self._told_at = a.now
+        grown, self._waits = message.waits - self._waits, message.waits
+        asked, self._open_ticks = self._open_ticks, 0
+        require(grown >= 0 and (grown or asked <= WAITED), f"waits grow by {grown} in {asked} periods of a question")
         told = dict(message.loop), message.dropped
         require(told == self._health, f"loop and dropped messages are told as {told}, the process says {self._health}")
         if not a.clear or a.mode not in ("ready", "executing") or a.now < a.ready_at + 0.2:
@@ -108,4 +153,5 @@ class Counts:
             require(isinstance(age, float) and 0 <= age <= oldest, f"{board}: its heartbeat is younger")
             heard = a.now - self._beats.get((str(board["bus"]), int(str(board["node"]))), 0.0)
             require(abs(age - heard) <= 2 * TICK, f"{board}: its heartbeat was heard {heard:g} s ago")
-            require(board["emergency"] is None, f"{board}: no emergency stands")
+            sent = (str(board["bus"]), int(str(board["node"]))) in self._emergencies
+            require(sent or board["emergency"] is None, f"{board}: no emergency stands")

@@ -17,11 +17,13 @@ class Expected(NamedTuple):
 
     Attributes:
         codes: one of them must be told; empty: nothing may be told.
-        sources: words of which the source of this fault must contain one.
+        sources: of which the source of this fault must be one, perhaps with its place in brackets.
         within: time from the cause until it is told [s].
         also: codes that may be told as well.
         cleared: whether the arm becomes ready without a reset when the cause is gone.
         words: words that the message of this fault must contain.
+        locks: label of an actuator, and whether it is locked when the arm is ready again; None: nothing is judged.
+        asks: whether the executor must ask the planner about a stage.
         refused: reason for which a reset is refused while the cause is there; "" if it is not.
     """
 
@@ -32,6 +34,12 @@ class Expected(NamedTuple):
     cleared: bool = False
     refused: str = ""
     words: tuple[str, ...] = ()
+    locks: tuple[str, bool] | None = None
+    asks: bool = False
+
+
+def _names(source: str, name: str) -> bool:
+    return source == name or source.startswith(f"{name} (")
 
 
 def told(expected: Expected, snapshot: Snapshot | None) -> bool:
@@ -49,7 +57,7 @@ def told(expected: Expected, snapshot: Snapshot | None) -> bool:
         ours = fault.code in expected.codes
         require(ours or fault.code in expected.also, f"{fault} is told; only {sorted(expected.codes)} has a cause")
         if ours:
-            right = not expected.sources or any(word in fault.source for word in expected.sources)
+            right = not expected.sources or any(_names(fault.source, word) for word in expected.sources)
             require(right or fault.code in expected.also, f"{fault} is told; its source is in {expected.sources}")
             worded = not right or all(word in fault.message for word in expected.words)
             require(worded, f"{fault} is told; its sentence has {expected.words}")
@@ -60,3 +68,12 @@ def told(expected: Expected, snapshot: Snapshot | None) -> bool:
     elif snapshot.mode == "fault":
         require(False, f"mode fault, and only warnings are told: {snapshot.faults}")
     return found
+
+
+def judge_locks(expected: Expected, snapshot: Snapshot | None) -> None:
+    """Judges whether an actuator is locked after a fault."""
+    if expected.locks is None or snapshot is None or snapshot.mode != "ready":
+        return
+    label, locked = expected.locks
+    told = any(fault.code == "degraded" and fault.source == label for fault in snapshot.faults)
+    require(told == locked, f"actuator {label} is told as locked: {told}; the arm continues on stuck: {locked}")

@@ -41,7 +41,9 @@ class Ground:
         readings: the last readings, the newest last.
         driven: the last driven states, the newest last.
         switched_at: time when each actuator was switched last [s].
+        synced_at: time when a SYNC has switched it last, as far as its board has missed no frame [s].
         counts: switches of each actuator by SYNC.
+        on: mask of the actuators with one of two outputs on.
 
     Args:
         arm: the arm.
@@ -52,7 +54,10 @@ class Ground:
         self.readings = deque([Reading(-1e12, 0, 0)], maxlen=50)
         self.driven = deque([Driven(-1e12, 0)], maxlen=50)
         self.switched_at = [-1e12] * arm.count
+        self.synced_at = [-1e12] * arm.count
         self.counts = [0] * arm.count
+        self.on = 0
+        self._came_at = [-1e12] * arm.count
 
     @property
     def states(self) -> int:
@@ -71,10 +76,15 @@ class Ground:
             self.switched_at[k] = now
             self.counts[k] += by_sync
 
-    def energise(self, now: float, came: int) -> None:
+    def energise(self, now: float, on: int, came: int) -> None:
         """Records that one of two outputs of actuators came on: an actuator of unknown state may travel."""
+        self.on = on
         for k in bits_of(came):
-            self.switched_at[k] = now
+            self.switched_at[k] = self._came_at[k] = now
+
+    def came_since(self, since: float) -> int:
+        """Returns the mask of the actuators of which one of two outputs came on since a time [s]."""
+        return sum(1 << k for k, at in enumerate(self._came_at) if at >= since)
 
     def readings_since(self, since: float) -> list[Reading]:
         """Returns all readings that held at a time or later."""

@@ -28,20 +28,27 @@ from controller.program import (
     Stop,
     Welcome,
 )
+from controller.program import Counts as LedgerCounts
 from tests.simulation.judge.account import Account, Commit
 from tests.simulation.judge.arm import JudgedArm
 from tests.simulation.judge.boards import BoardObjects, Endings
+from tests.simulation.judge.clients import Clients
+from tests.simulation.judge.commands import Commands
 from tests.simulation.judge.counts import Counts
 from tests.simulation.judge.ground import Ground
 from tests.simulation.judge.log import Log
 from tests.simulation.judge.programs import Programs
 from tests.simulation.judge.pulses import Pulses
+from tests.simulation.judge.reasons import Reasons
 from tests.simulation.judge.requests import Requests
+from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import Snapshots
 from tests.simulation.judge.streams import Streams
-from tests.simulation.judge.traffic import Traffic
+from tests.simulation.judge.traffic import Look, Traffic
+from tests.simulation.judge.travels import Travels
+from tests.simulation.judge.verdict import require
 
-SYNC = 0x80
+SYNC, STOPPED = 0x80, 4
 RPDOS = range(0x200, 0x580, 0x100)
 
 
@@ -66,12 +73,18 @@ class Judge:
         self.arm = JudgedArm(arm)
         self.ground = Ground(self.arm)
         self.account = Account(self.arm, self.ground)
-        self.snapshots = Snapshots(self.account)
-        self.programs = Programs(self.account, self.snapshots)
+        self.commands = Commands(self.account, arm)
+        self.silence = Silence(self.account, self._lose_silent)
+        self.snapshots = Snapshots(self.account, self.silence)
+        self.travels, self.reasons = Travels(self.account, arm), Reasons(self.account)
+        self.programs = Programs(self.account, self.snapshots, self.silence, self.travels, self.reasons)
         self.pulses = Pulses(self.account)
         self.streams = Streams(self.account, self.programs)
-        self.requests = Requests(self.account, self.programs, self.snapshots)
-        self.counts = Counts(self.account)
+        self.requests = Requests(self.account, self.programs, self.snapshots, self.silence, self.reasons)
+        self.counts, self.clients = Counts(self.account), Clients(self.account)
+        self._over = False  # whether the process was told to end at once
+        self._ticks = False  # whether the event that is handled begins a period
+        self._asked_to_end: bool | None = None  # at a request to end, whether the arm contracts before
         self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
         self.traffic, self.log = Traffic(self.account, arm), Log(self.account, self.endings.lets_go)
 
@@ -85,9 +98,18 @@ class Judge:
         """Begins a time in which nothing disturbs the world."""
         self.account.clear_since = now
 
+    def looks_at(self, boards: dict[str, Look]) -> None:
+        """Sets what the boards show, by their names."""
+        self.traffic.look = self.commands.look = boards
+
     def disturb(self) -> None:
         """Ends the time in which nothing disturbs the world."""
         self.account.clear_since = math.inf
+
+    def _stopped(self, board: str) -> bool:
+        """Returns whether a board is stopped: the loss of one executor may stop it in the boot of the next one."""
+        look = self.traffic.look.get(board)
+        return look is not None and look.state() == STOPPED
 
     # --- the executor's process
 
@@ -98,42 +120,69 @@ class Judge:
         self._forget()
 
     def _forget(self) -> None:
+        self._ticks, self._asked_to_end, self._over = False, None, False
         self.counts.begin()
         self.account.begin()
-        for part in (self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log):
+        parts = self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log
+        for part in (*parts, self.commands, self.silence, self.clients, self.travels, self.reasons):
             part.begin()
 
     def dies(self) -> None:
         """The process has ended."""
+        if self._over and self.account.clear:
+            self.programs.ends()
+            self.requests.ends()
+            self.clients.ends()
+            self.counts.ends()
         self.endings.dies()
+        self.pulses.dies()
         self._forget()
 
     def quits(self) -> None:
         """The process is asked to end."""
-        self.requests.close_step()
+        self.close_step()
+        a = self.account
+        if not a.quitting:
+            self._asked_to_end = a.arm.contracts_at_end and a.mode in ("ready", "executing") if a.clear else None
+        self._over = a.quitting
         self.endings.quits()
-        self.account.quitting = True
+        a.quitting = True
+        self.commands.hold()
         self.programs.end("quit", "aborted")
 
     def ticks(self) -> None:
         """A period of the process begins."""
-        self.requests.close_step()
-        self.account.ticked = self.account.now
+        self.close_step()
+        self.account.ticked, self._ticks = self.account.now, True
+        self.silence.tick()
         self.snapshots.tick()
         self.programs.tick()
         self.streams.tick()
         self.requests.tick()
         self.endings.tick()
         self.traffic.tick()
-        self.counts.tick(self.snapshots.connected)
+        self.counts.tick(self.silence.connected)
+        self.clients.tick()
+        self.log.tick()
+        self.pulses.ticks()
+
+    def close_step(self) -> None:
+        """The process has handled an event."""
+        if self._asked_to_end is not None:
+            self.log.quits(self._asked_to_end)
+        elif self._ticks:
+            self.log.ticked()
+        self._asked_to_end, self._ticks = None, False
+        self.requests.close_step()
+        self.clients.close_step()
 
     def other_event(self) -> None:
         """The process takes an event of another kind."""
-        self.requests.close_step()
+        self.close_step()
 
     def echoes(self, bus: str, frame_id: int) -> None:
         """The process hears that a frame of its own was sent."""
-        self.requests.close_step()
+        self.close_step()
         if frame_id == SYNC and self.account.commit is not None:
             self.account.commit.awaited.discard(bus)
 
@@ -141,26 +190,42 @@ class Judge:
 
     def loses(self, client: Client) -> None:
         """The connection of a client was closed."""
-        self.requests.close_step()
+        self.close_step()
+        self.clients.loses(client.number)
         if client.planner:
-            self.lose_planner()
-            self.snapshots.connected = False
+            self.silence.gone()
+            self.snapshots.epoch_causes += 1
+            self._lose_planner()
 
-    def lose_planner(self) -> None:
+    def _lose_silent(self) -> None:
+        """The planner was silent for too long."""
+        self.snapshots.epoch_causes += self.account.clear
+        self._lose_planner()
+
+    def _lose_planner(self) -> None:
         """The planner is gone or silent: what it asked for ends."""
-        self.snapshots.epoch_causes += 1
+        if not self.account.quitting:
+            self.commands.hold()
+        self.reasons.holds("the planner is")
         self.programs.end("planner", "aborted")
         self.account.stream = None
 
     def hears(self, client: Client, message: object) -> None:
         """The process takes a message of a client."""
-        self.requests.close_step()
+        self.close_step()
+        self.clients.hears(client.number, message)
+        if not self.clients.may_ask(client.number, message):
+            return
         self.requests.receive(client, message)
+        if client.planner:
+            self.silence.hears()
         match message:
             case Program() | Replacement() if client.planner:
                 self.programs.receive(message)
             case Setpoint() if client.planner:
-                self.streams.receive(message)
+                self.commands.receive(message)
+                if self.streams.receive(message):
+                    self.reasons.follows(message)
             case Clearance() if client.planner:
                 run = self.account.run
                 if run is not None and run.question == message.question:
@@ -168,11 +233,15 @@ class Judge:
                     run.held_at = self.account.now
             case Acknowledge() if client.planner:
                 self.programs.unacknowledged.pop(message.result, None)
+            case LedgerCounts() if client.planner:
+                self.counts.raised(message.counts)
             case Cancel() if client.planner:
                 self._cancel(message)
             case Stop():
                 self.endings.interferes()
+                self.commands.hold()
                 self.snapshots.epoch_causes += 1
+                self.reasons.enters("a stop was requested")
                 self.programs.end("stop", "aborted")
                 self.account.stream = None
             case Lock() | Reset() if client.planner:
@@ -180,19 +249,26 @@ class Judge:
 
     def _cancel(self, message: Cancel) -> None:
         run = self.account.run
+        if message.program is None or (run is not None and message.program == run.number):
+            self.commands.hold()
         if message.program is None:
+            self.endings.interferes()
             self.snapshots.epoch_causes += 1
+            self.reasons.holds("canceled", "following" if run is None else run.message.name)
             self.account.stream = None
         if run is not None and message.program in (None, run.number):
-            self.programs.end("cancel", "canceled")
+            self.reasons.holds("canceled", run.message.name)
+            self.programs.end("cancel", "canceled", message.reason or "canceled; the arm holds")
 
     def tells(self, message: object) -> None:
         """The process sends a message to a client."""
         match message:
             case Welcome():
                 self.requests.welcome(message)
+                self.counts.told(message.counts)
             case Accepted():
                 self.programs.accepted(message)
+                self.commands.begins()
                 self.requests.answered()
             case Declined():
                 self.programs.declined(message)
@@ -206,52 +282,76 @@ class Judge:
                 self.programs.settled(message)
             case Ended():
                 self.programs.ended(message)
+                counted = self.requests.tells_again or self.counts.counted_now
+                require(counted, f"the counts are not told before {message}")
                 self.requests.result(message)
             case Question():
                 self.requests.question(message)
             case Answer():
                 self.requests.answer(message)
             case Counted(counts):
-                self.counts.told(counts)
+                self.counts.counted(counts)
             case Diagnostics():
                 self.counts.diagnosed(message)
             case Snapshot():
+                if any(fault.code == "board-missing" and self._stopped(fault.source) for fault in message.faults):
+                    self.disturb()
                 self.log.shows(self.account.shown, message)
                 self.streams.shown(message)
+                last = self.account.shown
                 self.snapshots.show(message)
-                if message.mode == "fault":
+                self.reasons.shows(last, message)
+                self.pulses.shows(message)
+                self.commands.shows(message)
+                if message.mode not in ("ready", "executing"):
                     self.programs.end("fault", "aborted")
                     self.account.stream = None
 
-    def hands_out(self, bus: str, frame_id: int, data: bytes) -> None:
-        """The process hands a frame to a bus."""
+    def hands_out(self, bus: str, frame_id: int, data: bytes) -> Commit | None:
+        """The process hands a frame to a bus; returns the commit of a SYNC."""
         a = self.account
         self.traffic.hands_out(bus, frame_id, data)
+        self.travels.hands_out(bus, frame_id, data)
         self.counts.hands_out(bus)
         if frame_id & 0x780 in RPDOS:
             if a.commit is None or a.commit.at != a.now:
                 a.commit = Commit(a.now, self.ground.states)
                 self.programs.committed_for(a.run)
             a.commit.open.add(bus)
-        elif frame_id == SYNC and a.commit is not None:
+            self.commands.commit(bus, frame_id, data)
+        elif frame_id == SYNC:
+            self.commands.sync(bus)
+            assert a.commit is not None
             a.commit.open.discard(bus)
             a.commit.awaited.add(bus)
+            return a.commit
+        return None
 
     # --- the boards
 
-    def drives(self, states: int, mask: int, cause: str) -> None:
+    def misses(self, suspect: int) -> None:
+        """Since their boot the boards of a mask of actuators have missed a frame."""
+        self.commands.suspect = self.pulses.suspect = suspect
+
+    def drives(self, states: int, mask: int, cause: str, commit: Commit | None = None) -> None:
         """The boards drive actuators of a mask to other ends than before; all states are given."""
         self.ground.drive(self.account.now, states, mask, cause == "SYNC")
         if cause == "SYNC":
+            self.commands.switched(states, mask, commit)
             self.account.mover = self.account.commit
             self.programs.switched(mask)
+            self.travels.switched(mask)
             self.traffic.switched()
 
     def energises(self, on: int, came: int, cause: str) -> None:
         """The actuators of mask `on` have one of two outputs on; those of `came` since this cause."""
-        self.ground.energise(self.account.now, came)
+        self.ground.energise(self.account.now, on, came)
+        if cause == "SYNC":
+            self.travels.switched(came & self.account.unknown)
+            self.account.unknown &= ~came
         self.pulses.energises(on, came, cause)
 
     def reads(self, extended: int, contracted: int) -> None:
         """The end-stops read 1 where these masks say so."""
         self.ground.read(self.account.now, extended, contracted)
+        self.travels.reads(extended, contracted)

@@ -11,11 +11,16 @@ from tests.simulation.judge.verdict import require
 
 STANDING = frozenset({"degraded", "unknown-position"})
 WARNED = frozenset({"fault", "stopped"})  # modes that are warnings in the log
+MARGIN = 10.0  # [s] that systemd waits longer than a contraction takes
 MOST = 300  # characters of a fault's message in a snapshot
 
 
 class Log:
     """Judges lines of the log by the snapshots that follow.
+
+    Attributes:
+        simulated: whether the status tells that the boards are simulated.
+        watchdog: systemd's watchdog time [s]; None without a watchdog.
 
     Args:
         account: of the executor.
@@ -23,6 +28,8 @@ class Log:
     """
 
     def __init__(self, account: Account, lets_go: int) -> None:
+        self.simulated = False
+        self.watchdog: float | None = None
         self._a, self._lets_go = account, lets_go
         self.begin()
 
@@ -32,11 +39,46 @@ class Log:
         self._warned = False  # of what the boards do after the end
         self._told: Counter[str] = Counter()  # of the faults since the last boot
         self._modes: list[str] = []  # lines of modes since the last snapshot
+        self._beat_at = self._a.now
+        self._notified: set[str] = set()
 
     def notifies(self, text: str) -> None:
         """Takes a message for systemd."""
         if text.startswith("STATUS="):
             self._status = text.removeprefix("STATUS=")
+            return
+        require(text not in self._notified or text == "WATCHDOG=1", f"systemd is told {text} twice")
+        self._notified.add(text)
+        if text == "WATCHDOG=1":
+            require(self.watchdog is not None, "systemd's watchdog gets a beat, and there is none")
+            self._beat_at = self._a.now
+        elif text.startswith("EXTEND_TIMEOUT_USEC="):
+            least = self._a.arm.ending
+            told = int(text.split("=")[1]) / 1e6
+            require(least < told <= least + MARGIN, f"systemd is to wait {told:g} s, the contraction takes {least:g} s")
+        else:
+            require(text in ("READY=1", "STOPPING=1"), f"systemd is told {text}")
+
+    def tick(self) -> None:
+        """Finds missing beats of the watchdog."""
+        a = self._a
+        if self.watchdog is None or not a.clear:
+            self._beat_at = a.now
+            return
+        gap = a.now - self._beat_at
+        require(gap <= self.watchdog / 2, f"systemd's watchdog of {self.watchdog:g} s gets no beat for {gap:g} s")
+
+    def ticked(self) -> None:
+        """The first period has ended: systemd knows that the process is ready."""
+        require("READY=1" in self._notified, "systemd is not told READY=1 at the first tick")
+
+    def quits(self, contracts: bool) -> None:
+        """The process was asked to end, and has handled it."""
+        require("STOPPING=1" in self._notified, "systemd is not told STOPPING=1")
+        longer = any(text.startswith("EXTEND") for text in self._notified)
+        require(
+            longer == contracts, f"systemd is told that the end takes longer: {longer}; the arm contracts: {contracts}"
+        )
 
     def logs(self, level: int, text: str) -> None:
         """Takes a line."""
@@ -70,4 +112,5 @@ class Log:
         if last is not None and (last.mode, last.reason) != (snapshot.mode, snapshot.reason):
             require(shown in lines, f"the log does not tell {shown!r}, only {lines}")
         if self._status is not None:
+            shown = shown.replace(":", " (simulated):", 1) if self.simulated else shown
             require(self._status == shown, f"the status is {self._status!r}, shown is {shown!r}")

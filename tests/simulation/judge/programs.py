@@ -7,13 +7,17 @@ from collections.abc import Callable
 from controller.program import Accepted, Begun, Declined, Ended, Program, Replaced, Replacement, Settled, unpack
 from tests.simulation.judge.acceptance import MODE_REASONS, misfits, must_decline
 from tests.simulation.judge.account import EPSILON, Account, Run
+from tests.simulation.judge.reasons import Reasons
+from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import Snapshots
+from tests.simulation.judge.travels import Travels
 from tests.simulation.judge.verdict import require
 
 TICK = 0.01  # [s], period of the executor's loop
 PROMPT = 6 * TICK  # [s] from the moment at which nothing stands in its way to a stage, mark or result
 READ_BACK = 1.0  # [s] within which boards without end-stops are read back after a switch, see the drivers' page
 ENDED_WITHIN = 1.0 + PROMPT  # [s] from its cause to a result: the running commit ends first, and is read back
+SETTLED_WITHIN = 3.0  # [s], longest time in which the last stage of a program settles, or is a fault
 STARVES_AFTER = 10.0  # [s] without further stages, after which a program is aborted
 WORDS = {  # of the message of a result, by its cause
     "stop": "stopped",
@@ -32,6 +36,7 @@ class Ending:
     def __init__(self, run: Run, at: float) -> None:
         self.run, self.at = run, at
         self.causes: dict[str, str] = {}  # permitted status by cause
+        self.words: dict[str, str] = {}  # the message by cause, where it is known
 
 
 class Programs:
@@ -39,14 +44,21 @@ class Programs:
 
     Attributes:
         count: takes the mask of the actuators that a SYNC has switched.
+        switches_for: program for which the last RPDOs were handed out.
 
     Args:
         account: of the executor.
         snapshots: judges measured states.
+        silence: of the planner.
+        travels: measured by the judge.
+        reasons: of the modes.
     """
 
-    def __init__(self, account: Account, snapshots: Snapshots) -> None:
-        self._a, self._snapshots = account, snapshots
+    def __init__(
+        self, account: Account, snapshots: Snapshots, silence: Silence, travels: Travels, reasons: Reasons
+    ) -> None:
+        self._a, self._snapshots, self._silence = account, snapshots, silence
+        self._travels, self._reasons = travels, reasons
         self.count: Callable[[int], None] = lambda mask: None
         self.begin()
 
@@ -55,8 +67,9 @@ class Programs:
         self._message: Program | Replacement | None = None
         self._endings: dict[int, Ending] = {}
         self.unacknowledged: dict[int, Ended] = {}
-        self._switched_in: Run | None = None
+        self.switches_for: Run | None = None
         self.unfed_since: float | None = None
+        self._unfed, self._ticked = 0.0, self._a.now  # awake time without further stages, until the last tick
 
     # --- the request
 
@@ -86,6 +99,10 @@ class Programs:
         asked, self._message, a = self._message, None, self._a
         require(isinstance(asked, Program) and asked.program == message.program, f"{message} was not asked for")
         assert isinstance(asked, Program)
+        self._silence.accepted(asked)
+        lasting = misfits(a, asked.stages, asked.start, -1e12)
+        require(not lasting, f"program {asked.program} is accepted, but {sorted(lasting)}")
+        require(asked.program > a.program_number, f"program {asked.program} is accepted after {a.program_number}")
         if a.clear:
             reasons = must_decline(self._a, asked)
             require(not reasons, f"program {asked.program} is accepted, but {sorted(reasons)}")
@@ -93,7 +110,9 @@ class Programs:
         require(abs(message.begin - begin) < EPSILON, f"program {asked.program} begins at {message.begin:g}")
         self.end("replaced", "replaced")
         a.run = Run(asked, message, a.locked, a.locked_states, a.homing)
-        a.run.held_at = a.run.taken_at = a.now
+        a.run.held_at = a.run.taken_at = a.run.accepted_at = a.now
+        homed = a.commit.homing & a.arm.paired if a.commit is not None and a.now < a.commit.at + READ_BACK else 0
+        a.run.delayed = bool(a.run.homes or homed)
         a.stream = None
         a.program_number = asked.program
         a.greatest = max(a.greatest, asked.program)
@@ -116,6 +135,8 @@ class Programs:
             run.generation = asked.generation
             run.held_at = a.now
             run.question = None
+            if asked.stages:
+                self._unfed = 0.0
 
     def _may_replace(self, run: Run, asked: Replacement) -> bool:
         a = self._a
@@ -138,7 +159,7 @@ class Programs:
         commit = a.mover if a.mover is not None and a.mover.at >= run.taken_at else None
         at, before = (a.now, a.ground.states) if commit is None else (commit.at, commit.before)
         states = run.stages[k].states
-        if a.clear and not run.homes:
+        if a.clear and not run.delayed:
             self._judge_begun(run, k, at, before)
         if a.clear:
             self._judge_switches(run, message.switches, f"stage {k} of program {run.number}")
@@ -192,7 +213,7 @@ class Programs:
         if not a.clear:
             return
         early = run.begin + run.stages[run.taken].settled - a.now
-        require(early <= EPSILON or run.homes, f"{text} settled {early:g} s early")
+        require(early <= EPSILON or run.delayed, f"{text} settled {early:g} s early")
         moving = a.ground.surely_moving(a.now)
         require(not moving, f"{text} settled while {moving:b} travel")
         self._snapshots.judge_states(message.measured, message.known, text)
@@ -207,23 +228,24 @@ class Programs:
 
     def committed_for(self, run: Run | None) -> None:
         """Records for which program RPDOs were handed out."""
-        self._switched_in = run
+        self.switches_for = run
 
     def switched(self, mask: int) -> None:
         """Counts actuators that a SYNC switched."""
-        if self._switched_in is not None:
-            self._switched_in.switches += mask.bit_count()
+        if self.switches_for is not None:
+            self.switches_for.switches += mask.bit_count()
         self.count(mask)
 
     # --- the end
 
-    def end(self, cause: str, status: str) -> None:
+    def end(self, cause: str, status: str, words: str = "") -> None:
         """Records that something ends the running program; its result is owed from now on."""
         a, run = self._a, self._a.run
         a.run = None
         if run is not None:
             ending = self._endings.setdefault(run.number, Ending(run, a.now))
             ending.causes[cause] = status
+            ending.words[cause] = words
 
     def ended(self, message: Ended) -> None:
         """Judges a result."""
@@ -235,11 +257,16 @@ class Programs:
         ending = self._endings.pop(message.program, None)
         run = a.run if a.run is not None and a.run.number == message.program else None
         if ending is not None:
-            run, causes = ending.run, ending.causes
+            run, causes, sayings, ended_at = ending.run, ending.causes, ending.words, ending.at
         elif run is not None:
-            causes = self._own_end(run)
+            causes, sayings, ended_at = self._own_end(run), {"done": "all stages have settled"}, a.now
             if isinstance(self._message, Program):  # its acceptance follows
                 causes["replaced"] = "replaced"
+                sayings["replaced"] = f"replaced by {self._message.name}"
+            elif "planner" in causes:
+                self._reasons.enters("the planner is" if message.status == "aborted" else "")
+            else:
+                self._reasons.enters(run.message.name, "done" if message.status == "done" else "")
             a.run = None
         else:
             require(False, f"{message} is of no running program")
@@ -247,6 +274,8 @@ class Programs:
         text = f"result {message.result} of program {run.number}"
         require(message.context == run.message.context, f"{text} has another context")
         require(message.mark == run.mark, f"{text} tells mark {message.mark}, not {run.mark}")
+        early = WORDS["starved"] in message.message and self._unfed < STARVES_AFTER - 2 * TICK
+        require(not early, f"{text} says {message.message!r} after {self._unfed:g} s")
         if not a.clear:
             return
         fits = [cause for cause, status in causes.items() if status == message.status]
@@ -254,15 +283,14 @@ class Programs:
         words = [WORDS[cause] for cause in fits if cause in WORDS]
         told = len(words) < len(fits) or any(word in message.message for word in words)
         require(told, f"{text} says {message.message!r}; causes are {causes}")
+        right = any(sayings.get(cause, "") in ("", message.message) for cause in fits)
+        require(right, f"{text} says {message.message!r}; {sayings} are due")
         if message.status == "done":
             moving = a.ground.surely_moving(a.now)
             require(not moving, f"{text} is done while {moving:b} travel")
         self._snapshots.judge_states(message.measured, message.known, text)
         self._judge_switches(run, message.switches, text)
-        for travel in message.travels:
-            longest = a.arm.travel[travel.actuator][travel.state] + PROMPT
-            has = (a.arm.contracted_ends, a.arm.extended_ends)[travel.state] >> travel.actuator & 1
-            require(has and 0 <= travel.seconds <= longest, f"{text} tells {travel}")
+        self._travels.ended(run, ended_at, message.travels, text)
 
     def _own_end(self, run: Run) -> dict[str, str]:
         """Returns the causes for which a program may end by itself now."""
@@ -279,7 +307,14 @@ class Programs:
                 causes["far"] = "aborted"
         if self.unfed_since is not None and a.now - self.unfed_since > STARVES_AFTER - PROMPT:
             causes["starved"] = "aborted"
+        if self._silence.due:
+            causes["planner"] = "aborted"
         return causes
+
+    def ends(self) -> None:
+        """The process has ended in order: each program has its result."""
+        without = [*self._endings, *([] if self._a.run is None else [self._a.run.number])]
+        require(not without, f"the executor has ended in order, and programs {without} have no result")
 
     # --- time
 
@@ -294,11 +329,22 @@ class Programs:
             return
         idle = run.taken == len(run.stages) - 1 and not run.final and not run.open_mark
         self.unfed_since = (self.unfed_since or a.now) if idle else None
+        self._judge_starving(run)
         if not a.clear or self._kept(run):
             run.held_at = a.now
             return
         late = a.now - run.held_at
         require(late <= PROMPT, f"program {run.number}: nothing keeps stage {run.taken + 1}, its mark or its end")
+
+    def _judge_starving(self, run: Run) -> None:
+        """Finds a program that waits for stages for ever; a stall of the executor is no delay of the planner."""
+        a = self._a
+        passed, self._ticked = min(a.now - self._ticked, 2 * TICK), a.now
+        starves = run.taken == len(run.stages) - 1 and not run.final
+        self._unfed = self._unfed + passed if starves else 0.0
+        settles = max(map(max, a.arm.travel)) + max(a.arm.margin) + PROMPT if a.clear and not run.open_mark else None
+        longest = STARVES_AFTER + (SETTLED_WITHIN if settles is None else settles)
+        require(self._unfed < longest, f"program {run.number} waits for stages for {self._unfed:g} s")
 
     def _kept(self, run: Run) -> bool:
         """Returns whether something keeps the next stage, mark or result of a program from coming."""

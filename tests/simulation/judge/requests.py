@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from controller.program import (
+    Alive,
     Answer,
     Cancel,
     Ended,
@@ -14,13 +15,16 @@ from controller.program import (
     Question,
     Replacement,
     Reset,
+    Setpoint,
     Stop,
     Welcome,
     unpack,
 )
-from tests.simulation.judge.account import Account
-from tests.simulation.judge.arm import bits_of
+from tests.simulation.judge.account import Account, Commit
+from tests.simulation.judge.arm import bits_of, merged
 from tests.simulation.judge.programs import READ_BACK, TICK, Programs
+from tests.simulation.judge.reasons import HELD, Reasons
+from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import SEEN_WITHIN, Snapshots
 from tests.simulation.judge.verdict import require
 
@@ -31,21 +35,31 @@ if TYPE_CHECKING:
 class Waiting:
     """A stop or cancel that was heard and not answered."""
 
-    def __init__(self, message: Stop | Cancel, at: float, running: bool) -> None:
+    def __init__(self, message: Stop | Cancel, at: float, running: bool, leaves: Commit | None) -> None:
         self.message, self.at, self.running = message, at, running
+        self.leaves = leaves  # the commit whose SYNC was handed out, and was not heard to have left
 
 
 class Requests:
     """Judges the answers of one executor.
 
+    Attributes:
+        asked: number of its questions to the planner.
+
     Args:
         account: of the executor.
         programs: has the results.
         snapshots: shows locks and epochs.
+        silence: of the planner.
+        reasons: of the modes.
     """
 
-    def __init__(self, account: Account, programs: Programs, snapshots: Snapshots) -> None:
-        self._a, self._programs, self._snapshots = account, programs, snapshots
+    def __init__(
+        self, account: Account, programs: Programs, snapshots: Snapshots, silence: Silence, reasons: Reasons
+    ) -> None:
+        self._a, self._programs, self._snapshots, self._silence = account, programs, snapshots, silence
+        self._reasons = reasons
+        self.asked = 0
         self.begin()
 
     def begin(self) -> None:
@@ -55,19 +69,25 @@ class Requests:
         self._held: list[Waiting] = []
         self._lock_moving = False
         self._question = 0
+        self._way: tuple[bytes, bytes] | None = None  # of the open question of a stream that goes on
 
     def receive(self, client: Client, message: object) -> None:
         """Takes a message of a client."""
         a = self._a
         self._due = None
+        followed = isinstance(message, Setpoint) and a.stream is not None and message.stages
+        if not (isinstance(message, Alive) or (followed and message.start == a.stream.message.start)):  # type: ignore
+            self._way = None
         if isinstance(message, Hello):
             self._due = message
         elif isinstance(message, Stop) or (isinstance(message, Cancel) and client.planner):
             if isinstance(message, Cancel) and message.program is not None:
                 self._due = message if a.run is None or a.run.number != message.program else None
             if self._due is None and client.planner:
-                running = a.run is not None or a.stream is not None
-                self._held.append(Waiting(message, a.now, running))
+                contracts = a.quitting and a.arm.contracts_at_end and a.mode == "executing"
+                running = a.run is not None or a.stream is not None or contracts
+                leaves = a.commit if a.commit is not None and a.commit.awaited else None
+                self._held.append(Waiting(message, a.now, running, leaves))
         elif client.planner and isinstance(message, Program | Replacement | Reset | Lock):
             self._due = message
             self._lock_moving = not a.ground.surely_at_rest(a.now, SEEN_WITHIN + TICK)
@@ -91,10 +111,16 @@ class Requests:
         if a.clear:
             require(message.program == a.greatest, f"number {message.program} is told, the greatest is {a.greatest}")
 
+    @property
+    def tells_again(self) -> bool:
+        """Whether a new planner gets results in this step."""
+        return self._again is not None
+
     def new_planner(self) -> None:
         """Requires that a new planner gets all results that were not acknowledged."""
         self._again = set(self._programs.unacknowledged)
-        self._snapshots.connected = True
+        self._silence.connected = True
+        self._silence.hears()
         self._due = None
 
     def result(self, message: Ended) -> None:
@@ -105,8 +131,12 @@ class Requests:
     def question(self, message: Question) -> None:
         """Judges a question about the next stage of a strict program."""
         a, run = self._a, self._a.run
+        self.asked += 1
         require(message.question > self._question, f"question {message.question} comes after {self._question}")
         self._question = message.question
+        way = message.start, message.stage
+        require(way != self._way, f"{message} asks again, and the last question has no answer")
+        self._way = None if a.stream is None else way
         if run is None:
             require(a.stream is not None or not a.clear, f"{message}, and nothing runs")
             return
@@ -139,12 +169,30 @@ class Requests:
         require(message.refused is None, f"{held.message} is refused: {message}")
         if not a.clear:
             return
+        self._judge_under_way(held, message)
         if isinstance(held.message, Stop):
             require("stopped" in message.message and "until reset" in message.message, f"a stop is told as {message}")
         elif held.running or (isinstance(held.message, Cancel) and held.message.program is not None):
             require(message.message.startswith("canceled"), f"{held.message} is answered by {message}")
         else:
             require("no goal" in message.message, f"{held.message} is answered by {message}, and nothing ran")
+
+    def _judge_under_way(self, held: Waiting, message: Answer) -> None:
+        """Judges how many switches the answer to a stop or cancel tells: those of a SYNC that was handed out."""
+        leaves, count = held.leaves, 0
+        if leaves is not None:
+            if leaves.homing or leaves.open:
+                return
+            count = leaves.switched.bit_count()
+        words = "1 switch was under way" if count == 1 else f"{count} switches were under way" if count else ""
+        right = words in message.message if count else "under way" not in message.message
+        require(right, f"{held.message} is answered by {message}; {count} switches were under way")
+
+    def ends(self) -> None:
+        """The process has ended in order: each stop and cancel has its answer."""
+        require(
+            not self._held, f"the executor has ended in order, and has not answered {[vars(h) for h in self._held]}"
+        )
 
     def _judge_reset(self, asked: Reset, message: Answer) -> None:
         a, mode = self._a, self._a.mode
@@ -165,6 +213,9 @@ class Requests:
         if message.refused is None:
             self._snapshots.epoch_causes += 1
             self._snapshots.locks_asked += 1
+            a.asked_states = merged(bit, -1 if asked.state > 0 else 0, a.asked_states)
+            if a.mode == "ready":
+                self._reasons.enters(HELD)
         if not a.clear:
             return
         reading = a.ground.readings[-1]
@@ -201,6 +252,8 @@ class Requests:
     def tick(self) -> None:
         """Finds stops and cancels without an answer."""
         a = self._a
+        if a.stream is None or a.now > a.stream.until or a.mode != "executing":
+            self._way = None
         longest = a.arm.timing.heartbeat_timeout / 2 + 2 * TICK
         for held in self._held:
             if a.clear and held.at >= a.clear_since:

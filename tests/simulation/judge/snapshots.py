@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from controller.program import Snapshot, unpack
 from tests.simulation.judge.account import EPSILON, Account
+from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.verdict import require
 
 TICK = 0.01  # [s], period of the executor's loop
@@ -20,10 +21,11 @@ class Snapshots:
 
     Args:
         account: of the executor.
+        silence: of the planner.
     """
 
-    def __init__(self, account: Account) -> None:
-        self._a = account
+    def __init__(self, account: Account, silence: Silence) -> None:
+        self._a, self._silence = account, silence
         self.begin()
 
     def begin(self) -> None:
@@ -31,7 +33,6 @@ class Snapshots:
         self._claims: list[Callable[[Snapshot], None]] = []
         self.epoch_causes = 0
         self.locks_asked = 0
-        self.connected = False
         self._shown_at = self._a.now
         self.boots = 0
 
@@ -86,10 +87,17 @@ class Snapshots:
             self.epoch_causes += 1
         if snapshot.mode == "fault" != before:
             self.epoch_causes += 1
+        if last is not None:
+            grows = snapshot.epoch > last.epoch
+            if grows and not self.epoch_causes and self._silence.due:
+                self._silence.notice()
+                self.epoch_causes += 1
+            require(grows or not self.epoch_causes, f"the epoch is still {last.epoch}, {self.epoch_causes} causes")
         if last is not None and a.clear:
             self._judge_changes(last, snapshot)
         a.shown = snapshot
         self._take_locks(last, snapshot)
+        self._take_unknown(snapshot)
         if a.clear:
             self._judge(snapshot, before)
         self.epoch_causes = self.locks_asked = 0
@@ -101,19 +109,36 @@ class Snapshots:
     def tick(self) -> None:
         """Finds missing snapshots."""
         a = self._a
-        if not self.connected or not a.clear:
+        if not self._silence.connected or not a.clear:
             self._shown_at = a.now
         require(a.now - self._shown_at <= EVERY, f"no snapshot for {a.now - self._shown_at:g} s")
 
     def _take_locks(self, last: Snapshot | None, snapshot: Snapshot) -> None:
         a = self._a
         a.locked = unpack(snapshot.locked)
+        blind = a.locked & ~a.arm.sensed & unpack(snapshot.known)
+        wrong = (unpack(snapshot.measured) ^ a.asked_states) & blind
+        require(not wrong, f"{blind:b} are locked in {a.asked_states:b}, and {unpack(snapshot.measured):b} is told")
         if last is None or snapshot.locks != last.locks or a.ready_at == a.now:
             a.locked_states = unpack(snapshot.measured) & a.locked
             a.locks_changed_at = a.now
 
+    def _take_unknown(self, snapshot: Snapshot) -> None:
+        """Finds out whose states nobody can know after a boot; in a world with faults the executor tells it."""
+        a, arm = self._a, self._a.arm
+        homing = unpack(snapshot.homing)
+        if a.ready_at == a.now:
+            known = a.ground.on | arm.everything & ~arm.paired
+            for reading in a.ground.readings_since(a.now - SEEN_WITHIN):
+                known |= arm.definite(reading.extended, reading.contracted)
+            a.unknown &= ~known
+            a.knows_unknown = a.clear
+        if not a.clear:
+            a.unknown, a.knows_unknown = homing | a.locked & arm.paired, False
+        elif not a.knows_unknown:
+            a.unknown |= homing
+
     def _judge_changes(self, last: Snapshot, snapshot: Snapshot) -> None:
-        a = self._a
         grows = snapshot.epoch > last.epoch
         require(
             grows == (self.epoch_causes > 0),
@@ -123,15 +148,15 @@ class Snapshots:
             require(snapshot.locked == last.locked, f"{unpack(snapshot.locked):b} are locked without a request")
         if snapshot.locked != last.locked:
             require(snapshot.locks > last.locks, f"other actuators are locked under the same number {last.locks}")
-        if a.ready_at != a.now:
-            came = unpack(snapshot.homing) & ~unpack(last.homing)
-            require(not came or last.mode == "starting", f"the states of {came:b} have become unknown")
 
     def _judge(self, snapshot: Snapshot, before: str) -> None:
         a, mode = self._a, snapshot.mode
         require(unpack(snapshot.sensed) == a.arm.sensed, f"sensed is {unpack(snapshot.sensed):b}")
         homing = unpack(snapshot.homing)
-        require(not homing & ~a.arm.paired, f"{homing:b} are to be homed, {a.arm.paired:b} have two outputs")
+        require(not homing & ~a.unknown, f"{homing:b} are to be homed, unknown are {a.unknown:b}")
+        if mode in ("ready", "executing") and a.knows_unknown:
+            lasting = a.unknown & ~a.locked & ~a.ground.came_since(a.now - SEEN_WITHIN)
+            require(not lasting & ~homing, f"{homing:b} are to be homed, unknown are {a.unknown:b}")
         for fault in snapshot.faults:
             require(fault.code in STANDING, f"{fault} without a cause")
         require(mode != "fault", f"the mode is fault without a cause: {snapshot.reason}")
@@ -158,7 +183,7 @@ class Snapshots:
         ever, always = 0, -1
         for states in a.ground.states_since(a.now - SEEN_WITHIN):
             ever, always = ever | states, always & states
-        wrong = (told & ~ever | ~told & always) & a.arm.everything & ~homing
+        wrong = (told & ~ever | ~told & always) & a.arm.everything & ~homing & ~(a.unknown & a.locked)
         require(not wrong, f"outputs {told:b} are shown, the boards drive {a.ground.states:b}")
 
     def _judge_moving(self, snapshot: Snapshot) -> None:
@@ -166,6 +191,10 @@ class Snapshots:
         last = max(ground.switched_at)
         if not snapshot.moving:
             moving = ground.surely_moving(now) if now - last > SEEN_WITHIN else 0
+            begun = sum(1 << k for k in range(a.arm.count) if ground.switched_at[k] > a.ready_at)
+            late = [k for k in range(a.arm.count) if moving & ~begun & 1 << k and ground.due(k) > snapshot.free_at]
+            require(not late, f"{late} travel since before the end of the boot, and free_at is {snapshot.free_at:.6f}")
+            moving &= begun
             require(not moving, f"nothing is shown as moving, {moving:b} travel")
         else:
             rest = ground.surely_at_rest(now, SEEN_WITHIN + TICK)

@@ -24,16 +24,17 @@ class Streams:
         """Forgets the last process."""
         self._held_at = self._a.now
 
-    def receive(self, message: Setpoint) -> None:
-        """Takes a set-point, which is not answered."""
+    def receive(self, message: Setpoint) -> bool:
+        """Takes a set-point, which is not answered; returns whether it is followed."""
         a = self._a
         if not self._fits(message):
-            return
-        self._programs.end("replaced", "replaced")
+            return False
+        self._programs.end("replaced", "replaced", "replaced by a setpoint")
         a.stream = Stream(message, message.until)
         a.stream_number = message.stream
         a.greatest = max(a.greatest, message.stream)
         self._held_at = a.now
+        return True
 
     def _fits(self, message: Setpoint) -> bool:
         """Returns whether the contract has the executor follow a set-point."""

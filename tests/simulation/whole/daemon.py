@@ -156,7 +156,7 @@ class Daemon:
         self.judge.at(self.agenda.now)
         self.judge.begins(0)
         if self.together:
-            self._executor.post(Quit())
+            self._executor.quit()
         self.awake_since = min(self.awake_since, self.agenda.now)
         self.agenda.after(self._random.choice([0.2, 1.0, 3.0]), self.start)
 

@@ -162,6 +162,7 @@ class InterfaceAccount:
         cubes: the obstacles in force, of the last request that was carried out.
         clear: returns whether nothing disturbs the world.
         sure: returns whether planner and executor know the states of all actuators.
+        interlock_open: returns whether an interlock is open, or was a moment ago.
         silent_after: time without a message of the executor, after which it counts as lost [s].
         bias: tip bias that the daemon tells; None: no tracker.
         shown_obstacles: number in the last state.
@@ -189,6 +190,7 @@ class InterfaceAccount:
         self.travel, self.rest, self.inrush = 0.0, 0.0, False
         self.silent_after = math.inf
         self.sure = clear
+        self.interlock_open: Callable[[], bool] = lambda: False
         self.bias: tuple[float, ...] | None = None
         self.offset, self.clamp, self.hold = (0.0, 0.0), 0.0, 0.0
         self.slow = self.congested = False

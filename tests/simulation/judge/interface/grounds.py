@@ -287,7 +287,7 @@ def _lock_moving(a: InterfaceAccount, request: Request) -> bool:
 
 def _interlock(a: InterfaceAccount, request: Request) -> bool:
     lately = [h.snapshot for h in a.truths(1.0) if h.snapshot is not None]
-    return any(fault.code == "interlock" for snapshot in lately for fault in snapshot.faults)
+    return a.interlock_open() or any(fault.code == "interlock" for snapshot in lately for fault in snapshot.faults)
 
 
 def _without_state(a: InterfaceAccount, request: Request) -> bool:

@@ -1,0 +1,96 @@
+"""Travels in results: from the SYNC that switched an actuator to the frame that reports its end-stop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from controller.program import MOST_TRAVELS, Travel
+from tests.simulation.judge.account import EPSILON, Account, Run
+from tests.simulation.judge.arm import bits_of
+from tests.simulation.judge.verdict import require
+
+SDO_REQUEST, READS_INPUTS = 0x600, b"\x40\x00\x60"
+FRAME = 0.02  # [s], longest time from an end-stop to the end of its frame, behind others on a slow bus
+
+
+class Arrival:
+    """An actuator that has reached an end with an end-stop."""
+
+    def __init__(self, actuator: int, state: int, seconds: float, at: float) -> None:
+        self.actuator, self.state, self.seconds, self.at = actuator, state, seconds, at
+        self.asked = False
+
+
+class Travels:
+    """Measures the travels of each program, and judges those in its result.
+
+    Args:
+        account: of the executor.
+        arm: the executor's arm.
+    """
+
+    def __init__(self, account: Account, arm: Any) -> None:
+        self._a = account
+        self._boards = [
+            [f"{line.bus}/{line.node}" for name in ("contracted", "") if (line := c.line(f"input_{name}".rstrip("_")))]
+            for c in arm.wiring.channels
+        ]
+        self._read_at: dict[str, float] = {}  # time of the last request for the inputs of each board
+        self._switched: dict[int, tuple[float, int]] = {}  # time and state by actuator
+        self._arrived: list[Arrival] = []  # in no result yet
+
+    def begin(self) -> None:
+        """Forgets the last process."""
+        self._switched.clear()
+        self._arrived.clear()
+
+    def hands_out(self, bus: str, frame_id: int, data: bytes) -> None:
+        """A frame is handed to a bus: a board that is asked for its inputs may answer before its TPDO comes."""
+        if frame_id & 0x780 == SDO_REQUEST and data[:3] == READS_INPUTS:
+            self._read_at[f"{bus}/{frame_id & 0x7F}"] = self._a.now
+
+    def _asked(self, arrival: Arrival) -> bool:
+        """Returns whether the board of an end-stop was asked for its inputs just before an arrival."""
+        asked = (self._read_at.get(board, -1e12) for board in self._boards[arrival.actuator])
+        return any(arrival.at - FRAME < at < arrival.at + FRAME for at in asked) or arrival.asked
+
+    def switched(self, mask: int) -> None:
+        """A SYNC has switched actuators."""
+        a, reading = self._a, self._a.ground.readings[-1]
+        for one in self._arrived:  # the frame of its end-stop may come after this SYNC
+            one.asked |= bool(mask >> one.actuator & 1) and a.now - one.at < FRAME
+        for k in bits_of(mask):
+            self._switched.pop(k, None)
+            state = a.ground.states >> k & 1
+            ends = a.arm.extended_ends if state else a.arm.contracted_ends
+            reads = reading.extended if state else reading.contracted
+            if ends >> k & 1 and not reads >> k & 1:
+                self._switched[k] = a.now, state
+
+    def reads(self, extended: int, contracted: int) -> None:
+        """End-stops have changed."""
+        now = self._a.now
+        for k, (at, state) in list(self._switched.items()):
+            if (extended if state else contracted) >> k & 1:
+                del self._switched[k]
+                arrival = Arrival(k, state, now - at, now)
+                arrival.asked = self._asked(arrival)
+                self._arrived.append(arrival)
+
+    def ended(self, run: Run, ended_at: float, told: tuple[Travel, ...], text: str) -> None:
+        """Judges the travels of a result: those that have arrived while its program was running."""
+        a = self._a
+        for travel in reversed(told):
+            fits = [
+                one
+                for one in self._arrived
+                if (one.actuator, one.state) == (travel.actuator, travel.state)
+                and 0.0 <= travel.seconds - one.seconds + EPSILON <= FRAME
+            ]
+            require(fits, f"{text} tells {travel}; arrived are {[vars(one) for one in self._arrived]}")
+            self._arrived.remove(fits[-1])
+        first = max(run.accepted_at, a.clear_since) + FRAME
+        late = [one for one in self._arrived if first < one.at < ended_at - FRAME]
+        missing = [vars(one) for one in late if not self._asked(one)]
+        require(not missing or len(told) == MOST_TRAVELS, f"{text} tells {told}, and not {missing}")
+        self._arrived = [one for one in self._arrived if one.at >= a.now - FRAME]
