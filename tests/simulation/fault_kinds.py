@@ -35,6 +35,7 @@ NOT_DRAWN = {
     "a board loses an RPDO or a SYNC that begins or ends a pulse": "a lost release is not repeated, the coil stays on",
     "a board is unplugged while it gets a pulse": "a state without end-stop is believed, although nobody read it back",
     "one bus is stuck while another one has a pulse": "commit and release are one transaction over all buses",
+    "an echo is lost while a pulse ends": "the release waits for the echo, up to half of heartbeat_timeout",
     "the bus loses frames again and again": "questions starve reads, and a wait is not bounded",
 }
 

@@ -11,7 +11,7 @@ import msgspec
 
 from controller.arm.arm import Arm
 from controller.executor.core.arm import ExecutedArm
-from controller.host.process import Log, Quit
+from controller.host.process import Log
 from controller.motion.stages.feed import Improved
 from controller.motion.stages.pacing import pace_of
 from controller.planning.core.events import (
