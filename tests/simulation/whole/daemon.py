@@ -43,7 +43,7 @@ from controller.planning.core.tasks import (
 from controller.program import Alive, Counted, Diagnostics, Snapshot, Up, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
-from tests.simulation.judge.interface.account import Request
+from tests.simulation.judge.interface.facts import Request
 from tests.simulation.judge.interface.interface import InterfaceJudge
 from tests.simulation.judge.interface.results import unanswered
 from tests.simulation.judge.verdict import Violation
