@@ -71,6 +71,10 @@ class InterfaceJudge:
         self.warnings, self.streams = JudgedWarnings(self.account), Streams(self.account)
         self.diagnostics = JudgedDiagnostics(self.account, self.warnings)
         self.requests.barred = self.motion.bars
+        self._parts = (
+            *(self.requests, self.states, self.searches, self.journal, self.diagnostics, self.streams),
+            *(self.gateway, self.link, *self.mailboxes.values()),
+        )
         self._asked: Program | None = None
         self._running: Ran | None = None
         self._met = 0  # instance of the executor that the planner is connected to
@@ -83,34 +87,16 @@ class InterfaceJudge:
         self.account.now = now
         if now >= self._ticked + TICK:
             self._ticked = now
-            self.requests.tick()
-            self.results.tick()
-            self.states.tick()
-            self.searches.tick()
-            self.journal.tick()
-            self.diagnostics.tick()
-            self.streams.tick()
-            self.gateway.tick()
-            self.link.tick()
-            for mailboxes in self.mailboxes.values():
-                mailboxes.tick()
+            for part in (self.results, *self._parts):
+                part.tick()
 
     def begins(self, process: int) -> None:
         """A process of the planner begins; 0: it has ended."""
         if not process:
             self.account.note("planner ended")
         self.account.begin(process)
-        self.requests.begin()
-        self.states.begin()
-        self.motion.begin()
-        self.searches.begin()
-        self.journal.begin()
-        self.diagnostics.begin()
-        self.streams.begin()
-        self.gateway.begin()
-        self.link.begin()
-        for mailboxes in self.mailboxes.values():
-            mailboxes.begin()
+        for part in (self.motion, *self._parts):
+            part.begin()
 
     def ends_in_order(self) -> None:
         """The process has ended in order: everybody has an answer."""
