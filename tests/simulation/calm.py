@@ -65,7 +65,7 @@ def send_goal(world: World, daemon: Daemon) -> Payload | None:
     world.wait(lambda: daemon.at_rest and world.settled(), "ready for a goal", patience)
     daemon.wanted, process = True, daemon.process
     daemon.zenoh.gone.clear()
-    sent = daemon.clients.ask("goal", daemon.clients.simple_goal())
+    sent = daemon.clients.ask("goal", daemon.clients.wishes.simple_goal())
     world.wait(lambda: sent.replies or daemon.process is not process, "answered", SEARCHED_WITHIN)
     return msgspec.json.decode(sent.replies[0]) if sent.replies else None
 

@@ -54,7 +54,7 @@ def test_a_hung_search_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None
     assert daemon is not None
     world.calm()
     daemon.mood.hangs = True
-    daemon.clients.ask("goal", daemon.clients.simple_goal())
+    daemon.clients.ask("goal", daemon.clients.wishes.simple_goal())
     world.pass_time(BEGIN_WITHIN + 4.0)
     assert daemon.counts["planners that failed"] == 1
     world.calm()

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 from collections import deque
 from random import Random
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from controller.motion.decoding.goal import GoalMessage
 from controller.program import unpack
-from tests.simulation.whole.configurations import first_touched
+from tests.simulation.whole.wishes import STATES, Wishes
 from tests.simulation.whole.zenoh_model import Sent
 
 if TYPE_CHECKING:
@@ -47,14 +45,11 @@ DESCRIPTIONS = (
     b"\xff",
     b'{"with": "x"}',
 )
-POSES = ("pick", "place", "a b", "P1")
 CLIENTS = 4  # the last one attaches the same bytes to each of its requests
 PAUSE = 0.4  # [s] after a stream that nobody disturbs
 LONG_AGO = 9.0  # [s]
 AWAY = 2.0  # [s], longest time for which a client is away
-HAS_BEGIN_WITHIN = "begin_within" in GoalMessage.__struct_fields__
 MOTION = 0.15  # [s], mean time between a motion and its obstacles
-STATES = ("contracted", "extended")
 
 
 class Clients:
@@ -62,6 +57,7 @@ class Clients:
 
     Attributes:
         calm: they only do what makes the arm ready.
+        wishes: draws what they ask for.
 
     Args:
         daemon: whose clients they are.
@@ -69,11 +65,11 @@ class Clients:
     """
 
     def __init__(self, daemon: Daemon, random: Random) -> None:
-        self.calm = False
+        self.calm, self.wishes = False, Wishes(daemon, random)
         self._daemon, self._agenda, self._random = daemon, daemon.agenda, random
         self._labels, self._dimension = daemon.executed.actuators, daemon.arm.manipulator.dimension
         self._prefix = f"hyperbit/{daemon.arm.settings.name}"
-        self._numbers = self._attached = 0
+        self._attached = 0
         self._client = 0  # that acts now
         self._sent: list[Sent] = []  # the last goals and other requests
         self._goals = deque[Sent](maxlen=40)
@@ -149,22 +145,22 @@ class Clients:
             case "burst":
                 self._burst()
             case "goal":
-                self.ask("goal", self.goal(), query=random.random() < 0.9)
+                self.ask("goal", self.wishes.goal(), query=random.random() < 0.9)
                 self._crowd_in(1)
             case "same id":
-                self.ask("goal", {**self.goal(), "id": f"g{self._numbers - 1}"})
+                self.ask("goal", {**self.wishes.goal(), "id": f"g{self.wishes.numbers - 1}"})
             case "plan":
-                self.ask("plan", self.goal())
+                self.ask("plan", self.wishes.goal())
             case "jog":
                 wait = {"begin_within": random.choice([0.2, 3.0])} if random.random() < 0.2 else {}
-                self.ask("jog", {"actuators": self._some_states(), **wait})
+                self.ask("jog", {"actuators": self.wishes.some_states(), **wait})
                 self._crowd_in(1)
             case "cancel" | "stop" | "reset":
                 self.ask(act, query=random.random() < 0.9)
             case "arm":
                 self.ask("arm", random.choice(DESCRIPTIONS))
             case "poses":
-                self.ask("poses", self._pose(), query=random.random() < 0.9)
+                self.ask("poses", self.wishes.pose(), query=random.random() < 0.9)
             case "again":
                 self._send_again()
             case "flood":
@@ -181,15 +177,15 @@ class Clients:
                 for _ in range(130):
                     self.ask("arm", b"")
             case "result":
-                self.ask("result", {"id": f"g{max(self._numbers - random.choice([0, 1, 2, 5]), 0)}"})
+                self.ask("result", {"id": f"g{max(self.wishes.numbers - random.choice([0, 1, 2, 5]), 0)}"})
             case "cancel goal":
                 back = random.choice([0, 0, 0, 1, 2])
-                self.ask("cancel", {"id": f"g{max(self._numbers - back, 0)}"})
+                self.ask("cancel", {"id": f"g{max(self.wishes.numbers - back, 0)}"})
             case "degrade":
                 label = random.choice([*self._labels, self._labels[0], "9.9"])
                 self.ask("degrade", {"actuator": label, "state": random.choice([None, None, 0, 1])})
             case "obstacles":
-                self.ask("obstacles", {"regions": self._regions()})
+                self.ask("obstacles", {"regions": self.wishes.regions()})
             case "stream":
                 self._streams_until = self._agenda.now + random.uniform(0.1, 3.0)
                 self._stream(random.choice([0.01, 0.03, 0.2]))
@@ -209,7 +205,7 @@ class Clients:
                 self._agenda.after(random.uniform(0.0, AWAY), lambda: self._return(client))
             case "many goals" | "many plans":
                 for _ in range(20 if act == "many goals" else 10):
-                    self.ask(act[5:-1], self.goal())
+                    self.ask(act[5:-1], self.wishes.goal())
 
     def _return(self, client: int) -> None:
         """Lets a client come back; it sends its last goal again if that has no answer, and asks how it ended."""
@@ -219,7 +215,7 @@ class Clients:
             return
         if not mine[-1].replies:
             self._daemon.zenoh.send(client, mine[-1].name, mine[-1].payload, mine[-1].attachment)
-        self._daemon.zenoh.send(client, f"{self._prefix}/result", b'{"id": "g%d"}' % self._numbers)
+        self._daemon.zenoh.send(client, f"{self._prefix}/result", b'{"id": "g%d"}' % self.wishes.numbers)
 
     def _crowd_in(self, times: int) -> None:
         """Sends obstacles soon, perhaps: they come while a motion is planned, offered, under way or replaced."""
@@ -230,109 +226,11 @@ class Clients:
     def _change_obstacles(self) -> None:
         if not self.calm:
             self._client = self._random.randrange(CLIENTS)
-            self.ask("obstacles", {"regions": self._regions()})
-
-    def goal(self) -> dict[str, Any]:
-        """Returns a goal of 1 to 5 waypoints, few of which cannot be reached."""
-        random, pace = self._random, self._daemon.pace
-        self._numbers += 1
-        time, waypoints = random.choice([0.0, 0.0, 0.5]), list[dict[str, Any]]()
-        for _ in range(random.choice([1, 1, 2, 3, 5])):
-            waypoints.append({"position": self.position(0.02), "t": time})
-            if random.random() < 0.15:
-                row = random.choice(self._daemon.space.notations)
-                waypoints[-1] = {"configuration": row, "t": time}
-            time += pace.shortest * random.choice([1.0, 2.0, 4.0, len(self._labels)])
-        message: dict[str, Any] = {"waypoints": waypoints}
-        if random.random() < 0.12:
-            self._follow_lines(message)
-        elif random.random() < 0.25:
-            self._turn(message)
-        if random.random() < 0.9 or "path_tolerance" in message:
-            message["id"] = f"g{self._numbers}"
-        if random.random() < 0.15:
-            message["stamp"] = self._daemon.wall() + random.uniform(-0.5, 1.0)
-        if random.random() < 0.5:
-            chosen = {"position": random.choice([0.05, 0.3, 1.0])}
-            message["tolerance"] = {**message.get("tolerance", {}), **chosen}
-        if random.random() < 0.1:
-            message["deadline"] = random.choice([0.1, 1.0, 5.0])
-        if HAS_BEGIN_WITHIN and random.random() < 0.2:
-            message["begin_within"] = random.choice([0.2, 1.0, 5.0])
-        return message
-
-    def _turn(self, message: dict[str, Any]) -> None:
-        """Asks for orientations at some positions: mostly those of configurations."""
-        random, space = self._random, self._daemon.space
-        for waypoint in message["waypoints"]:
-            if "position" in waypoint and random.random() < 0.6:
-                k = random.choice(self._free() or range(len(space.tips)))
-                waypoint["position"] = [float(x) for x in space.tips[k]]
-                waypoint["orientation"] = float(space.angles[k]) + random.choice([0.0, 0.0, 0.02, 2 * math.pi])
-        message["tolerance"] = {"orientation": random.choice([0.05, 0.5, 4.0])}
-
-    def _follow_lines(self, message: dict[str, Any]) -> None:
-        """Asks for straight lines between positions, mostly slow enough."""
-        random, waypoints = self._random, message["waypoints"]
-        tolerance, time = random.choice([0.4, 1.0]), 0.0
-        for k, waypoint in enumerate(waypoints):
-            if random.random() < 0.95:
-                waypoint.pop("configuration", None)
-                waypoint.setdefault("position", self.position())
-            if k and "position" in waypoint and "position" in waypoints[k - 1]:
-                length = math.dist(waypoint["position"], waypoints[k - 1]["position"])
-                parts = math.ceil(length / (tolerance / 2)) + 1
-                time += self._daemon.pace.shortest * parts * random.choice([1.0, 1.0, 2.0, 0.3])
-            elif k:
-                time += self._daemon.pace.shortest
-            waypoint["t"] = time
-        message["path_tolerance"] = tolerance
-
-    def simple_goal(self) -> dict[str, Any]:
-        """Returns a goal that the arm can reach with its locked actuators."""
-        self._numbers += 1
-        tip = self._daemon.space.tips[self._random.choice(self._free())]
-        return {"id": f"g{self._numbers}", "waypoints": [{"position": [float(x) for x in tip]}]}
-
-    def _free(self) -> list[int]:
-        """Returns the configurations with the present locks that touch no obstacle."""
-        locked, states, cubes = 0, 0, self._daemon.judge.account.cubes
-        if self._daemon.snapshot is not None:
-            locked, states = unpack(self._daemon.snapshot.locked), unpack(self._daemon.snapshot.measured)
-        codes = ((code, k) for code, k in self._daemon.space.index.items() if not (code ^ states) & locked)
-        return [k for code, k in codes if first_touched(cubes, code, [code]) is None]
-
-    def position(self, unreachable: float = 0.0) -> list[float]:
-        """Returns the tip of a random configuration, or a position that perhaps no configuration reaches.
-
-        Most tips are those of configurations with the present locks that touch no obstacle.
-        """
-        tips = self._daemon.space.tips
-        free = self._free() if self._random.random() < 0.7 else []
-        tip = tips[self._random.choice(free or range(len(tips)))]
-        if self._random.random() < unreachable:
-            tip = tip * 0.9
-        return [float(x) for x in tip]
-
-    def _some_states(self) -> dict[str, str]:
-        count = self._random.choice([1, 1, 2, len(self._labels)])
-        return {label: self._random.choice(STATES) for label in self._random.sample(self._labels, count)}
-
-    def _regions(self) -> list[dict[str, Any]]:
-        """Returns obstacles, each a cube of states; most do not touch the arm at rest."""
-        random, size, regions = self._random, len(self._labels), list[dict[str, Any]]()
-        for k in range(random.choice([0, 1, 1, 2, 4])):
-            mask = sum(1 << bit for bit in random.sample(range(size), min(size, random.choice([2, 3, 4]))))
-            value = random.getrandbits(size) & mask
-            if self._daemon.snapshot is not None and random.random() < 0.9:
-                measured = unpack(self._daemon.snapshot.measured) & mask
-                value = measured ^ mask & -mask if value == measured else value
-            regions.append({"disc": {"centre": [mask, value], "radius": 1.0}, "name": f"cube{k}"})
-        return regions
+            self.ask("obstacles", {"regions": self.wishes.regions()})
 
     def _stream(self, period: float) -> None:
         """Sends set-points along a line until the stream ends."""
-        random, first, last = self._random, np.array(self.position()), np.array(self.position())
+        random, first, last = self._random, np.array(self.wishes.position()), np.array(self.wishes.position())
         began, duration, client = self._agenda.now, random.uniform(0.1, 2.0), self._client
 
         def step() -> None:
@@ -350,16 +248,7 @@ class Clients:
         step()
 
     def _setpoint(self) -> bytes:
-        return json.dumps({"position": self.position()}).encode()
-
-    def _pose(self) -> dict[str, Any]:
-        """Returns a request on poses; a few are malformed."""
-        random = self._random
-        name = random.choice([*POSES, "home"]) if random.random() < 0.9 else random.choice(["", " a", "x" * 41, "a/b"])
-        goal = {key: value for key, value in self.simple_goal().items() if key != "id"}
-        goal |= random.choice([{}] * 8 + [{"id": "p"}, {"stamp": 5.0}, {"waypoints": []}])
-        message = random.choice([{"save": name, "goal": goal}] * 4 + [{"remove": name}] * 4)
-        return message if random.random() < 0.9 else random.choice([{"save": name}, {"goal": goal}, {}, {"remove": 5}])
+        return json.dumps({"position": self.wishes.position()}).encode()
 
     def _measure(self) -> None:
         code = -1 if self._daemon.snapshot is None else unpack(self._daemon.snapshot.measured)

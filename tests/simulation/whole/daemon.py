@@ -4,49 +4,24 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from random import Random
 
 import msgspec
 
 from controller.arm.arm import Arm
 from controller.executor.core.arm import ExecutedArm
-from controller.host.process import Log
-from controller.motion.stages.feed import Improved
 from controller.motion.stages.pacing import pace_of
 from controller.planning.core.events import (
-    Abandon,
-    Action,
-    Answered,
-    Disconnect,
-    Event,
-    FromExecutor,
-    Hurry,
     Payload,
     Record,
-    SetpointArrived,
-    Start,
-    TipArrived,
-    ToExecutor,
 )
-from controller.planning.core.tasks import (
-    Answer,
-    BuildScene,
-    BuildTables,
-    Deviations,
-    Failed,
-    Planned,
-    SceneBuilt,
-    Tables,
-    Task,
-)
-from controller.program import Alive, Counted, Diagnostics, Snapshot, Up, unpack
+from controller.program import Counted, Diagnostics, Snapshot, Up, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
-from tests.simulation.judge.interface.account import Request
+from tests.simulation.judge.interface.facts import Request
 from tests.simulation.judge.interface.interface import InterfaceJudge
 from tests.simulation.judge.interface.results import unanswered
-from tests.simulation.judge.verdict import Violation
 from tests.simulation.network import Network
 from tests.simulation.whole.claims import check_claims
 from tests.simulation.whole.clients import Clients
@@ -54,9 +29,9 @@ from tests.simulation.whole.configurations import Configurations
 from tests.simulation.whole.exact_search import ExactSearch
 from tests.simulation.whole.planner_process import UNIX, PlannerProcess
 from tests.simulation.whole.planner_storage import Storage
+from tests.simulation.whole.planner_witness import PlannerWitness
 from tests.simulation.whole.saved_poses import SavedPoses
 from tests.simulation.whole.searcher import Mood
-from tests.simulation.whole.tasks_seen import seen
 from tests.simulation.whole.zenoh_model import Sent, ZenohModel
 
 OFFSET = 4e-4  # of measured tips from computed ones; less than the tolerance
@@ -72,6 +47,7 @@ class Daemon:
         connection: its connections to the executor.
         zenoh: the network between clients and process.
         judge: judges what clients see.
+        witness: sees what the planner does.
         saved: the saved poses, which survive the processes.
         storage: what survives the processes.
         mood: of its workers.
@@ -125,6 +101,7 @@ class Daemon:
         self.together, self.wanted = self._random.random() < 0.3, False
         self.awake_since, self.slow, self.congestion, self._offset = 0.0, 0.0, 0.0, UNIX
         self.judge = judge(self)
+        self.witness = PlannerWitness(self.judge, agenda, self.mood, note)
         self.zenoh = ZenohModel(agenda, drawn("zenoh"), self, lambda: self.awake_since)
         self._claims = drawn("claims")
         self.saved = SavedPoses(drawn("poses"), self.judge.gateway)
@@ -146,7 +123,7 @@ class Daemon:
             self.judge.begins(self._processes)
             check_claims(self._claims)
             self.process = PlannerProcess(self, self._processes, self._random)
-            self.process.searcher.watch = self._task_ends
+            self.process.searcher.watch = self.witness.task_ends
 
     def planner_ended(self) -> None:
         """Starts the next process after a while; ends the executor, if it belongs to the same service."""
@@ -236,74 +213,6 @@ class Daemon:
         if record.ended is not None and row.accepted is not None:
             self.judge.at(self.agenda.now)
             self.judge.recorded(row.accepted.goal, record.ended.status)
-
-    def _task_ends(self, number: int, task: Task, answer: Answer) -> None:
-        """Takes the last answer of a worker."""
-        self.judge.at(self.agenda.now)
-        self.judge.searches.ends(number, isinstance(answer, Planned))
-        if isinstance(answer, Failed):
-            self.judge.account.note("task failed")
-        if isinstance(task, BuildTables):
-            self.judge.tables_built(answer.locked if isinstance(answer, Tables) else None)
-        if isinstance(task, BuildScene):
-            self.judge.scene_built(isinstance(answer, SceneBuilt))
-
-    def acts(self, action: Action) -> None:
-        """Takes an action before it is carried out."""
-        match action:
-            case ToExecutor(message):
-                self.judge.at(self.agenda.now)
-                self.judge.link.sends(message)
-                if not isinstance(message, Alive):
-                    self._note(("planner sends", message))
-            case Start(number, task):
-                self._note(("task", number, type(task).__name__))
-                self.judge.at(self.agenda.now)
-                if self.mood.disturbed:
-                    self.judge.account.note("slow search")
-                if isinstance(task, BuildScene):
-                    self.judge.scene_begun()
-                self.judge.task(seen(number, task))
-            case Disconnect(reason):
-                self.judge.at(self.agenda.now)
-                self.judge.link.gives_up(reason)
-            case Hurry(number):
-                self.judge.searches.hurries(number)
-            case Abandon(number):
-                self.judge.searches.abandons(number)
-            case Log(level, text, fields):
-                self._note(("planner logs", text))
-                self.judge.at(self.agenda.now)
-                self.judge.journal.logs(level, text, fields)
-                if "Traceback" in text:
-                    raise Violation(f"internal error: {text}")
-            case _:
-                pass
-
-    def __call__(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
-        """Takes a step of the core."""
-        match event:
-            case FromExecutor(message):
-                if not isinstance(message, Snapshot):
-                    self._note(("planner hears", message))
-            case Answered(number, answer, _):
-                if isinstance(answer, Deviations | Improved):
-                    self.judge.at(self.agenda.now)
-                    self.judge.searches.improves(number, getattr(answer, "values", None))
-                self._note(("worker answers", number, answer))
-            case SetpointArrived(payload, arrival, sender):
-                self.judge.at(self.agenda.now)
-                self.judge.mailboxes["setpoint"].taken(payload, sender, arrival.at)
-                self.judge.streams.setpoint(payload, arrival.at, sender, now)
-            case TipArrived(payload, arrival, sender):
-                self.judge.at(self.agenda.now)
-                self.judge.mailboxes["measured_tip"].taken(payload, sender, arrival.at)
-                self.judge.streams.tip(payload, now)
-            case _:
-                pass
-
-    def flush(self) -> None:
-        """Does nothing: each step is noted at once."""
 
     # --- troubles
 

@@ -144,7 +144,7 @@ class PlannerProcess:
         )
         self.core = Core(arm, pace_of(arm.settings), beginning)
         clocks = self._now, daemon.wall
-        self.loop = KillableLoop(self.core, self.link, self.searcher, services, daemon, clocks)  # type: ignore[arg-type]
+        self.loop = KillableLoop(self.core, self.link, self.searcher, services, daemon.witness, clocks)  # type: ignore[arg-type]
         self.loop.before = self._before
         self.loop.ended.clear()
         gateway_clocks = Clocks(self._now, daemon.wall, self._pause)
@@ -255,7 +255,7 @@ class PlannerProcess:
                 raise Killed
         if isinstance(action, Reply):
             require(action.number in self.loop._replies, f"{action} answers no request, or one that was answered")
-        self._daemon.acts(action)
+        self._daemon.witness.acts(action)
 
     # --- its end
 

@@ -22,7 +22,7 @@ from controller.planning.core.tasks import (
     VersionedScene,
 )
 from tests.simulation.judge.interface.modules import Cube
-from tests.simulation.judge.interface.searches import Search
+from tests.simulation.judge.interface.tasks import Search
 
 
 def seen(number: int, task: Task) -> Search:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 from controller.program import Diagnostics
-from tests.simulation.judge.interface.account import InterfaceAccount, Payload
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.facts import Payload
 from tests.simulation.judge.interface.warnings import JudgedWarnings
 from tests.simulation.judge.verdict import require
 

@@ -6,7 +6,8 @@ import json
 from collections import Counter, deque
 from typing import Any
 
-from tests.simulation.judge.interface.account import DELAY, InterfaceAccount, Payload, Request
+from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
+from tests.simulation.judge.interface.facts import Payload, Request
 from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.verdict import require
 

@@ -7,7 +7,9 @@ from collections.abc import Callable
 from itertools import pairwise
 
 from controller.program import Snapshot, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Request
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience, wanted
+from tests.simulation.judge.interface.facts import Request
 from tests.simulation.judge.interface.messages import well_formed
 
 EPOCH_IN_FLIGHT = 0.1  # [s] from a new epoch of the executor to the planner, which may still be reading
@@ -74,11 +76,6 @@ def _commanded(snapshot: Snapshot) -> int:
 # --- what came
 
 
-def barring(request: Request) -> bool:
-    """Returns whether a request bars earlier ones, of whatever id."""
-    return request.key in ("stop", "reset") or (request.key == "cancel" and request.goal is None)
-
-
 def _overtaken(a: InterfaceAccount, request: Request) -> bool:
     """A request that bars this one came after it; or a fault, a lost connection or other locks began an epoch."""
     for other in a.requests:
@@ -125,12 +122,6 @@ def _too_late_to_begin(a: InterfaceAccount, request: Request) -> bool:
     return over or (sent < request.at - 0.1 and a.now - sent >= patience(request) - 0.5)
 
 
-def patience(request: Request) -> float:
-    """Returns the longest time to the begin of a goal or jog [s]."""
-    own = request.body.get("begin_within")
-    return float(own) if own is not None else 8.0 + float(request.body.get("deadline") or 0.0)
-
-
 def _moved(a: InterfaceAccount, request: Request) -> bool:
     return a.had("moved", request.at - EPOCH_IN_FLIGHT)
 
@@ -166,11 +157,6 @@ def _running(a: InterfaceAccount, request: Request) -> bool:
 # --- what is asked for
 
 
-def lined(request: Request) -> bool:
-    """Returns whether the tip shall follow straight lines."""
-    return bool(request.body.get("path_tolerance"))
-
-
 def _too_fast(a: InterfaceAccount, request: Request) -> bool:
     """A line is divided into parts of half a tolerance at most, each of which takes a transition."""
     waypoints, tolerance = request.body["waypoints"], float(request.body.get("path_tolerance") or math.inf)
@@ -191,11 +177,6 @@ def _malformed(a: InterfaceAccount, request: Request) -> bool:
     return not well_formed(request, a.modules)
 
 
-def ends_at(request: Request) -> float:
-    """Returns the end of a trajectory with a stamp [UNIX s]."""
-    return float(request.body.get("stamp", 0.0)) + max(float(w.get("t", 0.0)) for w in request.body["waypoints"])
-
-
 def _too_late(a: InterfaceAccount, request: Request) -> bool:
     return bool(request.body.get("stamp")) and (ends_at(request) <= a.wall() or a.had("clock", request.at - 1.0))
 
@@ -210,23 +191,6 @@ def _times(a: InterfaceAccount, request: Request) -> bool:
     begin = [a.wall() - float(request.body["stamp"])] if request.body.get("stamp") else []
     apart = [after - before for before, after in zip([*begin, *times], times if begin else times[1:], strict=False)]
     return bool(apart) and min(apart) < a.longest_transition
-
-
-def wanted(a: InterfaceAccount, request: Request) -> list[set[int]]:
-    """Returns the codes that serve each waypoint."""
-    asked, most = request.body.get("tolerance") or {}, float(request.body.get("path_tolerance") or math.inf)
-    tolerance = min(float(asked.get("position") or a.tolerance), most)
-    angle = float(asked.get("orientation") or a.angle_tolerance)
-
-    def serving(waypoint: Payload) -> set[int]:
-        if "configuration" in waypoint:
-            return {a.modules.codes[waypoint["configuration"]]}
-        bias = a.bias or (0.0, 0.0)
-        near = a.modules.near(tuple(x - b for x, b in zip(waypoint["position"], bias, strict=True)), tolerance)
-        turned = a.turned(request, waypoint)
-        return near if turned is None else near & a.modules.turned(turned, angle)
-
-    return [serving(waypoint) for waypoint in request.body["waypoints"]]
 
 
 def _out_of_reach(a: InterfaceAccount, request: Request) -> bool:

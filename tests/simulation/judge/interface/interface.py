@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import msgspec
 
@@ -20,14 +20,14 @@ from controller.program import (
     Setpoint,
     Settled,
     Snapshot,
-    Stage,
     Welcome,
     unpack,
 )
-from tests.simulation.judge.interface.account import InterfaceAccount, Ran, Request
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.asked import lined, places_of
 from tests.simulation.judge.interface.diagnostics import JudgedDiagnostics
+from tests.simulation.judge.interface.facts import Ran, Request
 from tests.simulation.judge.interface.gateway import Gateway
-from tests.simulation.judge.interface.grounds import lined
 from tests.simulation.judge.interface.journal import Journal
 from tests.simulation.judge.interface.link import Link
 from tests.simulation.judge.interface.mailboxes import Mailboxes
@@ -37,9 +37,10 @@ from tests.simulation.judge.interface.motion import Motion
 from tests.simulation.judge.interface.offers import Offers
 from tests.simulation.judge.interface.requests import Requests, cubes_of
 from tests.simulation.judge.interface.results import Results, unanswered
-from tests.simulation.judge.interface.searches import Search, Searches
+from tests.simulation.judge.interface.searches import Searches
 from tests.simulation.judge.interface.states import States
 from tests.simulation.judge.interface.streams import Streams
+from tests.simulation.judge.interface.tasks import Search
 from tests.simulation.judge.interface.warnings import JudgedWarnings
 from tests.simulation.judge.verdict import require
 
@@ -70,6 +71,10 @@ class InterfaceJudge:
         self.warnings, self.streams = JudgedWarnings(self.account), Streams(self.account)
         self.diagnostics = JudgedDiagnostics(self.account, self.warnings)
         self.requests.barred = self.motion.bars
+        self._parts = (
+            *(self.requests, self.states, self.searches, self.journal, self.diagnostics, self.streams),
+            *(self.gateway, self.link, *self.mailboxes.values()),
+        )
         self._asked: Program | None = None
         self._running: Ran | None = None
         self._met = 0  # instance of the executor that the planner is connected to
@@ -82,34 +87,16 @@ class InterfaceJudge:
         self.account.now = now
         if now >= self._ticked + TICK:
             self._ticked = now
-            self.requests.tick()
-            self.results.tick()
-            self.states.tick()
-            self.searches.tick()
-            self.journal.tick()
-            self.diagnostics.tick()
-            self.streams.tick()
-            self.gateway.tick()
-            self.link.tick()
-            for mailboxes in self.mailboxes.values():
-                mailboxes.tick()
+            for part in (self.results, *self._parts):
+                part.tick()
 
     def begins(self, process: int) -> None:
         """A process of the planner begins; 0: it has ended."""
         if not process:
             self.account.note("planner ended")
         self.account.begin(process)
-        self.requests.begin()
-        self.states.begin()
-        self.motion.begin()
-        self.searches.begin()
-        self.journal.begin()
-        self.diagnostics.begin()
-        self.streams.begin()
-        self.gateway.begin()
-        self.link.begin()
-        for mailboxes in self.mailboxes.values():
-            mailboxes.begin()
+        for part in (self.motion, *self._parts):
+            part.begin()
 
     def ends_in_order(self) -> None:
         """The process has ended in order: everybody has an answer."""
@@ -349,14 +336,6 @@ class InterfaceJudge:
         """A worker has built a scene, or has failed."""
         self.account.scenes -= 1
         self.account.note("cubes" if right else "task failed")
-
-
-def places_of(stages: Sequence[Stage], request: Request) -> dict[int, int]:
-    """Returns the mark of each waypoint, found by the times of the stages; the first point is the first waypoint."""
-    settled = {stage.mark: stage.settled for stage in stages if stage.mark >= 0}
-    times = [float(waypoint.get("t", 0.0)) for waypoint in request.body["waypoints"]]
-    delay = settled.get(0, math.nan) - times[0]
-    return {k: mark for k, t in enumerate(times) for mark, at in settled.items() if abs(at - delay - t) < 1e-6}
 
 
 __all__ = ["InterfaceJudge", "cubes_of"]

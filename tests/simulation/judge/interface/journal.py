@@ -7,7 +7,8 @@ import math
 from collections import deque
 from collections.abc import Mapping
 
-from tests.simulation.judge.interface.account import InterfaceAccount, Payload
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.facts import Payload
 from tests.simulation.judge.verdict import require
 
 MOST_LINES = 5  # refusals in one second

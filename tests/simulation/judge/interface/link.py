@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from controller.program import Alive, Cancel, Clearance, Counts, Lock, Question, Reset, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount, Request
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.facts import Request
 from tests.simulation.judge.verdict import require
 
 ALIVE_EVERY, ALIVE_LEAST = 0.25, 0.18  # [s], awake, longest and shortest time between two

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tests.simulation.judge.interface.account import InterfaceAccount, Request
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.facts import Request
 from tests.simulation.judge.verdict import require
 
 MOST_SENDERS, MOST_SENDER = 16, 64  # that wait at once; bytes of an attachment that tell a sender

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 if TYPE_CHECKING:
-    from tests.simulation.judge.interface.account import Payload, Request
+    from tests.simulation.judge.interface.facts import Payload, Request
     from tests.simulation.judge.interface.modules import JudgedModules
 
 GOAL = {"waypoints", "id", "stamp", "tolerance", "path_tolerance", "deadline", "begin_within"}

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 from controller.program import Program, Stage, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount, Request
-from tests.simulation.judge.interface.grounds import patience, wanted
-from tests.simulation.judge.interface.searches import start_of
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.asked import patience, wanted
+from tests.simulation.judge.interface.facts import Request
+from tests.simulation.judge.interface.tasks import start_of
 from tests.simulation.judge.verdict import require
 
 EXACT = 1e-6  # [s]

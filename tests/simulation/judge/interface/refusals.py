@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Request
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.facts import Payload, Request
 from tests.simulation.judge.interface.grounds import GROUNDS
 from tests.simulation.judge.verdict import require
 

@@ -7,8 +7,9 @@ import re
 from collections.abc import Callable
 
 from controller.program import Program, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Ran, Request
-from tests.simulation.judge.interface.grounds import barring, ends_at, lined, patience, wanted
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience, wanted
+from tests.simulation.judge.interface.facts import Payload, Ran, Request
 from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.interface.modules import Cube
 from tests.simulation.judge.interface.refusals import judge_refusal

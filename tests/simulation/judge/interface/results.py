@@ -6,8 +6,9 @@ import math
 from typing import Any
 
 from controller.program import Ended, Settled, unpack
-from tests.simulation.judge.interface.account import RECONNECTED, InterfaceAccount, Payload, Ran, Request
-from tests.simulation.judge.interface.grounds import barring, lined, wanted
+from tests.simulation.judge.interface.account import RECONNECTED, InterfaceAccount
+from tests.simulation.judge.interface.asked import barring, lined, wanted
+from tests.simulation.judge.interface.facts import Payload, Ran, Request
 from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.interface.modules import turn
 from tests.simulation.judge.interface.refusals import judge_refusal

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from controller.program import Snapshot, unpack
-from tests.simulation.judge.interface.account import DELAY, Heard, InterfaceAccount, Payload, Ran
+from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
+from tests.simulation.judge.interface.facts import Heard, Payload, Ran
 from tests.simulation.judge.interface.modules import Cube, turn
 from tests.simulation.judge.interface.words import Words
 from tests.simulation.judge.verdict import require

@@ -7,7 +7,8 @@ from collections import deque
 from dataclasses import dataclass, replace
 
 from controller.program import Setpoint, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount, Payload
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.facts import Payload
 from tests.simulation.judge.interface.messages import body_of
 from tests.simulation.judge.interface.refusals import REASONS
 from tests.simulation.judge.verdict import require

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 
-from tests.simulation.judge.interface.account import InterfaceAccount, Payload
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.facts import Payload
 from tests.simulation.judge.verdict import require
 
 POLLED = 0.6  # [s], awake, from a cause to its warning: looked for four times a second, and the outbox

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 
 from controller.program import Ended, Snapshot
-from tests.simulation.judge.interface.account import InterfaceAccount, Payload, Ran
+from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.facts import Payload, Ran
 from tests.simulation.judge.verdict import require
 
 FRESH = 0.3  # [s], awake, from the end of a goal to a reason that tells it
