@@ -99,12 +99,17 @@ def _ask(
             index = present.parameters
             changes.append(f"{index:04X}h and {index + 0x200:04X}h ({pdo_words(index)})")
     register, errors, lost = yield from inspection.read_errors(it, None)
+    if lost:
+        errors = f"error register {register:02X}h (it has lost its last master, as after the end of an executor)"
     text = f"device type {kind:08X}h, {errors or 'error register 00h'}"
     if changes:
         text += f"; to be written: {'; '.join(changes[:_MOST_CHANGES])}"
         text += f"; and {len(changes) - _MOST_CHANGES} more" * (len(changes) > _MOST_CHANGES)
     text = "; ".join([text, *it.warnings])
-    texts[node] = CheckedBoard(board.name, text, "board-error" if register and not lost else "")
+    if register and not lost:
+        texts[node] = CheckedBoard(board.name, text, "board-error")
+    else:
+        texts[node] = CheckedBoard(board.name, f"can be booted: {text}")
 
 
 def _refuse_heard(session: Session, board: BoardLayout) -> Reading:

@@ -34,7 +34,7 @@ def test_every_board_says_what_it_is_and_nothing_on_it_changes():
     fresh = World(two_boards()).boards.board("can0/5").objects
     good, other = asked(world)
     assert (good.board, good.ok, good.code) == ("can0/5", True, "")
-    assert good.text.startswith("device type 00030191h, error register 00h; to be written: 1016h sub 1 (heartbeat of")
+    assert good.text.startswith("can be booted: device type 00030191h, error register 00h; to be written: 1016h sub 1")
     assert (other.board, other.ok) == ("can0/9", True)
     assert "1000h sub 0 is 00020191h, without the bit of digital inputs" in other.text
     held = world.boards.board("can0/5").objects
@@ -167,3 +167,13 @@ def test_an_empty_bus():
     with Session([CanBus(bus)]) as asking:
         [answer] = check_bus(asking, Wiring((bus,), (Channel("a", "can0", 5, 0, 0),)), Timing())
     assert "can0/5 neither booted nor answered" in answer.text
+
+
+def test_the_loss_of_the_last_master_is_no_error():
+    world = World(variants={"can0/5": VARIANTS["kept-loss"]}).up()
+    world.run(1.0)
+    world.stalled = True
+    world.run(2.0)
+    [five] = asked(world)
+    assert five.ok
+    assert "error register 11h (it has lost its last master" in five.text
