@@ -56,7 +56,14 @@ RICH = (  # variants with much to judge, drawn twice as often
     *("many-outputs", "WAGO", "many without SYNC", "no-sync", "foreign objects in RPDO1", "outputs in two RPDOs"),
     *("COB-ID is taken", "fixed entries", "guarding-with-1029h", "kept-loss", "no-error-mode", "maker-object"),
     *("no-device-type", "many-profiles", "only outputs", "only inputs", "no SYNC", "no-error-behaviour"),
-    *("inputs in two TPDOs", "inputs in TPDO3", "outputs-in-rpdo5", "many watched", "mapped otherwise"),
+    *(
+        "inputs in two TPDOs",
+        "inputs in two TPDOs",
+        "inputs in TPDO3",
+        "outputs-in-rpdo5",
+        "many watched",
+        "mapped otherwise",
+    ),
 )
 
 

@@ -90,6 +90,8 @@ def _objects(world: BoardWorld, board: Any, judged: JudgedBoard) -> None:
         if index == 0x6207 and not judged.used >> 8 * (sub - 1) & 0xFF:
             continue  # START would switch off what is not used
         value = random.choice(values)
+        if index == 0x6207:
+            value &= judged.used >> 8 * (sub - 1) & 0xFF
         if (index, value) == (0x1017, 5):
             continue  # SDOs delay them so far that they tell an earlier state
         watching = [objects.number(0x1016, other) for other in objects.subs(0x1016) if other != sub]

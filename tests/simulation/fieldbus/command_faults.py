@@ -12,7 +12,10 @@ from tests.simulation.judge.verdict import require
 if TYPE_CHECKING:
     from tests.simulation.fieldbus.world import BoardWorld
 
-AT_ONCE = 0.05
+AT_ONCE = 0.05  # [s] until a failure is told
+COMMITTED = 0.6  # [s] until a command must be over
+READ_BACK = 1.3  # [s] from a switch until outputs are read
+SHORT_PULSES = 3
 
 
 class CommandFaults(FaultMaker):
@@ -173,9 +176,10 @@ class CommandFaults(FaultMaker):
             self._commit(self._states)
 
         def check() -> None:
-            self._unswitched("were not sent for", f"{bus.name} was lost")
+            self._unswitched("were not sent for", *([f"{bus.name} was lost"] if lost_first else []))
 
         late = timing.heartbeat_timeout / 2 + 0.03
+        lost_first = 0.8 * (timing.heartbeat_timeout - timing.heartbeat) <= late - 0.01
         lost = tuple(n for n, b in self._world.wiring.boards.items() if b.bus == bus.name)
         also = ("bus-busy",)
         return Fault(cause, bus.restore, Expected((), within=late, lost=lost, also=also, calm=False), check)
@@ -244,3 +248,35 @@ class CommandFaults(FaultMaker):
             lost,
             check,
         )
+
+    def pulses_are_too_short(self) -> Fault | None:
+        """Three pulses in a row end before their outputs are read: a warning tells so, if no end-stop tells more."""
+        world, master = self._world, self._world.master
+        blind = [w.line for w in self._judged.outputs if w.line & world.wiring.pulsed & self._judged.unsensed]
+        if not blind or self._before & world.wiring.pulsed or self._board.variant.answer_delay or not self._waits():
+            return None
+        line = self._random.choice(blind)
+
+        def pulse() -> None:
+            self._commit(world.switching.states | line)
+            world.wait(lambda: master.outputs & line, 0.1, "on")
+            self._site.call(lambda m: m.commit(~line & world.wiring.lines, world.agenda.now, release=True))
+            world.wait(lambda: not master.committing, COMMITTED, "released")
+            world.pass_time(READ_BACK)
+            master.drain_switched()
+
+        def cause() -> None:
+            before = self._status().unverified
+            for k in range(SHORT_PULSES):
+                pulse()
+                now = self._status().unverified
+                require(
+                    now == before + k + 1, f"{self._name}: {now} are unverified, were {before}, {k + 1} short pulses"
+                )
+
+        def check() -> None:
+            warned = [w.message for w in master.warnings() if (w.code, w.source) == ("board-limits", self._name)]
+            require(any("too short to be read back" in text for text in warned), f"{self._name}: warned is {warned}")
+            world.switching.forget(world.switching.driven())
+
+        return Fault(cause, self._nothing, Expected((), within=AT_ONCE), check)

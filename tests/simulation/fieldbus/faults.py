@@ -123,7 +123,8 @@ class Faults:
             return
         for bus in world.site.buses.values():
             bus.drop()
-        world.pass_time(0.03)
+        silent = 0.0 if expected.calm else 1.3 * world.drawn.timing.heartbeat_timeout + world.drawn.timing.heartbeat
+        world.pass_time(0.03 + silent)  # boards that have lost the master notice it before the boot
         master.drain_faults()
         master.drain_switched()
         if world.random.random() < 0.3:

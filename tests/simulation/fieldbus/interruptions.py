@@ -39,7 +39,7 @@ class Interruptions:
             world.site.master, world.calm, world.ready = None, False, False
             changes.happen(world, self._name)
         kinds: list[Callable[[], None]] = [self._frames, self._frames, self._frames, self._restart, self._restarts]
-        kinds += [self._bus, self._command, self._reset, self._stall]
+        kinds += [self._bus, self._command, self._reset, self._stall, self._error]
         kind = random.choice(kinds)
         world.made[f"boot with: {kind.__name__[1:]}"] += 1
         world.note(f"boot with {kind.__name__[1:]} of {self._name} at {self._place}")
@@ -186,6 +186,30 @@ class Interruptions:
         self._begin()
         world.boots.running = False
         world.wait(lambda: not world.master.booting, LONGEST, "booted")
+
+    def _error(self) -> None:
+        """The board reports an error: it is refused, with the emergency."""
+        world = self._world
+        code = world.random.choice([0x2310, 0x5000, 0x4200])
+        told: list[bool] = []
+
+        def happen() -> str:
+            cob_id, board = self._board.objects.number(0x1014), self._board
+            new = code not in board.emergencies._present and board.state is not State.STOPPED
+            told.append(new and cob_id == 0x80 + self._judged.node)
+            self._board.emergencies.report(code)
+            return ""
+
+        self._place = world.random.randrange(3, 30)
+        self._at_place(happen)
+        self._begin()
+        world.boots.running = False
+        world.wait(lambda: not world.master.booting, LONGEST, "booted")
+        ours = [fault for fault in world.master.boot_faults if fault.source == self._name]
+        require(bool(ours) or not told, f"{self._name} has reported an error in its boot, and is not refused")
+        if told and ours[0].code == "board-error":
+            words = [f"({code:04X}h)", "1001h sub 0 is"] + ["it reported"] * told[0]
+            require(all(word in ours[0].message for word in words), f"{ours[0]} is told; its sentence has {words}")
 
     def _reset(self) -> None:
         """The boot begins again."""
