@@ -11,7 +11,8 @@ from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.events import FrameEchoed, FrameReceived
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import Witness
-from tests.simulation.judge.judge import Client, Judge
+from tests.simulation.judge.clients import Client
+from tests.simulation.judge.judge import Judge
 
 
 class Feed(Witness):

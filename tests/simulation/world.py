@@ -34,7 +34,8 @@ from tests.simulation.single_faults import SingleFaults
 from tests.simulation.whole.daemon import Daemon
 from tests.simulation.whole.planned_arms import draw_planned_arm
 
-SINGLE_FAULTS = 2  # in each round of a world with a scripted planner
+SINGLE_FAULTS = 4  # in each round of a world with a scripted planner
+TROUBLED = 0.35  # share of these rounds that have a time with many faults
 FILES = 0.4  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
@@ -133,10 +134,10 @@ class World:
             self.planner.be_calm(False)
             self._let_strangers_stop(True)
             self.pass_time(self._random.uniform(1.0, 6.0))
-            if self.daemon is not None or self.drawn_half():
+            if self.daemon is not None or self._random.random() < TROUBLED:
                 self.judge.disturb()
                 self.trouble.begin()
-                self.pass_time(self._random.uniform(2.0, 15.0 if self.daemon is not None else 8.0))
+                self.pass_time(self._random.uniform(2.0, 15.0 if self.daemon is not None else 6.0))
                 self.calm()
             if self.agenda.steps >= end:
                 break

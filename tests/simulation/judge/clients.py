@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from controller.program import (
     VERSION,
     Answer,
@@ -18,7 +20,13 @@ from tests.simulation.judge.account import Account
 from tests.simulation.judge.verdict import require
 
 NAME = "simulated"
-MOST_TEXT = 1_000
+
+
+class Client(NamedTuple):
+    """A connection to the executor's socket."""
+
+    number: int
+    planner: bool
 
 
 class Clients:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from controller.program import (
     Accepted,
@@ -32,7 +32,7 @@ from controller.program import Counts as LedgerCounts
 from tests.simulation.judge.account import Account, Commit
 from tests.simulation.judge.arm import JudgedArm
 from tests.simulation.judge.boards import BoardObjects, Endings
-from tests.simulation.judge.clients import Clients
+from tests.simulation.judge.clients import Client, Clients
 from tests.simulation.judge.commands import Commands
 from tests.simulation.judge.counts import Counts
 from tests.simulation.judge.ground import Ground
@@ -48,15 +48,8 @@ from tests.simulation.judge.traffic import Look, Traffic
 from tests.simulation.judge.travels import Travels
 from tests.simulation.judge.verdict import require
 
-SYNC, STOPPED = 0x80, 4
+SYNC = 0x80
 RPDOS = range(0x200, 0x580, 0x100)
-
-
-class Client(NamedTuple):
-    """A connection to the executor's socket."""
-
-    number: int
-    planner: bool
 
 
 class Judge:
@@ -105,11 +98,6 @@ class Judge:
     def disturb(self) -> None:
         """Ends the time in which nothing disturbs the world."""
         self.account.clear_since = math.inf
-
-    def _stopped(self, board: str) -> bool:
-        """Returns whether a board is stopped: the loss of one executor may stop it in the boot of the next one."""
-        look = self.traffic.look.get(board)
-        return look is not None and look.state() == STOPPED
 
     # --- the executor's process
 
@@ -294,7 +282,9 @@ class Judge:
             case Diagnostics():
                 self.counts.diagnosed(message)
             case Snapshot():
-                if any(fault.code == "board-missing" and self._stopped(fault.source) for fault in message.faults):
+                if any(
+                    fault.code == "board-missing" and self.traffic.stopped(fault.source) for fault in message.faults
+                ):
                     self.disturb()
                 self.log.shows(self.account.shown, message)
                 self.streams.shown(message)

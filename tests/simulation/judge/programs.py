@@ -7,6 +7,7 @@ from collections.abc import Callable
 from controller.program import Accepted, Begun, Declined, Ended, Program, Replaced, Replacement, Settled, unpack
 from tests.simulation.judge.acceptance import MODE_REASONS, misfits, must_decline
 from tests.simulation.judge.account import EPSILON, Account, Run
+from tests.simulation.judge.owed import WORDS, Ending
 from tests.simulation.judge.reasons import Reasons
 from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import Snapshots
@@ -19,24 +20,6 @@ READ_BACK = 1.0  # [s] within which boards without end-stops are read back after
 ENDED_WITHIN = 1.0 + PROMPT  # [s] from its cause to a result: the running commit ends first, and is read back
 SETTLED_WITHIN = 3.0  # [s], longest time in which the last stage of a program settles, or is a fault
 STARVES_AFTER = 10.0  # [s] without further stages, after which a program is aborted
-WORDS = {  # of the message of a result, by its cause
-    "stop": "stopped",
-    "quit": "shutting down",
-    "planner": "the planner is",
-    "starved": "no further stages",
-    "touched": "cannot begin",
-    "far": "too far",
-    "replaced": "replaced by",
-}
-
-
-class Ending:
-    """A program that something ends: its result is owed."""
-
-    def __init__(self, run: Run, at: float) -> None:
-        self.run, self.at = run, at
-        self.causes: dict[str, str] = {}  # permitted status by cause
-        self.words: dict[str, str] = {}  # the message by cause, where it is known
 
 
 class Programs:

@@ -29,7 +29,7 @@ from tests.simulation.judge.snapshots import SEEN_WITHIN, Snapshots
 from tests.simulation.judge.verdict import require
 
 if TYPE_CHECKING:
-    from tests.simulation.judge.judge import Client
+    from tests.simulation.judge.clients import Client
 
 
 class Waiting:
