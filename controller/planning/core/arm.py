@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 States = NDArray[np.uint8]
 Measured = NDArray[np.int8]  # actuator states, -1 unknown
 
+_AFTER_PROGRAMS = ("executing", "ready")  # modes in which programs end, or have ended
+
 # Fields of a snapshot from which `ArmState` computes.
 OF_ACTUATORS = ("outputs", "measured", "known", "sensed", "homing", "locked", "moving")
 
@@ -211,7 +213,8 @@ class ExecutorView:
         self.state, self._was_connected = state, True
         if snapshot.mode == "ready":
             self._shown_for = self._shown_for or snapshot.reason
-        if self._shown_for and (snapshot.mode != "ready" or snapshot.reason != self._shown_for):
+        other = snapshot.mode == "ready" and snapshot.reason != self._shown_for
+        if other or snapshot.mode not in _AFTER_PROGRAMS:
             self._sentence = ""
         return state
 
@@ -223,7 +226,8 @@ class ExecutorView:
 
     def ended(self, sentence: str) -> None:
         """Sets the sentence on the end of a program; the mode shows it until the executor gives another reason."""
-        self._sentence, self._shown_for = sentence, ""
+        if self.state is None or self.state.snapshot.mode in _AFTER_PROGRAMS:
+            self._sentence, self._shown_for = sentence, ""
 
     def measured_in(self, message: Settled) -> Measured:
         """Returns the measured states in a message, shape (A,); -1 where they are not known."""

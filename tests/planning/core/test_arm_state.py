@@ -58,3 +58,26 @@ def test_a_change_of_actuators_is_computed_anew(played: PlayedCore, change: dict
     fresh = computed(ArmState(played.arm.manipulator, later.snapshot))
     for name, value in computed(later).items():
         np.testing.assert_equal(value, fresh[name], name)
+
+
+def test_the_sentence_on_a_program_ends_with_a_fault_before_the_arm_is_ready_again(played: PlayedCore) -> None:
+    for mode in ("executing", "fault", "starting"):
+        played.show(mode=mode, reason=mode)
+        if mode == "executing":
+            played.view.ended("holding; goal a was aborted")
+    played.show(mode="ready", reason="holding what the boards measured")
+    assert played.view.mode() == ("ready", "holding what the boards measured")
+    played.show(mode="starting", reason="booting")
+    played.view.ended("holding; goal b was aborted")  # its result was owed
+    played.show(mode="ready", reason="holding what the boards measured")
+    assert played.view.mode() == ("ready", "holding what the boards measured")
+
+
+def test_the_sentence_on_a_program_stays_until_the_executor_gives_another_reason(played: PlayedCore) -> None:
+    played.show(mode="executing", reason="goal a")
+    played.view.ended("holding; goal a was reached")
+    for _ in range(2):
+        played.show(mode="ready", reason="holding; goal a is done")
+        assert played.view.mode() == ("ready", "holding; goal a was reached")
+    played.show(mode="ready", reason="canceled")
+    assert played.view.mode() == ("ready", "canceled")
