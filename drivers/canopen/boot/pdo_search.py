@@ -70,9 +70,7 @@ def cover(
             bits &= ~carried
         else:
             others.append(present)
-        if not bits:
-            return found, _silenced(it, others, [pdo.cob_id for pdo, _ in found])
-    return None
+    return None if bits else (found, _silenced(it, others, [pdo.cob_id for pdo, _ in found]))
 
 
 def as_is(it: Inspection) -> bool:

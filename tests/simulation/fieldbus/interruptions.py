@@ -195,7 +195,8 @@ class Interruptions:
 
         def happen() -> str:
             cob_id, board = self._board.objects.number(0x1014), self._board
-            new = code not in board.emergencies._present and board.state is not State.STOPPED
+            present = board.emergencies._present  # the end of one of them is told as the end of all
+            new = not present and board.state is not State.STOPPED
             told.append(new and cob_id == 0x80 + self._judged.node)
             self._board.emergencies.report(code)
             return ""

@@ -43,8 +43,10 @@ MORE: Mapping[str, Variant] = {
         },
     ),
     "outputs in two RPDOs": Variant(
-        "RPDO1 carries bytes 5 to 8, RPDO2 bytes 1 to 4, read-only",
+        "RPDO1 carries bytes 5 to 8, RPDO2 bytes 1 to 4, read-only; RPDO3 has the COB-ID of RPDO2",
         changes={
+            **ANALOG,
+            **pdo(0x1402, 0x300, entries(0x6411, range(1, 5), 16)),
             **pdo(0x1400, 0x200, entries(0x6200, range(5, 9)), fixed=True),
             **pdo(0x1401, DISABLED | 0x300, entries(0x6200, range(1, 5)), fixed=True),
         },
@@ -116,6 +118,7 @@ MORE: Mapping[str, Variant] = {
         VARIANTS["many-outputs"],
         changes={
             **VARIANTS["many-outputs"].changes,
+            **pdo(0x1401, DISABLED | 0x300, []),
             (0x1018, 0): number(1, 4),
             (0x1018, 1): number(4, 0x21),
             (0x1018, 2): number(4, 750),

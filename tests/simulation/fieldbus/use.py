@@ -22,6 +22,7 @@ class Use:
 
     def __init__(self, world: BoardWorld) -> None:
         self._world = world
+        self.fresh = False  # whether no command has followed the last boot
 
     def happen(self) -> None:
         """Switches a few times, and lets the arm rest."""
@@ -42,6 +43,7 @@ class Use:
         master = self._world.master
         states = self.possible(states)
         before = self._world.agenda.now
+        changed = self._world.switching.states ^ states
         self._world.switching.commands(states)
         self._count_reads()
         self._world.note(f"commit {states:b}")
@@ -49,9 +51,20 @@ class Use:
         self._world.wait(lambda: not master.committing, COMMITTED, "committed")
         self._world.made["switches"] += 1
         self._world.switching.ended(master.outputs, master.drain_switched(), master.commit_failed)
-        self._judge_ending(states, before)
+        self._judge_ending(before)
+        if self.fresh:
+            self._judge_read_back(changed)
+        self.fresh = False
 
-    def _judge_ending(self, states: int, before: float) -> None:
+    def _judge_read_back(self, changed: int) -> None:
+        """Requires that the first command after a boot ends when outputs without end-stops were read back."""
+        world = self._world
+        for name, board in world.wiring.boards.items():
+            if changed & board.unsensed:
+                read = name in world.watching.output_reads
+                require(read, f"{name}: the first command after a boot ends, and nobody has read its outputs back")
+
+    def _judge_ending(self, before: float) -> None:
         seconds = self._world.agenda.now - before
         require(seconds <= 0.3 + self._world.watching.slack, f"a command takes {seconds:.3f} s")
 

@@ -10,6 +10,7 @@ from tests.simulation.judge.fieldbus.wires import INPUTS, INVALID, JudgedBoard, 
 from tests.simulation.judge.verdict import require
 
 EVENT_TIME = 1000  # [ms] of a TPDO
+WAGO = 0x21  # vendor
 ROUNDING = 10  # [ms] by which boards round times
 RPDOS, TPDOS = range(0x1400, 0x1440), range(0x1800, 0x1840)
 Table = dict[tuple[int, int], int]
@@ -126,10 +127,13 @@ def _judge_pdos(board: JudgedBoard, found: Found, look: Look, as_is: bool, outpu
         if free and room and not as_is:
             right = any((pdo.cob_id, pdo.mapping) == (cob_id, mapping) for pdo in wanted)
             require(right, f"board {board.name}: {index:04X}h is {cob_id:X}h with {mapping}; {wanted} are needed")
+    analog = range(0x1401, 0x1404) if found.byte(0x1018, 1) == WAGO else ()  # RPDO2 to 4 carry analog outputs
+    taken = [index for index, _, _ in carrying if index in analog]
+    require(not taken, f"board {board.name}: {taken} are for analog outputs")
     used_ids = [cob_id for _, cob_id, _ in carrying]
     if wanted and not as_is:
         twice = [index for index, cob_id, _ in others if cob_id in used_ids]
-        require(not twice or len(carrying) > len(wanted), f"board {board.name}: {twice} have a COB-ID of {used_ids}")
+        require(not twice, f"board {board.name}: {twice} have a COB-ID of {used_ids}")
 
 
 def _judge_kept(board: JudgedBoard, found: Found, look: Look, needs: Table, masks: Table) -> None:

@@ -49,6 +49,7 @@ class Watching:
         self._polls: dict[str, float] = {}
         self.reads: Counter[tuple[str, int, int]] = Counter()
         self.input_reads: dict[str, list[float]] = {}
+        self.output_reads: dict[str, float] = {}  # last read of each board
         self.ready_since: float | None = None
         self._count: Counter[str] = Counter()
 
@@ -56,6 +57,7 @@ class Watching:
         """All boards are ready: from now on reads are counted."""
         self.ready_since = now
         self.reads.clear()
+        self.output_reads.clear()
         self._count.clear()
         self.input_reads.clear()
 
@@ -85,6 +87,8 @@ class Watching:
             require(data[0] == 0x40, f"{name}: SDO {data.hex()} while all are ready")
             self.reads[name, index, sub] += 1
             self._count[bus] += 1
+            if index == self._wiring.boards[name].base:
+                self.output_reads[name] = now
             if index == INPUTS:
                 self.input_reads.setdefault(name, []).append(now)
 
@@ -196,6 +200,9 @@ class Watching:
         require(master.ends == ends, f"inputs are told as {master.ends:b}; they read {ends:b}")
         require(master.inputs_known == inputs, f"inputs {master.inputs_known:b} are known; {inputs:b} are")
         require(master.known == wiring.actuators, f"actuators {master.known:b} are known; all are")
+        told = master.sensed, master.board_of, master.boards
+        right = told == (wiring.sensing, wiring.board_of, tuple(wiring.boards))
+        require(right, f"{told} are told as end-stops and boards")
         require(master.ready and master.outputs_known and master.back, "the master is not ready")
         require(not master.doubtful, f"outputs {master.doubtful:b} are doubtful")
         if outputs is not None:
