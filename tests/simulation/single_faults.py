@@ -102,6 +102,7 @@ class SingleFaults:
         at_next(lambda: world.agenda.after(0.0, planner.interrupt))
         world.trouble.made["only: interrupted"] += 1
         world.pass_time(self._random.uniform(0.3, 1.0))
+        at_next(lambda: None)
         world.wait(world.settled, "ready", world.ready_within)
 
     def _lose_planner(self, planner: ScriptedPlanner) -> None:

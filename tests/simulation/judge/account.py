@@ -84,6 +84,7 @@ class Run:
         homed: states to which they are homed.
         taken_at: time of the last `Begun` [s].
         delayed: whether its zero of time may be later, because actuators are homed before, or were a moment ago.
+        begins_by: latest zero of time, if it is delayed [s].
         accepted_at: time of the acceptance [s].
         question: number of the open question; None if none is open.
         touched: whether the last answer said that the stage is not clear.
@@ -104,6 +105,7 @@ class Run:
         self.homed = self.stages[-1].states if ends_elsewhere else self.start
         self.taken_at = self.held_at = self.accepted_at = accepted.begin
         self.mark = self.begun = self.generation = -1
+        self.begins_by = accepted.begin
         self.planned, self.open_mark, self.touched, self.delayed = True, False, False, False
         self.question: int | None = None
 

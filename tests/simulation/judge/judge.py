@@ -306,7 +306,7 @@ class Judge:
         if frame_id & 0x780 in RPDOS:
             if a.commit is None or a.commit.at != a.now:
                 a.commit = Commit(a.now, self.ground.states)
-                self.programs.committed_for(a.run)
+                self.programs.switches_for = a.run
             a.commit.open.add(bus)
             self.commands.commit(bus, frame_id, data)
         elif frame_id == SYNC:

@@ -152,6 +152,8 @@ class Programs:
         as_planned = before == run.state(run.taken) and all(run.stages[i].states == before for i in skipped)
         run.planned = run.planned and as_planned
         run.counted += before != states
+        if run.delayed and run.taken < 0:
+            run.begins_by = max(run.begin, a.now)
         run.taken, run.taken_at, run.begun = k, a.now, max(k, run.begun)
         run.held_at = a.now
         if run.stages[k].mark >= 0:
@@ -208,10 +210,6 @@ class Programs:
     def _judge_switches(self, run: Run, told: int, text: str) -> None:
         most = run.switches + run.homes.bit_count()  # a pair of unknown state switches also where its valve stays
         require(run.switches <= told <= most, f"{text} tells {told} switches, the bus had {run.switches}")
-
-    def committed_for(self, run: Run | None) -> None:
-        """Records for which program RPDOs were handed out."""
-        self.switches_for = run
 
     def switched(self, mask: int) -> None:
         """Counts actuators that a SYNC switched."""
@@ -344,10 +342,10 @@ class Programs:
             return now < run.taken_at + READ_BACK
         if following < len(run.stages):
             stage = run.stages[following]
-            if now < run.begin + stage.at:
-                return not run.open_mark or now < run.begin + run.stages[run.taken].settled
+            if now < run.begins_by + stage.at:
+                return not run.open_mark or now < run.begins_by + run.stages[run.taken].settled
             differ = ground.states ^ run.stages[self._best(run, now, ground.states)].states
             return any(now < ground.due(k) + a.arm.rest for k in range(a.arm.count) if differ >> k & 1)
         if run.open_mark:
-            return now < run.begin + run.stages[run.taken].settled
+            return now < run.begins_by + run.stages[run.taken].settled
         return not run.final
