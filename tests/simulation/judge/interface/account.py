@@ -75,8 +75,9 @@ class InterfaceAccount:
 
     def begin(self, process: int) -> None:
         """A process of the planner begins."""
-        self._still = self.now - self.awake  # what stood still has ended
-        self._still_from = self._still_until = self.now
+        if not process:  # what stood still has ended
+            self._still = self.now - self.awake
+            self._still_from = self._still_until = self.now
         self.process, self.began_at, self.began_awake = process, self.now, self.awake
         self.requests = []
         self.heard = deque([Heard(self.now, self.awake, None)], maxlen=400)

@@ -47,6 +47,8 @@ class Words:
         last = max(ended, key=lambda r: r.heard_at, default=None)
         of_last = last is not None and snapshot.reason.startswith(f"holding; {last.program.name} ")
         sentence = "" if last is None else ending_of(last)
+        if last is not None and last.results and last.results[0]["status"] == "aborted" and reason == sentence:
+            return ""  # it stays until the executor gives another reason than at the end
         if last is None or not (of_last or a.awake - last.heard_awake < FRESH):
             return "" if reason == snapshot.reason else f"the reason is {snapshot.reason}"
         told = bool(last.results) and a.awake - last.told_awake > FRESH and not a.had("link", last.heard_at)
@@ -65,10 +67,14 @@ class Words:
             self._judge_reached(ran, payload, text)
         elif payload["code"] == -5:
             self._judge_missed(ran, payload, text)
-        elif ended is not None and ended.status == status:
+        elif ended is not None and ended.status == status and not self._of_planner(message):
             words = ended.message
             require(message == words or message[:1_000] == words, f"{text}; the executor tells {words}")
         require(message, f"{text} has no message")
+
+    def _of_planner(self, message: str) -> bool:
+        """Returns whether the planner has ended a goal, before or after the executor did."""
+        return COLLIDES.fullmatch(message) is not None or message.startswith("after waypoints[") or self._a.quits
 
     def _judge_reached(self, ran: Ran, payload: Payload, text: str) -> None:
         if ran.jog:
