@@ -47,8 +47,6 @@ class Words:
         last = max(ended, key=lambda r: r.heard_at, default=None)
         of_last = last is not None and snapshot.reason.startswith(f"holding; {last.program.name} ")
         sentence = "" if last is None else ending_of(last)
-        if last is not None and last.results and last.results[0]["status"] == "aborted" and reason == sentence:
-            return ""  # it stays until the executor gives another reason than at the end
         if last is None or not (of_last or a.awake - last.heard_awake < FRESH):
             return "" if reason == snapshot.reason else f"the reason is {snapshot.reason}"
         told = bool(last.results) and a.awake - last.told_awake > FRESH and not a.had("link", last.heard_at)
