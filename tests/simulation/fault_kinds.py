@@ -224,7 +224,8 @@ class FaultKinds:
             stuck = Expected(codes("stuck"), (label,), late, also=also, cleared=cleared, locks=(label, cleared))
             made["actuator is stuck"] = Fault(stick, lambda: boards.fault("release", label), stuck)
             missed = stuck._replace(within=TIMES * pause + late)
-            made["actuator misses commands"] = Fault(miss, lambda: boards.fault("release", label), missed)
+            if not cleared:
+                made["actuator misses commands"] = Fault(miss, lambda: boards.fault("release", label), missed)
             others = [j for j in free if j != k]
             loose = world.boards.positions() >> k & 1 and world.judge.arm.extended_ends >> k & 1 and others
             tells = channel.input_contracted is None and "input" not in channel.inverted

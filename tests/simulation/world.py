@@ -36,7 +36,7 @@ from tests.simulation.whole.planned_arms import draw_planned_arm
 
 SINGLE_FAULTS = 4  # in each round of a world with a scripted planner
 TROUBLED = 0.35  # share of these rounds that have a time with many faults
-FILES = 0.4  # share of the arms that are written to a file and read
+FILES = 0.9  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
 
