@@ -53,7 +53,10 @@ class ExecutorServer:
         self._lock = lock(path.with_name(path.name + ".lock"))
         path.unlink(missing_ok=True)
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
-        self._listening.bind(str(path))
+        try:
+            self._listening.bind(str(path))
+        except OSError as error:  # of a path of more than 107 bytes, or a full disk; it names no file
+            raise OSError(f"the socket {path} cannot be made: {error}") from None
         path.chmod(0o660)  # the folder decides who may connect
         self._listening.listen(BACKLOG)
 

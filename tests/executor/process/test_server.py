@@ -298,3 +298,9 @@ def test_folders_that_a_user_may_not_read_hide_their_sockets(monkeypatch: pytest
     monkeypatch.setattr("controller.host.sockets.SYSTEM", tmp_path / ("x" * 300))  # a name that cannot be looked at
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
     assert default_socket("a") == tmp_path / "user/hyperbit/a.sock"
+
+
+def test_a_socket_that_cannot_be_made_is_named(tmp_path):
+    path = tmp_path / f"{'a' * 120}.sock"
+    with pytest.raises(OSError, match=r"the socket .*aaa\.sock cannot be made: AF_UNIX path too long"):
+        ExecutorServer(path)
