@@ -222,3 +222,16 @@ def test_actuators_of_unknown_state_are_planned_from_a_guess_and_a_jog_homes_onl
     jog(desk, m1_left="contracted")
     program = desk.executor.expect(Program, Acknowledge)
     assert unpack(program.homed) == 1
+
+
+def test_the_answer_to_a_goal_says_that_its_homing_is_not_checked_among_obstacles(desk: Desk) -> None:
+    count = desk.executor.actuators
+    desk.show(known=pack(((1 << count) - 1) & ~1, count), homing=pack(1, count))
+    obstacles(desk, ([5.0, 5.0], 0.1))
+    desk.goal(C, name="c")
+    desk.executor.accept(desk.executor.expect(Program))
+    told = desk.inbox.next("reply")
+    assert told["accepted"]
+    assert told["message"].endswith(
+        "collisions of the homing were not checked, because it is not known where 1.left is"
+    )

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from controller.motion.decoding.goal import GoalMessage, Jog
     from controller.motion.stages.pacing import Pace
 
-UNCHECKED = "; collisions were not checked, because"
-
 
 @dataclass(eq=False)
 class Motion:
@@ -105,6 +103,7 @@ def goal_program(parts: Parts, motion: Motion, planned: Planned, state: ArmState
     waypoints, switches = len(trajectory.waypoints), planned.proof.switches
     points = f"{waypoints} {'waypoint' if waypoints == 1 else 'waypoints'}"
     words = f"accepted, {points}, {switches} {'switch' if switches == 1 else 'switches'} planned"
+    words += _unchecked(state, basis, of=" of the homing")
     draft = Draft(route, report, f"goal {motion.id}", words, strict, begin, planned.proof)
     program = _in_flight(parts, motion, draft, basis)
     program.plan, program.tables, program.delay = planned.plan, basis.tables, delay
@@ -144,16 +143,23 @@ def jog_program(
     point = PlannedPoint(0, tuple(state.pack(stages)), None, 0)
     times, most = (lead * len(point.stages),), parts.pace.inrush or len(labels)
     route = Route(state.snapshot.outputs, (point,), times, (False,), lead, 0.0, most)
-    unsure = unsure_of(state)
-    known, unchecked = unsure is None, "" if unsure is None or basis.scene.free else f"{UNCHECKED} {unsure}"
+    known = unsure_of(state) is None
     switches = np.count_nonzero(state.commanded != stages[-1])
     named = ", ".join(f"{labels[k]} {STATES[to]}" for k, to in wanted.items())
-    words = f"accepted, {switches} {'switch' if switches == 1 else 'switches'}: {named}{unchecked}"[:1_000]
+    words = f"accepted, {switches} {'switch' if switches == 1 else 'switches'}: {named}{_unchecked(state, basis)}"[
+        :1_000
+    ]
     homed = packed(np.isin(np.arange(len(labels)), list(wanted)))
     report, strict = JogReport(motion.id, wanted), known and not basis.scene.free
     program = _in_flight(parts, motion, Draft(route, report, f"jog {motion.id}", words, strict, homed=homed), basis)
     program.unchecked = not known
     return program
+
+
+def _unchecked(state: ArmState, basis: Basis, of: str = "") -> str:
+    """Returns the end of an answer: among obstacles, motions from an unknown position are not checked."""
+    unsure = unsure_of(state)
+    return "" if unsure is None or basis.scene.free else f"; collisions{of} were not checked, because {unsure}"
 
 
 def _in_flight(parts: Parts, motion: Motion, draft: Draft, basis: Basis) -> InFlight:
