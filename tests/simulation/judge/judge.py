@@ -269,7 +269,7 @@ class Judge:
             case Settled():
                 self.programs.settled(message)
             case Ended():
-                self.programs.ended(message)
+                self.programs.ended(message, late=self.requests.tells_again)
                 counted = self.requests.tells_again or self.counts.counted_now
                 require(counted, f"the counts are not told before {message}")
                 self.requests.result(message)

@@ -228,8 +228,8 @@ class Programs:
             ending.causes[cause] = status
             ending.words[cause] = words
 
-    def ended(self, message: Ended) -> None:
-        """Judges a result."""
+    def ended(self, message: Ended, late: bool) -> None:
+        """Judges a result; `late`: it has waited for the planner."""
         a = self._a
         if (known := self.unacknowledged.get(message.result)) is not None:
             require(known == message, f"result {message.result} is told again, and differs")
@@ -269,7 +269,7 @@ class Programs:
         if message.status == "done":
             moving = a.ground.surely_moving(a.now)
             require(not moving, f"{text} is done while {moving:b} travel")
-        self._snapshots.judge_states(message.measured, message.known, text)
+        self._snapshots.judge_states(message.measured, message.known, text, ended_at if late else None)
         self._judge_switches(run, message.switches, text)
         self._travels.ended(run, ended_at, message.travels, text)
 
