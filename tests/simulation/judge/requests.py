@@ -22,11 +22,12 @@ from controller.program import (
 )
 from tests.simulation.judge.account import Account, Commit
 from tests.simulation.judge.arm import bits_of, merged
-from tests.simulation.judge.programs import READ_BACK, TICK, Programs
+from tests.simulation.judge.programs import Programs
 from tests.simulation.judge.reasons import HELD, Reasons
 from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import SEEN_WITHIN, Snapshots
 from tests.simulation.judge.verdict import require
+from tests.simulation.judge.waits import READ_BACK, TICK
 
 if TYPE_CHECKING:
     from tests.simulation.judge.clients import Client
