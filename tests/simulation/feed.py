@@ -58,9 +58,9 @@ class Feed(Witness):
                 self._greeted = (client, message) if isinstance(message, Hello) else None
                 if isinstance(message, Counts) and client == self._planner:
                     self._raised(message.counts)
-                judge.hears(Client(client.number, client == self._planner), message)
+                judge.messages.hears(Client(client.number, client == self._planner), message)
             case ClientGone(client):
-                judge.loses(Client(client.number, client == self._planner))
+                judge.messages.loses(Client(client.number, client == self._planner))
                 if client == self._planner:
                     self._planner = None
             case FrameEchoed():
@@ -104,12 +104,12 @@ class Feed(Witness):
             client, hello = self._greeted
             if hello.role == "planner":
                 self._planner = client
-                self._judge.tells(message)
+                self._judge.messages.tells(message)
                 self._judge.requests.new_planner()
                 return
         if isinstance(message, Goodbye):
             self._judge.requests.answered()
-        self._judge.tells(message)
+        self._judge.messages.tells(message)
 
 
 class Witnesses(Witness):

@@ -72,6 +72,7 @@ class ScriptedPlanner:
 
     Attributes:
         calm: it sends only the resets that are needed, and unlocks actuators.
+        unlocks: whether it unlocks actuators while it is calm.
         patient: while it is calm, it waits for faults to clear by themselves.
         snapshot: the latest snapshot; None before the first of a connection.
         results: results that it has not acknowledged.
@@ -87,7 +88,7 @@ class ScriptedPlanner:
     """
 
     def __init__(self, arm: ExecutedArm, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
-        self.calm = self.patient = False
+        self.calm, self.patient, self.unlocks = False, False, True
         self.snapshot: Snapshot | None = None
         self.results: list[int] = []
         self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
@@ -206,7 +207,7 @@ class ScriptedPlanner:
                 self.connection.send(Reset(self._next(), snapshot.epoch))
         elif snapshot.mode == "executing" and snapshot.program != self._wanted:
             self.connection.send(Cancel(self._next(), None, "quiet is wanted"))
-        elif snapshot.mode == "ready":
+        elif snapshot.mode == "ready" and self.unlocks:
             free = [k for k in range(len(self._arm.actuators)) if unpack(snapshot.locked) & ~self._arm.locked & 1 << k]
             for k in free[:1]:
                 self.connection.send(Lock(self._next(), k, -1))

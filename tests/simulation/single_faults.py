@@ -126,6 +126,7 @@ class SingleFaults:
     def _judge(self, name: str, fault: Fault, planner: ScriptedPlanner) -> None:
         world, expected = self._world, fault.expected
         asked = world.judge.requests.asked
+        planner.unlocks = False
         fault.cause()
         if not expected.codes:
             self._watch(expected, NOTHING)
@@ -134,6 +135,7 @@ class SingleFaults:
             fault.mend()
             self._watch(expected, NOTHING / 5)
             self._require_mode("ready", name)
+            planner.unlocks = True
             return
         world.wait(lambda: told(expected, planner.snapshot), f"told: {name}", expected.within)
         long = expected.cleared and self._random.random() < 0.3
@@ -150,7 +152,11 @@ class SingleFaults:
             self._require_mode("fault", name)
             planner.patient = False
         world.wait(lambda: self._is("ready"), f"ready after {name}", world.ready_within)
+        planner.patient = False
+        self._watch(expected, SUPERVISED)  # an actuator that was released may move now
+        world.wait(lambda: self._is("ready"), f"ready after {name}", world.ready_within)
         judge_locks(expected, planner.snapshot)
+        planner.unlocks = True
         world.wait(world.settled, f"ready after {name}", world.ready_within)
 
     def _is(self, mode: str) -> bool:

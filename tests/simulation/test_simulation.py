@@ -162,7 +162,7 @@ FIRST = {  # seed that finds the defect soonest; other seeds follow if it no lon
     "pulses do not end": 7,
     "both outputs of a pair are on": 16,
     "a start energises": 2,
-    "waiting RPDOs are switched after a stop": 24,
+    "waiting RPDOs are switched after a stop": 38,
     "interlocks are ignored": 30,
     "the loss of the planner begins no epoch": 2,
     "marks settle again after a replacement": 27,

@@ -108,6 +108,7 @@ class World:
         self.executor.connect(self.planner.connection.deliver, cut_off)
         self.boards = BoardSide(arm.wiring, arm.timing, variants, agenda, record, self._from_board, judge)
         judge.looks_at({name: self._look(name) for name in self.boards.simulated.names})
+        judge.endings.goes_off = {name for name, variant in variants.items() if variant.error_state == "off"}
         levels = arm.wiring.loss_levels[len(arm.actuators) :]
         self.let_go = sum(1 << k for k, level in zip(arm.wiring.paired, levels, strict=True) if level == 1)
         self.trouble = Trouble(self, drawn("trouble"))

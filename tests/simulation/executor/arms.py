@@ -27,7 +27,7 @@ ORDINARY = (
         "many-profiles",
     ),
     "short-mapping",
-    *("foreign-sync", "sync-counter", "sync-period", "masked-inputs"),
+    *("foreign-sync", "sync-counter", "sync-period", "masked-inputs", "padded-tpdo"),
 )
 HOLDING = (
     *(

@@ -239,19 +239,46 @@ class SupervisionFaults(FaultMaker):
 
         return Fault(cause, self._nothing, Expected((), within=0.2))
 
-    def wrong_length(self) -> Fault | None:
-        index = [
-            i
-            for i in range(0x1800, 0x1820)
-            if self._board.objects.has(i)
-            and self._board.objects.number(i, 1) & 0x8000_07FF in [p.cob_id for p in self._judged.tpdos]
-        ]
-        if not index:
+    def inputs_are_short(self) -> Fault | None:
+        tpdo = self._tpdo()
+        if tpdo is None:
             return None
-        objects = self._board.objects
-        cob_id, mapped = objects.number(index[0], 1) & 0x7FF, objects.mapping(index[0])
-        size = sum(bits for *_, bits in mapped) // 8
-        wrong = self._random.choice([n for n in (size - 1, size + 1) if 0 <= n <= 8])
-        words = (f"in {wrong} bytes, not in {size}",)
+        cob_id, data, _ = tpdo
+        size = self._random.randrange(len(data))
+        words = (f"in {size} bytes, not in {len(data)}",)
         expected = Expected(("wrong-length",), self._name, words, AT_ONCE)
-        return Fault(self._post(Frame(cob_id, b"\xff" * wrong)), self._nothing, expected)
+        return Fault(self._post(Frame(cob_id, b"\xff" * size)), self._nothing, expected)
+
+    def inputs_are_long(self) -> Fault | None:
+        """The first bytes of a TPDO count; one warning tells of the others."""
+        tpdo = self._tpdo()
+        if tpdo is None or len(tpdo[1]) == 8 or self._board.variant.pads:
+            return None
+        cob_id, data, subs = tpdo
+        more = self._random.randbytes(self._random.randint(1, 8 - len(data)))
+        size, master = len(data) + len(more), self._world.master
+        words = f"its inputs come in {size} bytes, though {len(data)} are mapped: only the first ones are used"
+        lines = sum(wire.line for wire in self._judged.inputs if wire.bit // 8 + 1 in subs)
+
+        def cause() -> None:
+            ends = master.ends
+            self._post(Frame(cob_id, bytes(byte ^ 0xFF for byte in data) + more))()
+            require(master.ends == ends ^ lines, f"{self._name}: the first bytes of long inputs are not used")
+            self._post(Frame(cob_id, data + more))()
+            require(master.ends == ends, f"{self._name}: inputs are told as {master.ends:b}; they read {ends:b}")
+
+        def check() -> None:
+            told = [w.message for w in master.warnings() if (w.code, w.source) == ("board-limits", self._name)]
+            require(len(told) == 1 and told[0].count(words) == 1, f"{self._name}: {told} is told, not once {words!r}")
+
+        return Fault(cause, self._nothing, Expected((), within=0.2), check)
+
+    def _tpdo(self) -> tuple[int, bytes, set[int]] | None:
+        """Returns COB-ID and present data of a TPDO that the master takes, and the sub-indices of its inputs."""
+        objects, wanted = self._board.objects, [pdo.cob_id for pdo in self._judged.tpdos]
+        for index in (i for i in range(0x1800, 0x1820) if objects.has(i)):
+            if objects.number(index, 1) & 0x8000_07FF in wanted:
+                mapped = objects.mapping(index)
+                data = b"".join(objects.number(i, sub).to_bytes(bits // 8, "little") for i, sub, bits in mapped)
+                return objects.number(index, 1) & 0x7FF, data, {sub for i, sub, _ in mapped if i == 0x6000}
+        return None

@@ -71,6 +71,7 @@ class Run:
     Attributes:
         number: of the program.
         begin: its zero of time [s].
+        strict_from: time from which it is `strict` [s]; infinity if it is not.
         stages: all stages so far.
         begun: the last stage whose commit has begun, so that it cannot be replaced.
         generation: of the last accepted replacement.
@@ -94,6 +95,7 @@ class Run:
     def __init__(self, message: Program, accepted: Accepted, locked: int, locked_states: int, homing: int) -> None:
         self.number, self.begin, self.message = message.program, accepted.begin, message
         self.strict, self.final = message.strict, message.final
+        self.strict_from = -math.inf if message.strict else math.inf
         self._locked, self._locked_states = locked, locked_states
         self.start = self.aligned(unpack(message.start))
         self.stages: list[RunStage] = []
@@ -120,9 +122,11 @@ class Run:
             for s in stages
         ]
 
-    def replace(self, message: Replacement) -> None:
-        """Records an accepted replacement."""
+    def replace(self, message: Replacement, now: float) -> None:
+        """Records a replacement that is accepted now; a stage whose commit has begun is not strict by it."""
         self.append(message.first, message.stages)
+        if message.strict and not self.strict:
+            self.strict_from = now
         self.strict, self.final = self.strict or message.strict, message.final
 
     def state(self, index: int) -> int:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from tests.simulation.judge.account import Account
-from tests.simulation.judge.arm import mask_of
+from tests.simulation.judge.arm import mask_of, merged
 from tests.simulation.judge.verdict import require
 
 MASTER = 127
@@ -121,6 +121,10 @@ class BoardObjects:
 class Endings:
     """Judges what becomes of the actuators when an executor ends.
 
+    Attributes:
+        goes_off: boards without 6206h whose device switches all outputs off when the executor is lost, by the arm's
+            file (`error_state`); the world sets it.
+
     Args:
         account: of the executor.
         arm: the executor's arm.
@@ -132,6 +136,9 @@ class Endings:
         self.lets_go = mask_of(
             k for k, c in enumerate(wiring.channels) if c.pulse is None and (c.on_loss or on_loss) == "contract"
         )
+        self.goes_off: set[str] = set()
+        self._off = mask_of(k for k, c in enumerate(wiring.channels) if c.output_off is None)
+        self._extended_off = mask_of(k for k, c in enumerate(wiring.channels) if "output" in c.inverted)
         self._contracts = False
         self._ended: tuple[float, int] | None = None
         self._quit_at, self._unknown = 0.0, 0
@@ -191,10 +198,11 @@ class Endings:
             return
         died_at, states = ended
         timing = a.arm.timing
+        off = self._off & mask_of(k for k, board in enumerate(a.arm.board_of) if board in self.goes_off)
         if a.now - died_at > timing.heartbeat_timeout + timing.heartbeat + LOST_LATE:
-            states &= ~self.lets_go
+            states = merged(off, self._extended_off, states & ~self.lets_go)
             wrong = a.ground.states ^ states
             require(not wrong, f"the boards lost the executor and drive {a.ground.states:b}; on_loss wants {states:b}")
         else:
-            moved = (a.ground.states ^ states) & ~self.lets_go
+            moved = (a.ground.states ^ states) & ~self.lets_go & ~off
             require(not moved, f"{moved:b} switched between two executors")

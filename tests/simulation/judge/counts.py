@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from controller.program import Diagnostics
 from tests.simulation.judge.account import Account
-from tests.simulation.judge.programs import READ_BACK, TICK
 from tests.simulation.judge.verdict import require
+from tests.simulation.judge.waits import READ_BACK, TICK
 
 HEARTBEAT, EMERGENCY = 0x700, 0x080
 WAITED = 5  # periods of an open question of which one must be told as a wait

@@ -22,7 +22,7 @@ class Expected(NamedTuple):
         also: codes that may be told as well.
         cleared: whether the arm becomes ready without a reset when the cause is gone.
         words: words that the message of this fault must contain.
-        locks: label of an actuator, and whether it may be locked when the arm is ready again; None: nothing is judged.
+        locks: label of an actuator, and whether it is locked when the arm is ready again; None: nothing is judged.
         asks: whether the executor must ask the planner about a stage.
         refused: reason for which a reset is refused while the cause is there; "" if it is not.
     """
@@ -76,4 +76,4 @@ def judge_locks(expected: Expected, snapshot: Snapshot | None) -> None:
         return
     label, locked = expected.locks
     told = any(fault.code == "degraded" and fault.source == label for fault in snapshot.faults)
-    require(not told or locked, f"actuator {label} is told as locked: {told}; the arm continues on stuck: {locked}")
+    require(told == locked, f"actuator {label} is told as locked: {told}; the arm continues on stuck: {locked}")

@@ -5,38 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from controller.program import (
-    Accepted,
-    Acknowledge,
-    Answer,
-    Begun,
-    Cancel,
-    Clearance,
-    Counted,
-    Declined,
-    Diagnostics,
-    Ended,
-    Lock,
-    Program,
-    Question,
-    Replaced,
-    Replacement,
-    Reset,
-    Setpoint,
-    Settled,
-    Snapshot,
-    Stop,
-    Welcome,
-)
-from controller.program import Counts as LedgerCounts
 from tests.simulation.judge.account import Account, Commit
 from tests.simulation.judge.arm import JudgedArm
 from tests.simulation.judge.boards import BoardObjects, Endings
-from tests.simulation.judge.clients import Client, Clients
+from tests.simulation.judge.clients import Clients
 from tests.simulation.judge.commands import Commands
 from tests.simulation.judge.counts import Counts
 from tests.simulation.judge.ground import Ground
 from tests.simulation.judge.log import Log
+from tests.simulation.judge.messages import Messages
 from tests.simulation.judge.programs import Programs
 from tests.simulation.judge.pulses import Pulses
 from tests.simulation.judge.reasons import Reasons
@@ -46,7 +23,6 @@ from tests.simulation.judge.snapshots import Snapshots
 from tests.simulation.judge.streams import Streams
 from tests.simulation.judge.traffic import Look, Traffic
 from tests.simulation.judge.travels import Travels
-from tests.simulation.judge.verdict import require
 
 SYNC = 0x80
 RPDOS = range(0x200, 0x580, 0x100)
@@ -75,6 +51,7 @@ class Judge:
         self.streams = Streams(self.account, self.programs)
         self.requests = Requests(self.account, self.programs, self.snapshots, self.silence, self.reasons)
         self.counts, self.clients = Counts(self.account), Clients(self.account)
+        self.messages = Messages(self)
         self._over = False  # whether the process was told to end at once
         self._ticks = False  # whether the event that is handled begins a period
         self._asked_to_end: bool | None = None  # at a request to end, whether the arm contracts before
@@ -174,128 +151,10 @@ class Judge:
         if frame_id == SYNC and self.account.commit is not None:
             self.account.commit.awaited.discard(bus)
 
-    # --- its clients
-
-    def loses(self, client: Client) -> None:
-        """The connection of a client was closed."""
-        self.close_step()
-        self.clients.loses(client.number)
-        if client.planner:
-            self.silence.gone()
-            self.snapshots.epoch_causes += 1
-            self._lose_planner()
-
     def _lose_silent(self) -> None:
         """The planner was silent for too long."""
         self.snapshots.epoch_causes += self.account.clear
-        self._lose_planner()
-
-    def _lose_planner(self) -> None:
-        """The planner is gone or silent: what it asked for ends."""
-        if not self.account.quitting:
-            self.commands.hold()
-        self.reasons.holds("the planner is")
-        self.programs.end("planner", "aborted")
-        self.account.stream = None
-
-    def hears(self, client: Client, message: object) -> None:
-        """The process takes a message of a client."""
-        self.close_step()
-        self.clients.hears(client.number, message)
-        if not self.clients.may_ask(client.number, message):
-            return
-        self.requests.receive(client, message)
-        if client.planner:
-            self.silence.hears()
-        match message:
-            case Program() | Replacement() if client.planner:
-                self.programs.receive(message)
-            case Setpoint() if client.planner:
-                self.commands.receive(message)
-                if self.streams.receive(message):
-                    self.reasons.follows(message)
-            case Clearance() if client.planner:
-                run = self.account.run
-                if run is not None and run.question == message.question:
-                    run.question, run.touched = None, message.touched is not None
-                    run.held_at = self.account.now
-            case Acknowledge() if client.planner:
-                self.programs.unacknowledged.pop(message.result, None)
-            case LedgerCounts() if client.planner:
-                self.counts.raised(message.counts)
-            case Cancel() if client.planner:
-                self._cancel(message)
-            case Stop():
-                self.endings.interferes()
-                self.commands.hold()
-                self.snapshots.epoch_causes += 1
-                self.reasons.enters("a stop was requested")
-                self.programs.end("stop", "aborted")
-                self.account.stream = None
-            case Lock() | Reset() if client.planner:
-                pass
-
-    def _cancel(self, message: Cancel) -> None:
-        run = self.account.run
-        if message.program is None or (run is not None and message.program == run.number):
-            self.commands.hold()
-        if message.program is None:
-            self.endings.interferes()
-            self.snapshots.epoch_causes += 1
-            self.reasons.holds("canceled", "following" if run is None else run.message.name)
-            self.account.stream = None
-        if run is not None and message.program in (None, run.number):
-            self.reasons.holds("canceled", run.message.name)
-            self.programs.end("cancel", "canceled", message.reason or "canceled; the arm holds")
-
-    def tells(self, message: object) -> None:
-        """The process sends a message to a client."""
-        match message:
-            case Welcome():
-                self.requests.welcome(message)
-                self.counts.told(message.counts)
-            case Accepted():
-                self.programs.accepted(message)
-                self.commands.begins()
-                self.requests.answered()
-            case Declined():
-                self.programs.declined(message)
-                self.requests.answered()
-            case Replaced():
-                self.programs.replaced(message)
-                self.requests.answered()
-            case Begun():
-                self.programs.begun(message)
-            case Settled():
-                self.programs.settled(message)
-            case Ended():
-                self.programs.ended(message)
-                counted = self.requests.tells_again or self.counts.counted_now
-                require(counted, f"the counts are not told before {message}")
-                self.requests.result(message)
-            case Question():
-                self.requests.question(message)
-            case Answer():
-                self.requests.answer(message)
-            case Counted(counts):
-                self.counts.counted(counts)
-            case Diagnostics():
-                self.counts.diagnosed(message)
-            case Snapshot():
-                if any(
-                    fault.code == "board-missing" and self.traffic.stopped(fault.source) for fault in message.faults
-                ):
-                    self.disturb()
-                self.log.shows(self.account.shown, message)
-                self.streams.shown(message)
-                last = self.account.shown
-                self.snapshots.show(message)
-                self.reasons.shows(last, message)
-                self.pulses.shows(message)
-                self.commands.shows(message)
-                if message.mode not in ("ready", "executing"):
-                    self.programs.end("fault", "aborted")
-                    self.account.stream = None
+        self.messages.lose_planner()
 
     def hands_out(self, bus: str, frame_id: int, data: bytes) -> Commit | None:
         """The process hands a frame to a bus; returns the commit of a SYNC."""

@@ -13,13 +13,9 @@ from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import Snapshots
 from tests.simulation.judge.travels import Travels
 from tests.simulation.judge.verdict import require
+from tests.simulation.judge.waits import PROMPT, READ_BACK, STARVES_AFTER, TICK, Waits, best_stage
 
-TICK = 0.01  # [s], period of the executor's loop
-PROMPT = 6 * TICK  # [s] from the moment at which nothing stands in its way to a stage, mark or result
-READ_BACK = 1.0  # [s] within which boards without end-stops are read back after a switch, see the drivers' page
 ENDED_WITHIN = 1.0 + PROMPT  # [s] from its cause to a result: the running commit ends first, and is read back
-SETTLED_WITHIN = 3.0  # [s], longest time in which the last stage of a program settles, or is a fault
-STARVES_AFTER = 10.0  # [s] without further stages, after which a program is aborted
 
 
 class Programs:
@@ -28,6 +24,7 @@ class Programs:
     Attributes:
         count: takes the mask of the actuators that a SYNC has switched.
         switches_for: program for which the last RPDOs were handed out.
+        waits: judges what programs wait for.
 
     Args:
         account: of the executor.
@@ -43,6 +40,7 @@ class Programs:
         self._a, self._snapshots, self._silence = account, snapshots, silence
         self._travels, self._reasons = travels, reasons
         self.count: Callable[[int], None] = lambda mask: None
+        self.waits = Waits(account)
         self.begin()
 
     def begin(self) -> None:
@@ -51,8 +49,7 @@ class Programs:
         self._endings: dict[int, Ending] = {}
         self.unacknowledged: dict[int, Ended] = {}
         self.switches_for: Run | None = None
-        self.unfed_since: float | None = None
-        self._unfed, self._ticked = 0.0, self._a.now  # awake time without further stages, until the last tick
+        self.waits.begin()
 
     # --- the request
 
@@ -114,12 +111,12 @@ class Programs:
             begun = begun and a.now < commit.at + READ_BACK and asked.first == run.taken + 1  # type: ignore[union-attr]
             require(message.accepted == fits or (fits and begun), f"{asked} is answered by {message.accepted}")
         if message.accepted and run is not None:
-            run.replace(asked)
+            run.replace(asked, a.now)
             run.generation = asked.generation
             run.held_at = a.now
             run.question = None
             if asked.stages:
-                self._unfed = 0.0
+                self.waits.unfed = 0.0
 
     def _may_replace(self, run: Run, asked: Replacement) -> bool:
         a = self._a
@@ -160,7 +157,7 @@ class Programs:
             run.mark, run.open_mark = run.stages[k].mark, True
         else:
             run.open_mark = False
-        run.question, self.unfed_since = None, None
+        run.question, self.waits.unfed_since = None, None
 
     def _judge_begun(self, run: Run, k: int, at: float, before: int) -> None:
         a, stage = self._a, run.stages[k]
@@ -169,23 +166,13 @@ class Programs:
         require(early <= EPSILON, f"{text} began {early:g} s early")
         away = (a.ground.states ^ stage.states) & ~a.homing
         require(not away, f"{text} is told as begun, and the boards drive {a.ground.states:b}, not {stage.states:b}")
-        following, best = run.taken + 1, self._best(run, at, before)
-        if run.strict:
+        following, best = run.taken + 1, best_stage(a.arm, run, at, before)
+        if run.strict_from <= at:
             require(k == following, f"{text} is strict and comes after {run.taken}")
         due = run.begin + stage.at <= at + EPSILON
         require(k == following or due, f"{text} skips stages, and is not due")
         surely = best == following or best > k  # times that are equal but for rounding decide nothing
         require(not (surely and k < best), f"{text} began although stage {best} was due at {at:.6f}")
-
-    def _best(self, run: Run, at: float, before: int) -> int:
-        """Returns the stage that is to begin: the last one that is due and near enough, else the next one."""
-        following = run.taken + 1
-        if run.strict:
-            return following
-        due = [i for i in range(following, len(run.stages)) if run.begin + run.stages[i].at <= at - EPSILON]
-        return max(
-            (i for i in due if (run.stages[i].states ^ before).bit_count() <= self._a.arm.most), default=following
-        )
 
     def settled(self, message: Settled) -> None:
         """Judges the report of a mark."""
@@ -228,8 +215,8 @@ class Programs:
             ending.causes[cause] = status
             ending.words[cause] = words
 
-    def ended(self, message: Ended) -> None:
-        """Judges a result."""
+    def ended(self, message: Ended, late: bool) -> None:
+        """Judges a result; `late`: it has waited for the planner."""
         a = self._a
         if (known := self.unacknowledged.get(message.result)) is not None:
             require(known == message, f"result {message.result} is told again, and differs")
@@ -255,8 +242,8 @@ class Programs:
         text = f"result {message.result} of program {run.number}"
         require(message.context == run.message.context, f"{text} has another context")
         require(message.mark == run.mark, f"{text} tells mark {message.mark}, not {run.mark}")
-        early = WORDS["starved"] in message.message and self._unfed < STARVES_AFTER - 2 * TICK
-        require(not early, f"{text} says {message.message!r} after {self._unfed:g} s")
+        early = WORDS["starved"] in message.message and self.waits.unfed < STARVES_AFTER - 2 * TICK
+        require(not early, f"{text} says {message.message!r} after {self.waits.unfed:g} s")
         if not a.clear:
             return
         fits = [cause for cause, status in causes.items() if status == message.status]
@@ -269,7 +256,7 @@ class Programs:
         if message.status == "done":
             moving = a.ground.surely_moving(a.now)
             require(not moving, f"{text} is done while {moving:b} travel")
-        self._snapshots.judge_states(message.measured, message.known, text)
+        self._snapshots.judge_states(message.measured, message.known, text, ended_at if late else None)
         self._judge_switches(run, message.switches, text)
         self._travels.ended(run, ended_at, message.travels, text)
 
@@ -286,7 +273,7 @@ class Programs:
             away = run.stages[following].states ^ a.ground.states
             if away.bit_count() > a.arm.most:
                 causes["far"] = "aborted"
-        if self.unfed_since is not None and a.now - self.unfed_since > STARVES_AFTER - PROMPT:
+        if self.waits.unfed_since is not None and a.now - self.waits.unfed_since > STARVES_AFTER - PROMPT:
             causes["starved"] = "aborted"
         if self._silence.due:
             causes["planner"] = "aborted"
@@ -305,47 +292,5 @@ class Programs:
         for number, ending in self._endings.items():
             if a.clear and a.clear_since <= ending.at:
                 require(a.now - ending.at < ENDED_WITHIN, f"program {number} has no result {ending.causes}")
-        run = a.run
-        if run is None:
-            return
-        idle = run.taken == len(run.stages) - 1 and not run.final and not run.open_mark
-        self.unfed_since = (self.unfed_since or a.now) if idle else None
-        self._judge_starving(run)
-        if not a.clear or self._kept(run):
-            run.held_at = a.now
-            return
-        late = a.now - run.held_at
-        require(late <= PROMPT, f"program {run.number}: nothing keeps stage {run.taken + 1}, its mark or its end")
-
-    def _judge_starving(self, run: Run) -> None:
-        """Finds a program that waits for stages for ever; a stall of the executor is no delay of the planner."""
-        a = self._a
-        passed, self._ticked = min(a.now - self._ticked, 2 * TICK), a.now
-        starves = run.taken == len(run.stages) - 1 and not run.final
-        self._unfed = self._unfed + passed if starves else 0.0
-        settles = max(map(max, a.arm.travel)) + max(a.arm.margin) + PROMPT if a.clear and not run.open_mark else None
-        longest = STARVES_AFTER + (SETTLED_WITHIN if settles is None else settles)
-        require(self._unfed < longest, f"program {run.number} waits for stages for {self._unfed:g} s")
-
-    def _kept(self, run: Run) -> bool:
-        """Returns whether something keeps the next stage, mark or result of a program from coming."""
-        a, now = self._a, self._a.now
-        ground, mover = a.ground, a.mover
-        if a.mode != "executing" or run.question is not None:
-            return True
-        if a.committing or (mover is not None and mover.at >= run.taken_at and now < mover.at + READ_BACK):
-            return True
-        if now < a.adopted_until or not ground.surely_at_rest(now, 2 * TICK):
-            return True
-        following = run.taken + 1
-        if run.taken < 0 and (run.homes or (a.locked and ground.states != run.start)):
-            return now < run.taken_at + READ_BACK
-        if following < len(run.stages):
-            stage = run.stages[following]
-            if now < run.begins_by + stage.at:
-                return not run.open_mark or now < run.begins_by + run.stages[run.taken].settled
-            differ = ground.states ^ run.stages[self._best(run, now, ground.states)].states
-            return any(now < ground.due(k) + a.arm.rest for k in range(a.arm.count) if differ >> k & 1)
-        if run.open_mark:
-            return now < run.begins_by + run.stages[run.taken].settled
-        return not run.final
+        if a.run is not None:
+            self.waits.tick(a.run)

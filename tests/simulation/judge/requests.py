@@ -21,12 +21,13 @@ from controller.program import (
     unpack,
 )
 from tests.simulation.judge.account import Account, Commit
-from tests.simulation.judge.arm import bits_of, merged
-from tests.simulation.judge.programs import READ_BACK, TICK, Programs
+from tests.simulation.judge.arm import bits_of, mask_of, merged
+from tests.simulation.judge.programs import Programs
 from tests.simulation.judge.reasons import HELD, Reasons
 from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import SEEN_WITHIN, Snapshots
 from tests.simulation.judge.verdict import require
+from tests.simulation.judge.waits import READ_BACK, TICK
 
 if TYPE_CHECKING:
     from tests.simulation.judge.clients import Client
@@ -37,7 +38,8 @@ class Waiting:
 
     def __init__(self, message: Stop | Cancel, at: float, running: bool, leaves: Commit | None) -> None:
         self.message, self.at, self.running = message, at, running
-        self.leaves = leaves  # the commit whose SYNC was handed out, and was not heard to have left
+        self.leaves = leaves  # the commit of which a SYNC was handed out, and was not heard to have left
+        self.buses: set[str] = set() if leaves is None else set(leaves.awaited)  # with such a SYNC
 
 
 class Requests:
@@ -183,7 +185,8 @@ class Requests:
         if leaves is not None:
             if leaves.homing or leaves.open:
                 return
-            count = leaves.switched.bit_count()
+            here = mask_of(k for k, bus in enumerate(self._a.arm.bus_of) if bus in held.buses)
+            count = (leaves.switched & here).bit_count()
         words = "1 switch was under way" if count == 1 else f"{count} switches were under way" if count else ""
         right = words in message.message if count else "under way" not in message.message
         require(right, f"{held.message} is answered by {message}; {count} switches were under way")

@@ -55,13 +55,13 @@ class Snapshots:
 
         self._claims.append(holds)
 
-    def judge_states(self, measured: bytes, known: bytes, text: str) -> None:
-        """Judges measured states in a world without disturbances."""
+    def judge_states(self, measured: bytes, known: bytes, text: str, at: float | None = None) -> None:
+        """Judges states that were measured now, or since a time [s], in a world without disturbances."""
         a = self._a
         told, sure = unpack(measured), unpack(known)
         if a.mode in ("ready", "executing"):
             require(sure == a.arm.everything & ~a.homing, f"{text} tells {sure:b} as known, {a.homing:b} is not")
-        since = a.now - SEEN_WITHIN
+        since = (a.now if at is None else at) - SEEN_WITHIN
         readings, states = a.ground.readings_since(since), a.ground.states_since(since)
         both = [a.arm.measured(r.extended, r.contracted, s) for r in readings for s in states]
         ever, always = 0, -1

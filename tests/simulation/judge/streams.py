@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from controller.program import Setpoint, Snapshot, unpack
 from tests.simulation.judge.account import EPSILON, Account, Stream
-from tests.simulation.judge.programs import PROMPT, TICK, Programs
+from tests.simulation.judge.programs import Programs
 from tests.simulation.judge.verdict import require
+from tests.simulation.judge.waits import PROMPT, TICK
 
 
 class Streams:
