@@ -207,6 +207,7 @@ class InterfaceJudge:
             case Program():
                 self._asked = message
                 self.offers.gets(message)
+                self.searches.offered(message.name.partition(" ")[2])
             case Replacement() if (ran := self._of(message.program)) is not None:
                 ran.replaced = True
                 if ran.places and ran.request is not None:

@@ -114,6 +114,11 @@ class Searches:
         else:
             search.ran.deviations = deviations
 
+    def offered(self, goal: str) -> None:
+        """The executor gets the program of a goal; it may decline it."""
+        if self._planned is not None and self._planned[0].goal is not None and self._planned[0].goal["id"] == goal:
+            self._planned = None
+
     def ends(self, number: int, planned: bool = False) -> None:
         """A worker gives its last answer; `planned`: a plan."""
         search = self._running.pop(number, None)
