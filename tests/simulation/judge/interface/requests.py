@@ -66,7 +66,7 @@ class Requests:
         a.requests.append(request)
         if request.key in ("goal", "jog"):
             a.note("motion asked")
-        if request.key == "goal" and "*" not in request.name:
+        if request.key == "goal" and "*" not in request.name and well_formed(request, a.modules):
             self._find_original(request)
 
     def _find_original(self, request: Request) -> None:
