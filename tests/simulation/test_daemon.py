@@ -188,12 +188,12 @@ DEFECTS: dict[str, list[Patch]] = {
 
 FOUND = {  # words of the violation
     "requests are answered twice": "answers no request",
-    "queries are not answered": "not ready for a goal",
+    "queries are not answered": "not ready for a goal|requests wait",
     "results are published again by the next process": "is told again",
     "results that a kill may have lost are not repeated": "no result|owes|published",
     "goals that an executor took with it have no result": "owes|no result",
     "results are acknowledged before they are published": "was acknowledged, not",
-    "results count too many switches": "the executor tells",
+    "results count too many switches": "the executor tells|says none of",
     "each plan counts as optimal": "is possible",
     "programs are not parked": "touches",
     "a stop bars no goals": "after the answer to|still runs|switched after",

@@ -225,8 +225,11 @@ class ExecutorView:
         self._sentence = ""
 
     def ended(self, sentence: str) -> None:
-        """Sets the sentence on the end of a program; the mode shows it until the executor gives another reason."""
-        if self.state is None or self.state.snapshot.mode in _AFTER_PROGRAMS:
+        """Sets the sentence on the end of a program; the mode shows it until the executor gives another reason.
+
+        An end that is told before the first snapshot may be long ago.
+        """
+        if self.state is not None and self.state.snapshot.mode in _AFTER_PROGRAMS:
             self._sentence, self._shown_for = sentence, ""
 
     def measured_in(self, message: Settled) -> Measured:

@@ -73,6 +73,13 @@ def test_the_sentence_on_a_program_ends_with_a_fault_before_the_arm_is_ready_aga
     assert played.view.mode() == ("ready", "holding what the boards measured")
 
 
+def test_a_program_that_ended_before_the_first_snapshot_gives_no_reason(played: PlayedCore) -> None:
+    played.view.lost("the executor closed the connection")
+    played.view.ended("holding; goal a was reached")  # long ago, perhaps before a fault
+    played.show(mode="ready", reason="holding what the boards measured")
+    assert played.view.mode() == ("ready", "holding what the boards measured")
+
+
 def test_the_sentence_on_a_program_stays_until_the_executor_gives_another_reason(played: PlayedCore) -> None:
     played.show(mode="executing", reason="goal a")
     played.view.ended("holding; goal a was reached")

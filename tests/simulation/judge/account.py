@@ -149,6 +149,7 @@ class Account:
         now: time [s].
         clear_since: time since when nothing disturbs the world; infinity while something does [s].
         shown: the last snapshot of the present process.
+        told: mode that a snapshot or the log told last; nobody may be connected.
         ready_at: time when the mode `ready` or `executing` was shown after others [s].
         greatest: greatest number of an accepted program or stream.
         run: the running program.
@@ -171,6 +172,7 @@ class Account:
     def begin(self) -> None:
         """Forgets the last process."""
         self.shown: Snapshot | None = None
+        self.told = "starting"
         self.ready_at = math.inf
         self.greatest = self.program_number = self.stream_number = 0
         self.run: Run | None = None

@@ -90,6 +90,7 @@ class Log:
             if mode == "starting":
                 self._told.clear()
             self._modes.append(text)
+            self._a.told = mode
         elif text.startswith("when the executor has ended"):
             self._warned = True
             require(f"contract {self._words()}" in text, f"the line {text!r}; it is {self._words()}")
@@ -109,6 +110,7 @@ class Log:
             warned == self._warned, f"{self._lets_go:b} contract without the executor, the log tells: {self._warned}"
         )
         lines, self._modes = self._modes, []
+        self._a.told = snapshot.mode
         if last is not None and (last.mode, last.reason) != (snapshot.mode, snapshot.reason):
             require(shown in lines, f"the log does not tell {shown!r}, only {lines}")
         if self._status is not None:

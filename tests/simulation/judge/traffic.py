@@ -141,7 +141,7 @@ class Traffic:
         require(not self._runs, f"{text} in mode {a.mode}")
         look = self.look[board]
         if index == self._objects.get(board, OUTPUTS):  # the boot goes on after a stop
-            require(a.mode in ("starting", "stopped"), f"{text} in mode {a.mode}")
+            require(a.told in ("starting", "stopped"), f"{text} in mode {a.told}")
         if board in self._kept and look.state() == OPERATIONAL and a.clear:
             require(False, f"{text}, and the board was operational and configured")
         size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4

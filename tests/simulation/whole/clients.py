@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from tests.simulation.whole.daemon import Daemon
 
 ACTS = {
-    **{"goal": 40, "jog": 8, "plan": 4, "cancel": 3, "cancel goal": 4, "stop": 1.5, "reset": 3, "degrade": 3},
+    **{"goal": 40, "jog": 10, "plan": 6, "cancel": 3, "cancel goal": 4, "stop": 1.5, "reset": 3, "degrade": 3},
     **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 4, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
     **{"poses": 2.0, "again": 1.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
     **{"burst": 4, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 0.3},
 }
+ASIDE = {"arm": 4, "plan": 3, "poses": 2, "result": 2, "tip": 2, "garbage": 1}  # while the clients wait for a motion
 BURSTS = (
     ("reset", "stop"),
     ("stop", "reset", "goal"),
@@ -46,6 +47,9 @@ DESCRIPTIONS = (
     b'{"with": "x"}',
 )
 CLIENTS = 4  # the last one attaches the same bytes to each of its requests
+ATTENDED = 0.4  # share of the goals and jogs whose end the clients wait for
+ATTENDED_FOR = 2.0  # [s], longest
+STANDING = 0.3  # share of the streams whose target stands still
 PAUSE = 0.4  # [s] after a stream that nobody disturbs
 LONG_AGO = 9.0  # [s]
 AWAY = 2.0  # [s], longest time for which a client is away
@@ -74,7 +78,8 @@ class Clients:
         self._sent: list[Sent] = []  # the last goals and other requests
         self._goals = deque[Sent](maxlen=40)
         self._streams_until = 0.0
-        self._rate = random.choice([2.0, 10.0, 20.0])
+        self._attended: Sent | None = None  # goal or jog for whose end the clients wait
+        self._rate = random.choice([5.0, 20.0, 40.0])
         self._crowd = random.choice([0.0, 0.4, 0.8])  # share of the motions to which obstacles come
         self._agenda.after(1.0, self._act)
 
@@ -123,14 +128,26 @@ class Clients:
             self._make_ready()
             self._agenda.after(0.2, self._act)
             return
-        act, state = self._random.choices(list(ACTS), list(ACTS.values()))[0], self._daemon.state
-        if state is not None and state["mode"] in ("fault", "stopped") and self._random.random() < 0.3:
+        waits = self._wait()
+        acts = ASIDE if waits else ACTS
+        act, state = self._random.choices(list(acts), list(acts.values()))[0], self._daemon.state
+        if not waits and state is not None and state["mode"] in ("fault", "stopped") and self._random.random() < 0.3:
             act = "reset"
         self._client = self._random.randrange(CLIENTS)
         self._do(act)
+        if act in ("goal", "jog") and self._random.random() < ATTENDED:
+            self._attended = self._sent[-1]
         alone = act == "stream" and self._random.random() < 0.5  # nobody disturbs the stream
-        waits = self._streams_until + PAUSE - self._agenda.now if alone else 0.0
-        self._agenda.after(waits + self._random.expovariate(self._rate), self._act)
+        pause = self._streams_until + PAUSE - self._agenda.now if alone else 0.0
+        self._agenda.after(pause + self._random.expovariate(self._rate), self._act)
+
+    def _wait(self) -> bool:
+        """Returns whether the clients wait for the end of a motion: it is not refused, and has no result."""
+        sent = self._attended
+        if sent is None or self._agenda.now > sent.at + ATTENDED_FOR:
+            return False
+        answer = json.loads(sent.replies[0]) if sent.replies else {"accepted": sent.query, "id": None}
+        return bool(answer["accepted"]) and answer["id"] not in self._daemon.results
 
     def _burst(self) -> None:
         """Sends several requests in one instant, of one client or of two in turn."""
@@ -231,6 +248,7 @@ class Clients:
     def _stream(self, period: float) -> None:
         """Sends set-points along a line until the stream ends."""
         random, first, last = self._random, np.array(self.wishes.position()), np.array(self.wishes.position())
+        last = first if random.random() < STANDING else last
         began, duration, client = self._agenda.now, random.uniform(0.1, 2.0), self._client
 
         def step() -> None:

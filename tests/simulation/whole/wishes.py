@@ -92,7 +92,8 @@ class Wishes:
     def simple_goal(self) -> dict[str, Any]:
         """Returns a goal that the arm can reach with its locked actuators."""
         self.numbers += 1
-        tip = self._daemon.space.tips[self._random.choice(self._free())]
+        tips = self._daemon.space.tips
+        tip = tips[self._random.choice(self._free() or range(len(tips)))]
         return {"id": f"g{self.numbers}", "waypoints": [{"position": [float(x) for x in tip]}]}
 
     def _free(self) -> list[int]:

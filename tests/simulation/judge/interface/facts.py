@@ -23,6 +23,7 @@ class Request:
         at: time of arrival; `awake` is the process's awake time then [s].
         answer: that has left the daemon; None before.
         original: the request that it repeats; None: it is new.
+        regions: obstacles that may have been in force when a query of `arm` came.
     """
 
     number: int
@@ -42,6 +43,7 @@ class Request:
     original: Request | None = None
     doubtful: bool = False  # whether it may count as a repetition or as new
     cubes: tuple[Cube, ...] = ()  # of obstacles
+    regions: list[Any] = field(default_factory=list)
     shown: int = 0  # number of obstacles in the state before
     expected: str = ""  # reason of the refusal of a request on poses; "": it is carried out
 
@@ -74,6 +76,7 @@ class Ran:
         begun_marks: marks to which stages have begun, with the awake times at which the planner heard of them.
         settled: marks that were told, with the awake times at which the planner got them.
         heard_at: time at which the planner heard of its end.
+        seen: whether the planner had a snapshot when it heard of its end.
         recorded: whether the ledger has its result.
         given_up: whether the planner has refused it and canceled it.
         told_awake: awake time of the publication of its result [s].
@@ -105,6 +108,7 @@ class Ran:
     heard_at: float = math.inf
     heard_awake: float = math.inf
     accepted_awake: float = math.inf
+    seen: bool = False
     recorded: bool = False
     switches: int = 0
     request: Request | None = None

@@ -62,6 +62,8 @@ class Gateway:
             self._malformed.setdefault(key, deque(maxlen=400)).append(a.now)
         if key == "poses":
             self._expect(request)
+        if key == "arm":
+            request.regions = self._sent_regions()
 
     def paused(self, seconds: float) -> None:
         """A thread of the gateway pauses because of a flood."""
@@ -180,10 +182,7 @@ class Gateway:
         require(set(answer["daemon"]) == {"host", "pid"}, f"{text} has the daemon {answer['daemon']}")
         self._judge_list(request, answer["poses"], text)
         regions = answer["sent_obstacles"]
-        sent = [[] if r is None else r.body["regions"] for r in a.obstacles_in_force()]
-        sent += (
-            [[]] if not a.cubes else [r.body["regions"] for r in a.requests if set(r.cubes) == set(a.cubes) and r.cubes]
-        )
+        sent = [*request.regions, *self._sent_regions()]
         later = [
             r.body.get("regions") for r in a.requests if r.key == "obstacles" and r.answered_at >= request.at - 0.05
         ]
@@ -196,6 +195,14 @@ class Gateway:
         require(answer["limits"] in limits or held_up, f"{text} has the limits {answer['limits']}, not {limits}")
         if "running" in wanted:
             self._judge_running(answer["running"], text, held_up)
+
+    def _sent_regions(self) -> list[Any]:
+        """Returns the obstacles that may be in force now, as their clients have sent them."""
+        a = self._a
+        sent = [[] if r is None else r.body["regions"] for r in a.obstacles_in_force()]
+        if not a.cubes:
+            return [*sent, []]
+        return [*sent, *(r.body["regions"] for r in a.requests if r.cubes and set(r.cubes) == set(a.cubes))]
 
     def _judge_list(self, request: Request, told: list[Payload], text: str) -> None:
         lists = [saved for at, saved in self._lists if at >= request.at - 0.1] or [self._lists[-1][1]]

@@ -16,6 +16,7 @@ from controller.program import (
     Ended,
     Program,
     Question,
+    Replaced,
     Replacement,
     Setpoint,
     Settled,
@@ -77,6 +78,7 @@ class InterfaceJudge:
         )
         self._asked: Program | None = None
         self._running: Ran | None = None
+        self._replacing: Replacement | None = None  # the last one that the executor took
         self._met = 0  # instance of the executor that the planner is connected to
         self._ticked = 0.0
 
@@ -207,8 +209,9 @@ class InterfaceJudge:
             case Program():
                 self._asked = message
                 self.offers.gets(message)
+                self.searches.offered(message.name.partition(" ")[2])
             case Replacement() if (ran := self._of(message.program)) is not None:
-                ran.replaced = True
+                ran.replaced, self._replacing = True, message
                 if ran.places and ran.request is not None:
                     ran.places |= places_of((*ran.program.stages[:1], *message.stages), ran.request)
             case Setpoint():
@@ -223,6 +226,10 @@ class InterfaceJudge:
         match message:
             case Accepted() if self._asked is not None:
                 self._accept(self._asked, message)
+            case Replaced(accepted=True) if (ran := self._of(message.program)) is not None:
+                new = self._replacing
+                if new is not None and new.stages:  # without stages, the others follow
+                    ran.marks = [*ran.marks[: new.first], *(stage.mark for stage in new.stages)]
             case Declined():
                 a.note(f"declined {message.refused.reason.value}")
             case Begun() if (ran := self._of(message.program)) is not None:
@@ -291,6 +298,7 @@ class InterfaceJudge:
             case Settled() if (ran := self._heard_of(message.program)) is not None:
                 ran.settled[message.mark] = message, a.awake
             case Ended() if (ran := self._heard_of(message.program)) is not None:
+                ran.seen = ran.seen or a.snapshot is not None
                 ran.heard_at, ran.heard_awake = min(ran.heard_at, a.now), min(ran.heard_awake, a.awake)
 
     def _compare(self, before: Snapshot | None, snapshot: Snapshot) -> None:

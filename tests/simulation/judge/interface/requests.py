@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 
 from controller.program import Program, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
-from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience, wanted
+from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience
 from tests.simulation.judge.interface.facts import Payload, Ran, Request
 from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.interface.modules import Cube
+from tests.simulation.judge.interface.plans import judge_plan
 from tests.simulation.judge.interface.refusals import judge_refusal
 from tests.simulation.judge.verdict import require
 
@@ -66,7 +66,7 @@ class Requests:
         a.requests.append(request)
         if request.key in ("goal", "jog"):
             a.note("motion asked")
-        if request.key == "goal" and "*" not in request.name:
+        if request.key == "goal" and "*" not in request.name and well_formed(request, a.modules):
             self._find_original(request)
 
     def _find_original(self, request: Request) -> None:
@@ -128,7 +128,7 @@ class Requests:
             case "result":
                 self._judge_result(request, answer)
             case "plan":
-                self._judge_plan(request, answer, text)
+                judge_plan(a, request, answer, text)
 
     def _repeats(self, request: Request, answer: Payload) -> bool:
         """Returns whether a request got the answer of the one that it repeats."""
@@ -273,20 +273,6 @@ class Requests:
             require(state is None or measured == state, f"{request} was accepted, {k} is locked in {measured}")
 
         self._later(LOCKED_WITHIN, told)
-
-    def _judge_plan(self, request: Request, answer: Payload, text: str) -> None:
-        a = self._a
-        require(isinstance(answer.get("switches"), int), f"{text} has no switches")
-        if a.had("moved", request.at - 0.2) or a.had("locks", request.at - 0.2) or a.had("cubes", request.at - 0.2):
-            return
-        snapshot = a.snapshot
-        if snapshot is None or snapshot.moving or not a.clear() or a.bias is not None:
-            return
-        start, locked = unpack(snapshot.measured), unpack(snapshot.locked)
-        least = a.modules.least(start, locked, a.cubes, wanted(a, request))
-        require(math.isclose(answer["lower_bound"], least), f"{text} has another bound than {least}")
-        require(answer["cost"] >= least - 1e-9, f"{text} costs less than {least}")
-        require((answer["certificate"] == "optimal") == math.isclose(answer["cost"], least), f"{text}: {least}")
 
     def _judge_result(self, request: Request, answer: Payload) -> None:
         a, result = self._a, answer.get("result")

@@ -14,6 +14,7 @@ from tests.simulation.judge.verdict import require
 AT_ONCE = 0.005  # [s], awake, from what makes a search possible to its begin, if nothing stands in its way
 READ_WITHIN, HELD_UP = 0.003, 0.5  # [s], awake, from the arrival of a snapshot to the core, also if rounds are slow
 ANSWERED = 0.03  # [s] from a decision to the answer that leaves
+BARS, BARS_FOR = ("stop", "cancel", "reset"), 0.1  # a goal waits for their answers and a snapshot after them [s]
 STALE = 0.03  # [s], awake, for which a search from elsewhere, or of a goal that is answered, may go on
 HURRIED = 0.03  # [s], awake, from a second goal to the word that the search of the first one must end
 LONGEST_PLAN = 10.0  # [s]
@@ -102,17 +103,22 @@ class Searches:
         search = self._running.get(number)
         require(search is None or not search.abandoned, f"the task {number} is abandoned again")
         if search is not None:
-            search.abandoned = True
+            search.abandoned, search.abandoned_at = True, self._a.now
 
     def improves(self, number: int, deviations: tuple[float | None, ...] | None) -> None:
         """A worker tells the deviations of a running plan, or a better plan: None."""
         search = self._improving
-        if search is None or search.number != number or search.ran is None or search.abandoned:
-            return
+        if search is None or search.number != number or search.ran is None or search.abandoned_at < self._a.now:
+            return  # the answer that lets a goal end abandons its task
         if deviations is None:
             search.ran.replaced = True
         else:
             search.ran.deviations = deviations
+
+    def offered(self, goal: str) -> None:
+        """The executor gets the program of a goal; it may decline it."""
+        if self._planned is not None and self._planned[0].goal is not None and self._planned[0].goal["id"] == goal:
+            self._planned = None
 
     def ends(self, number: int, planned: bool = False) -> None:
         """A worker gives its last answer; `planned`: a plan."""
@@ -264,7 +270,8 @@ class Searches:
         searched = lately or any(
             s.kind == "goal" and s.goal is not None and asks(first, s.goal) for s in self._running.values()
         )
-        epoch = a.had("epoch", a.now - 0.3) or a.waiting("stop", "cancel", "reset")
+        bars = [r for r in a.requests if r.key in BARS and r.number < first.number]
+        epoch = a.had("epoch", a.now - 0.3) or any(r.answered_at > max(first.at - BARS_FOR, a.now - 0.3) for r in bars)
         offered = any(r.goal == first.goal and r.at >= first.at for r in a.programs.values())
         declined = any(a.had(f"declined {why}", a.now - 0.3) for why in ("moved-since-planned", "switch-not-confirmed"))
         require(not ready or searched or epoch or offered or declined, f"{first} is not searched")

@@ -40,6 +40,7 @@ class Search:
     awake: float = 0.0
     hurried: bool = False
     abandoned: bool = False
+    abandoned_at: float = math.inf
     stale_from: float = math.inf
     ran: Ran | None = None  # that is improved
 

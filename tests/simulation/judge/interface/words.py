@@ -43,7 +43,7 @@ class Words:
         if mode != "ready":
             return "" if reason == snapshot.reason else f"the reason is {snapshot.reason}"
         a = self._a
-        ended = [r for r in a.programs.values() if r.process == a.process and r.heard_at <= a.now]
+        ended = [r for r in a.programs.values() if r.process == a.process and r.heard_at <= a.now and r.seen]
         last = max(ended, key=lambda r: r.heard_at, default=None)
         of_last = last is not None and snapshot.reason.startswith(f"holding; {last.program.name} ")
         sentence = "" if last is None else ending_of(last)
