@@ -26,7 +26,7 @@ def document(count: int = 2) -> dict:
         "self_collision": True,
         "buses": [
             {"name": "can0", "interface": "socketcan", "channel": "can0", "bitrate": 500000},
-            {"name": "spare", "channel": "can1"},
+            {"name": "spare", "channel": "can7"},
         ],
         "boards": {"heartbeat": 0.1, "heartbeat_timeout": 0.35, "boot_timeout": 3, "on_loss": "hold"},
         "actuators": [

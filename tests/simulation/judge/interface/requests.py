@@ -32,7 +32,8 @@ RUNS = ("ready", "executing")
 REMEMBERED = 60.0  # [s] for which a goal with an attachment is recognized
 ENDED_LATELY = 7.0  # [s] after a result, in which a payload may still be recognized: the result waits for clients
 STAMPED_WITHIN = 0.1  # [s] from the check of a stamp to the acceptance by the executor
-WORDS = re.compile(r"accepted, (\d+) waypoints?, (\d+) switch(?:es)? planned")
+UNCHECKED = r"(?:; collisions of the homing were not checked, because it is not known where (.*) (?:is|are))?"
+WORDS = re.compile(rf"accepted, (\d+) waypoints?, (\d+) switch(?:es)? planned{UNCHECKED}")
 JOG_WORDS = re.compile(r"accepted, (\d+) switch(?:es)?: .*")
 OBSTACLES = re.compile(r"(\d+) obstacles?, (\d+) of them sent.*", re.DOTALL)
 
@@ -178,6 +179,8 @@ class Requests:
         require(jog or int(words[1]) == len(request.body["waypoints"]), f"{text} has another number of waypoints")
         if jog:
             self._judge_jog(request, ran, text)
+        else:
+            self._judge_homing(request, words[3], text)
 
     def _begins_in_order(self, request: Request, ran: Ran, text: str) -> None:
         """Judges when a goal or jog has begun, and after what."""
@@ -232,6 +235,19 @@ class Requests:
                 require(not runs or not a.clear(), f"{text}; {ran.goal} still runs {ENDS_WITHIN} s later")
 
         self._later(ENDS_WITHIN, ended)
+
+    def _judge_homing(self, request: Request, named: str | None, text: str) -> None:
+        """Judges whether the answer says that a homing is not checked among obstacles."""
+        a = self._a
+        heard = a.truths(a.now - request.at + 0.1)
+        known = [unpack(h.snapshot.known) for h in heard if h.snapshot is not None]
+        if named is not None:
+            unknown = {label for mask in known for k, label in enumerate(a.modules.labels) if not mask >> k & 1}
+            require(set(named.split(", ")) <= unknown, f"{text}; unknown were {unknown}")
+            require(a.cubes or a.had("cubes", request.at - 0.1), f"{text}, and there is no obstacle")
+        elif a.cubes and known and not a.had("cubes", request.at - 0.1):
+            all_ = (1 << len(a.modules.labels)) - 1
+            require(all_ in known, f"{text} does not say that its homing is not checked")
 
     def _shown(self, ran: Ran) -> bool:
         """Returns whether the newest snapshot shows a program: the result of one that has ended may still wait."""
