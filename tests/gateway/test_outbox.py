@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.gateway.outbox import MOST_WAITING, RECONNECTED, SENT_WITHIN, Outbox, ResultHooks, encoded
+from controller.gateway.outbox import MOST_WAITING, POLL, RECONNECTED, SENT_WITHIN, Outbox, ResultHooks, encoded
 from controller.planning.core.events import Identity, Published, PublishResult
 from tests.waiting import PATIENCE, eventually
 
@@ -124,6 +124,29 @@ def test_a_result_counts_as_published_when_it_has_left_the_process(session: Fake
     now += SENT_WITHIN
     eventually(lambda: results.told[2:] == [(Published(7), 2)])
     outbox.close(PATIENCE)
+
+
+def test_the_thread_looks_again_when_a_result_has_left_the_process(session: FakeSession, results: Results) -> None:
+    now = 0.0
+    hooks = ResultHooks(results.tell, results.note, results.tell)
+    outbox = Outbox(session, "p", hooks, results.fatal.append, clock=lambda: now)  # type: ignore[arg-type]
+    outbox.publish_result(result("a"))
+    assert [outbox.step(), outbox.step()] == [0.0, SENT_WITHIN]
+    now = SENT_WITHIN
+    assert outbox.step() == POLL
+    assert results.told[2:] == [(Published(7), 1)]
+
+
+def test_a_standstill_is_told_with_its_length(
+    session: FakeSession, results: Results, caplog: pytest.LogCaptureFixture
+) -> None:
+    now = 100.0
+    hooks = ResultHooks(results.tell, results.note, results.tell)
+    outbox = Outbox(session, "p", hooks, results.fatal.append, lease=2.0, clock=lambda: now)  # type: ignore[arg-type]
+    now += 1.5
+    outbox.step()
+    outbox.step()
+    assert caplog.messages == ["the process stood still for 1.5 s: results wait for 5 s"]
 
 
 def test_a_result_that_was_not_sent_does_not_count_as_published(session: FakeSession, results: Results) -> None:

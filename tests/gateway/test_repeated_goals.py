@@ -68,6 +68,15 @@ def test_a_goal_without_id_or_number_is_always_new(bench: Bench) -> None:
     assert len(bench.planned) == 4
 
 
+def test_a_goal_is_forgotten_by_the_first_answer_a_second_after_the_last_look(bench: Bench) -> None:
+    for bench.now, payload, number in ((0.0, GOAL, b"7"), (REMEMBERED, ANONYMOUS, b"8"), (REMEMBERED + 1, GOAL, b"9")):
+        bench.send(payload, number)
+        bench.accept()
+        bench.goals.ended("a")
+    bench.send(GOAL, b"7")
+    assert len(bench.planned) == 4
+
+
 def test_another_goal_of_the_same_id_is_new(bench: Bench) -> None:
     bench.send(GOAL)
     bench.send(b'{"id": "a", "waypoints": [1]}')

@@ -196,6 +196,24 @@ def test_a_locked_actuator_is_unlocked_in_a_state_that_is_no_configuration(joint
     assert (lock.actuator, lock.state) == (2, -1)
 
 
+@pytest.mark.parametrize(("sensed", "homing", "refused"), [(0b00, 0b00, True), (0b10, 0b00, False), (0b10, 0b10, True)])
+def test_a_lock_that_leaves_a_module_no_state_is_refused_unless_an_end_stop_denies_it(
+    joints: tuple[Desk, int], sensed: int, homing: int, refused: bool
+) -> None:
+    desk, unused = joints
+    size, first, second = desk.executor.actuators, unused & 1, unused >> 1
+    known = pack(0b1111 & ~homing, size)
+    desk.show(outputs=first, sensed=pack(sensed, size), known=known, homing=pack(homing, size), locked=b"\x01", locks=1)
+    label, other = desk.arm.manipulator.actuators[:2]
+    assert desk.state()["degraded"] == [{"actuator": label, "state": first}]
+    degrade(desk, other, second)
+    if refused:
+        assert desk.inbox.next("degrade")["reason"] == "module-without-state"
+        assert desk.executor.nothing(Lock)
+    else:
+        assert desk.executor.expect(Lock).actuator == 1
+
+
 def test_a_goal_during_a_jog_to_a_state_that_is_no_configuration_is_refused_with_this_cause(
     joints: tuple[Desk, int],
 ) -> None:

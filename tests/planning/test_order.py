@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from controller.planning.core.events import Arrival, CancelMessage, Request
+from controller.planning.core.events import Arrival, CancelMessage, Request, Unsent
+from controller.planning.core.parts import Admission
 from controller.planning.core.tasks import PlanGoal
 from controller.program import Cancel, Program, Reset, pack
 from controller.refusals.reasons import Reason
@@ -52,6 +53,21 @@ def test_a_reset_without_an_answer_of_the_executor_is_refused(desk: Desk) -> Non
     assert desk.executor.nothing(Reset)
     desk.drop()
     assert replies(desk, "reset") == ["executor-behind"]
+
+
+def test_a_stop_that_could_not_be_sent_is_refused(desk: Desk) -> None:
+    number = desk.ask("stop", name="stop")
+    desk.post(Unsent(number, "the executor's socket is full"))
+    answer = desk.inbox.next("stop")
+    assert (answer["reason"], "the executor's socket is full" in answer["message"]) == ("no-executor", True)
+
+
+def test_the_loss_of_the_executor_bars_all_that_arrived_before() -> None:
+    admission = Admission()
+    early = admission.arrive(4)
+    admission.lost()
+    late = admission.arrive(5)
+    assert [admission.barred(ticket) for ticket in (early, late)] == [True, False]
 
 
 @pytest.mark.parametrize("key", ["stop", "cancel"])

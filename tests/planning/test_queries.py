@@ -26,6 +26,15 @@ def test_a_cancel_ends_a_plan_query_by_its_id(desk: Desk) -> None:
     assert desk.inbox.empty
 
 
+def test_a_plan_query_is_refused_at_the_end(desk: Desk) -> None:
+    desk.held.add(DescribePlan)
+    desk.ask("plan", {"id": "study", "waypoints": [{"position": desk.tip(*B)}]}, "plan")
+    assert desk.inbox.empty
+    desk.quit()
+    answer = desk.inbox.next("plan")
+    assert (answer["accepted"], answer["reason"], answer["id"]) == (False, "shutting-down", "study")
+
+
 def test_a_plan_query_is_answered_while_goals_wait(desk: Desk) -> None:
     desk.goal(A)
     program = desk.executor.expect(Program)  # the planner waits for the executor's answer

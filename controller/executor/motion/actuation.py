@@ -129,7 +129,6 @@ class Actuation:
 
     def give_up(self, why: str) -> None:
         """Gives up the running commit if its SYNC was not handed out. `under_way` tells what still switches."""
-        self.rest()
         if self.target is not None:
             self._given_up = True
             self._master.give_up(why)
@@ -222,7 +221,6 @@ class Actuation:
         self._record_moved(self._kinds.everything if first else (self._adopted or 0) ^ states, now)
         self._adopted, self._adopted_at = states, now
         self._watched = (extending | contracting) & self._kinds.pulsed
-        self.rest()
 
     def rest(self) -> None:
         """Resets the time for which the bus has been busy: nothing waits to be switched."""

@@ -43,7 +43,6 @@ class OutputSwitching:
         if self._verification.blocking:
             raise Busy("the outputs of the previous commit are being read back")
         due = self._boards.outputs.due(outputs)
-        self._verification.failed = None
         if not due:
             self._commit.failed = None
             return

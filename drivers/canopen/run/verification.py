@@ -28,7 +28,7 @@ class Verification:
 
     Attributes:
         blocking: indices of boards without end-stops whose first switch after the boot is being read back.
-        failed: why the outputs of such a board did not switch; None if they did.
+        failed: why the outputs of such a board did not switch; None if they did, and from the next boot on.
 
     Args:
         boards: the boards.

@@ -142,3 +142,8 @@ def test_a_second_request_ends_the_contraction() -> None:
     rig.go(TRAVEL)
     rig.do(Quit())
     assert "is not contracted" in warnings(rig)[-1]
+
+
+def test_actuators_whose_contracting_output_goes_on_without_the_executor_are_in_the_warning() -> None:
+    rig = ready(channel={"output_off": True}, sensed=0, on_loss="contract")
+    assert warnings(rig) == [TOLD]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from controller.executor.motion.actuation import LATE
 from controller.host.process import Quit
 from controller.program import TICK, Cancel, Reset, Stop, unpack
 from tests.executor.rig import LOST, SIZE, TRAVEL, Rig, ready
@@ -205,6 +207,28 @@ def test_the_arm_is_ready_with_a_pulse_longer_than_the_travel() -> None:
     rig.go(1.0)
     assert rig.results == [(1, "done")]
     assert [mask for _, mask in rig.master.left] == [lines(1, 0), lines(1, 1), lines(0, 1)], "the other one takes over"
+
+
+def test_a_pulse_no_longer_counts_a_tenth_of_a_second_after_its_end() -> None:
+    rig = ready(channel=BISTABLE)
+    rig.run(1)
+    [(began, _)] = rig.master.left
+    over = began + PULSE + LATE
+    assert rig.core.motion.actuation.pulsing(math.nextafter(over, 0.0))
+    assert not rig.core.motion.actuation.pulsing(over)
+
+
+def test_a_pulse_that_was_given_up_leaves_the_state_known() -> None:
+    rig = ready(channel=BISTABLE, sensed=0)
+    rig.run(0)
+    rig.go(0.5)
+    rig.master.slow_rpdos = True
+    rig.run(1)
+    rig.send(Stop(1))
+    rig.master.slow_rpdos = False
+    rig.send(Reset(2, rig.epoch))
+    rig.go(0.2)
+    assert (rig.mode, rig.states, unpack(rig.snapshot.homing)) == ("ready", 0, 0)
 
 
 @settings(max_examples=60, deadline=None)

@@ -7,7 +7,8 @@ import pytest
 from controller.executor.motion.actuation import BUSY_FOR
 from controller.host.process import Quit
 from controller.program import TICK, Answer, Cancel, Ended, Reset, Stop
-from tests.executor.rig import CAN, TRAVEL, Rig, ready
+from drivers.canopen.faults import ArmFault
+from tests.executor.rig import CAN, OPERATOR, TRAVEL, Rig, ready
 
 A, B = 0b000111, 0b011100
 STOPPED, CANCELED = "stopped; the arm holds until reset", "canceled"
@@ -118,6 +119,46 @@ def test_a_commit_given_up_is_no_sign_of_a_busy_bus(rig: Rig) -> None:
     rig.master.busy = False
     rig.go(0.3)
     assert rig.results[-1] == (2, "done")
+
+
+def test_a_client_that_is_gone_gets_no_answer(rig: Rig) -> None:
+    rig.connect(OPERATOR, "operator")
+    rig.master.slow_sync = True
+    rig.run(A)
+    rig.send(Stop(1), OPERATOR)
+    rig.gone(OPERATOR)
+    rig.master.leave(rig.now)
+    rig.do(CAN)
+    assert rig.of(Answer, OPERATOR) == []
+
+
+def test_the_time_of_a_busy_bus_begins_anew_with_the_next_motion(rig: Rig) -> None:
+    rig.master.busy = True
+    rig.run(A)
+    rig.send(Cancel(1, None, ""))
+    rig.go(2 * BUSY_FOR)
+    rig.run(B)
+    rig.go(2 * TICK)
+    assert rig.mode == "executing"
+    rig.send(Cancel(2, None, ""))
+    rig.follow(3, A)
+    rig.follow(3)
+    for _ in range(4):
+        rig.go(BUSY_FOR / 2)
+        rig.follow(3)
+    rig.follow(3, A)
+    rig.go(2 * TICK)
+    assert (rig.mode, rig.switched) == ("executing", [])
+
+
+def test_a_bus_is_busy_for_a_quarter_of_a_second_before_this_is_a_fault(rig: Rig) -> None:
+    rig.master.busy = True
+    actuation = rig.core.motion.actuation
+    for now in (0.0, 0.125, BUSY_FOR):
+        assert not actuation.switch(A, now)
+        assert actuation.fault is None
+    assert not actuation.switch(A, 0.375)
+    assert actuation.fault == ArmFault("bus-busy", "bus", "no command could be sent for 0.25 s: the queue is full")
 
 
 def test_no_sentence_promises_the_safety_of_an_emergency_stop(rig: Rig) -> None:

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import pytest
 
+from controller.executor.motion.actuation import BUSY_FOR
 from controller.executor.motion.clearance import ANSWER_WITHIN
 from controller.program import TICK, Clearance, Ended, Question, Replaced, Replacement, Stage, pack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
@@ -57,9 +58,12 @@ def test_a_stage_that_is_not_clear_ends_the_program(rig: Rig) -> None:
 
 def test_the_program_ends_if_the_planner_does_not_answer(rig: Rig) -> None:
     partly_switched(rig)
-    rig.go(ANSWER_WITHIN + 1)
+    rig.go(ANSWER_WITHIN - 4 * TRAVEL)
+    assert rig.results == []
+    rig.go(4 * TRAVEL)
     assert rig.results == [(1, "aborted")]
-    assert "the planner did not tell" in rig.last(Ended).message
+    why = "the planner did not tell within 10 s whether the stage is clear"
+    assert rig.last(Ended).message == f"the next stage cannot begin: {why}; the arm holds"
 
 
 def test_the_program_ends_if_the_planner_dies_during_a_question(rig: Rig) -> None:
@@ -88,6 +92,19 @@ def test_an_answer_from_before_a_replacement_does_not_count(rig: Rig) -> None:
     rig.send(Clearance(second.question, None))
     rig.go(0.5)
     assert (rig.switched, rig.results) == ([A, A, B], [(1, "done")])
+
+
+def test_while_the_planner_is_asked_no_bus_counts_as_busy(rig: Rig) -> None:
+    partly_switched(rig)
+    rig.master.busy = True
+    rig.send(Clearance(rig.last(Question).question, None))
+    rig.send(Replacement(1, 1, 1, pack(A, SIZE), (Stage(pack(B, SIZE), at=0.3),), True))
+    rig.go(2 * BUSY_FOR)
+    rig.send(Clearance(rig.last(Question).question, None))
+    rig.go(2 * TICK)
+    assert rig.mode == "executing"
+    rig.go(BUSY_FOR)
+    assert rig.reason == "no command could be sent for 0.25 s: the queue is full"
 
 
 def test_a_refused_replacement_keeps_the_question(rig: Rig) -> None:

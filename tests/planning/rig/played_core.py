@@ -64,6 +64,7 @@ class PlayedProgram:
 class PlayedPrograms:
     current: PlayedProgram | None = None
     offered: bool = False
+    improving: bool = False
     last_accepted: int = 0
 
 

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from drivers.canopen.faults import Busy
+from drivers.canopen.faults import ArmFault, Busy
 from drivers.canopen.wiring import Channel
 from tests.drivers.canopen.world import World, bits, two_boards, two_buses
 
@@ -176,6 +176,26 @@ def test_frames_that_never_leave_make_the_bus_stuck():
     world.commit(1, 0)
     world.run(0.1)
     assert world.measured() == [1, 0]
+
+
+def test_a_stuck_bus_is_lost_before_its_boards_lose_the_master():
+    world = World().up()
+    world.buses["can0"].stuck = True
+    took = world.until(lambda: world.codes())
+    why = "no frame was sent for 0.2 s: is the bus full, and does another node acknowledge?"
+    assert world.faults == [ArmFault("bus-busy", "can0", f"can0: {why}")]
+    assert took < world.timing.heartbeat_timeout
+
+
+def test_a_commit_whose_bus_is_lost_names_it():
+    world = World(two_buses()).up()
+    world.buses["can1"].stuck = True
+    world.master.commit(bits(1, 1), world.now)
+    world.run(0.005)
+    assert world.master.collecting
+    world.buses["can1"].go_off()
+    assert world.master.commit_failed == "can1 was lost"
+    assert not world.master.committing
 
 
 def test_a_sync_on_its_way_when_the_bus_is_lost_is_read_back():

@@ -125,6 +125,7 @@ def test_another_master_is_reported(cob_id):
     assert world.codes() == ["foreign-master"]
     assert world.faults[0].source == "can0"
     assert f"{cob_id:03X}h" in world.faults[0].message
+    assert world.master.status().buses[0].ignored == 0
 
 
 def test_another_program_on_the_same_computer_is_another_master():

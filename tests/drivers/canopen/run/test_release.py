@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 from drivers.canopen.faults import Busy
 from drivers.canopen.wire import cia301
 from drivers.canopen.wiring import Channel
+from drivers.simulation.variants import STANDARD
 from tests.drivers.canopen.world import World
 from tests.simulation.buses.bus_model import BusModel
 
@@ -117,6 +119,25 @@ def test_outputs_of_a_ready_board_go_off_while_another_one_is_booted() -> None:
     world.master.commit(0b1000, world.now, release=True)
     world.run(0.02)
     assert world.boards.coils()[0] == (0, 0)
+
+
+def test_a_board_that_a_release_made_pre_operational_during_its_boot_is_booted_anew() -> None:
+    slow = replace(STANDARD, answer_delay=0.02)
+    world = World(pairs(), variants={"can0/2": slow}).up()
+    world.master.commit(0b0001, world.now)
+    world.run(0.05)
+    world.master.boot(world.now)
+    world.until(lambda: world.master.known == 0b01)
+    world.run(0.1)
+    world.frames(sdo=True)
+    assert world.master.booting
+    world.master.commit(0, world.now, release=True)
+    world.run(0.1)
+    frames = world.frames(sdo=True)
+    assert frames.index((0x000, "80 02")) < frames.index((0x201, "00")) < frames.index((0x080, ""))
+    assert next(data for cob_id, data in frames if cob_id == 0x602) == "40 00 10 00 00 00 00 00"
+    world.until(lambda: not world.master.booting)
+    assert world.master.boot_faults == []
 
 
 def test_a_release_switches_nothing_on_at_a_board_that_has_restarted() -> None:

@@ -160,6 +160,26 @@ def test_an_old_emergency_does_not_hide_another_error():
     assert world.codes() == ["board-error"]
 
 
+def test_the_end_of_an_emergency_hides_no_error():
+    world = World(BLIND).up()
+    world.say(0x085, bytes(8))
+    world.boards.board("can0/5").objects.set_number(0x1001, 0, 0x01)
+    world.until(lambda: world.codes())
+    assert [(fault.code, fault.source) for fault in world.faults] == [("board-error", "can0/5")]
+
+
+def test_the_boards_are_read_in_turn_and_each_from_its_first_object():
+    world = World(BLIND).up()
+    world.run(0.5)
+    requests = [frame for frame in world.frames(sdo=True) if frame[0] & 0x780 == 0x600]
+    assert requests[:4] == [
+        (0x605, "40 16 10 01 00 00 00 00"),
+        (0x609, "40 16 10 01 00 00 00 00"),
+        (0x605, "40 17 10 00 00 00 00 00"),
+        (0x609, "40 17 10 00 00 00 00 00"),
+    ]
+
+
 @pytest.mark.parametrize(("newest", "codes"), [(0x2320, ["board-error"]), (0x1B000000, []), (0x8130, [])])
 def test_a_new_error_in_the_bits_of_a_standing_one_is_noticed_by_the_history(newest, codes):
     world = World(BLIND).up()
