@@ -197,7 +197,7 @@ FOUND = {  # words of the violation
     "each plan counts as optimal": "is possible",
     "programs are not parked": "touches",
     "a stop bars no goals": "after the answer to|still runs|switched after",
-    "the planner resets a stopped arm": "without a later reset|the mode is|reset",
+    "the planner resets a stopped arm": "without a later reset|the mode is|reset|is of an epoch that was not told",
     "goals are refused for no reason": "busy",
     "the executor's answers are not awaited": "executor-silent",
     "lost connections are not noticed": "no connection to the executor|no explanation|state",
