@@ -57,7 +57,7 @@ class Supervision:
         """Sends a due heartbeat, and reports the loss of the master."""
         if now >= self._heartbeat_due:
             self._send(self._cob_id, bytes([state]))
-            self._heartbeat_due = now + self._objects.number(_PRODUCER) / 1000
+            self._heartbeat_due = now + (self._objects.number(_PRODUCER) / 1000 or math.inf)
         if now >= min(self._heard_until, self._guarded_until):
             self._heard_until = self._guarded_until = math.inf
             self._lose()
