@@ -146,9 +146,8 @@ def jog_program(
     known = unsure_of(state) is None
     switches = np.count_nonzero(state.commanded != stages[-1])
     named = ", ".join(f"{labels[k]} {STATES[to]}" for k, to in wanted.items())
-    words = f"accepted, {switches} {'switch' if switches == 1 else 'switches'}: {named}{_unchecked(state, basis)}"[
-        :1_000
-    ]
+    words = f"accepted, {switches} {'switch' if switches == 1 else 'switches'}: {named}"
+    words = f"{words}{_unchecked(state, basis)}"[:1_000]
     homed = packed(np.isin(np.arange(len(labels)), list(wanted)))
     report, strict = JogReport(motion.id, wanted), known and not basis.scene.free
     program = _in_flight(parts, motion, Draft(route, report, f"jog {motion.id}", words, strict, homed=homed), basis)
