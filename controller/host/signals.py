@@ -3,12 +3,18 @@
 SIGHUP stays ignored if it was ignored at the start, as `nohup` does.
 """
 
+from __future__ import annotations
+
 import signal
 import sys
 from collections.abc import Callable, Iterable
-from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from types import FrameType
 
 ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+AGAIN = 0.05  # [s] after which SystemExit is raised again
 OF_TERMINAL = (signal.SIGINT, signal.SIGHUP)  # a terminal sends them to all its processes
 
 
@@ -29,13 +35,22 @@ def end_on_signals(end: Callable[[], object]) -> None:
 def exit_on_signals() -> None:
     """Has SIGTERM and SIGHUP raise SystemExit, so that the command closes what is open; Python does this at SIGINT.
 
-    The exit code is that of a shell, 128 and the signal's number.
+    The exit code is that of a shell, 128 and the signal's number. A callback of C drops every exception, such as one
+    of LLVM while kernels are loaded; then SystemExit is raised again soon after it.
     """
 
     def handle(number: int, frame: FrameType | None) -> None:
         ignore((signal.SIGTERM, *hang_up()))  # a second signal must not interrupt the end
+        signal.signal(signal.SIGALRM, lambda *_: sys.exit(128 + number))
         sys.exit(128 + number)
 
+    def receive_dropped(dropped: sys.UnraisableHookArgs) -> None:
+        if isinstance(dropped.exc_value, SystemExit):
+            signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        else:
+            sys.__unraisablehook__(dropped)
+
+    sys.unraisablehook = receive_dropped
     for number in (signal.SIGTERM, *hang_up()):
         signal.signal(number, handle)
 

@@ -31,6 +31,15 @@ finally:
     os.kill(os.getpid(), signal.SIGTERM)
     print("closed", flush=True)
 """
+IN_CALLBACK = """
+import ctypes
+from controller.host import signals
+signals.exit_on_signals()
+print("ready", flush=True)
+sys.stdin.readline()
+ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGTERM))()  # C has no place for an exception of Python
+time.sleep(3600)
+"""
 IGNORING = """
 from controller.host import signals
 signals.ignore(signals.ENDING)
@@ -122,3 +131,10 @@ def test_a_command_whose_hang_up_is_ignored_ends_by_sigterm(start: Start) -> Non
 
 def test_ignored_signals_end_nothing(start: Start) -> None:
     assert after(start(IGNORING), *ENDING) == "here"
+
+
+def test_a_signal_within_a_callback_of_c_ends_the_process(start: Start) -> None:
+    process = start(IN_CALLBACK)
+    process.stdin.write("\n")  # type: ignore[union-attr]
+    process.stdin.flush()  # type: ignore[union-attr]
+    assert process.wait(PATIENCE) == 128 + signal.SIGTERM
