@@ -173,6 +173,7 @@ class NodeWiring:
         revision: 1018h sub 3, likewise.
         serial: 1018h sub 4, likewise.
         error_state: as in `Wiring`, for this board alone; None: as in `Wiring`.
+        verify: whether a switch without end-stops counts only when its outputs were read back.
 
     Raises:
         ValueError: a number is out of its range.
@@ -186,6 +187,7 @@ class NodeWiring:
     revision: int | None = None
     serial: int | None = None
     error_state: ErrorState | None = None
+    verify: bool = True
 
     def __post_init__(self) -> None:
         if self.object != 0x6200 and not 0x2000 <= self.object <= 0x5FFF:

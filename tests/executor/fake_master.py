@@ -21,7 +21,8 @@ class FakeMaster:
         ends = [[line.board for name, line in c.lines.items() if name.startswith("input")] for c in wiring.channels]
         self.input_boards_of = tuple(tuple(sorted({nodes.index(board) for board in boards})) for boards in ends)
         self._wiring, self._size = wiring, len(wiring.channels)
-        self.outputs = self.inputs = self.doubtful = 0
+        self.outputs = self.inputs = self.doubtful = self.released = 0
+        self.unread = self.missed = 0  # masks of lines that were not read back, and of missed pulses
         for i in range(len(wiring.input_lines) - self._size):  # contracted ends, closed interlocks
             self.inputs |= 1 << self._size + i
         self.all, self._travel = (1 << self._size) - 1, timing.travel_time
@@ -118,6 +119,8 @@ class FakeMaster:
 
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
         self._break("commit")
+        if release and (self.busy or self.committing):
+            return
         if self.busy or self.committing:
             raise Busy("the queue is full")
         assert not release or outputs == outputs & self.outputs, "a release switches something on"
@@ -175,6 +178,10 @@ class FakeMaster:
     def drain_switched(self) -> list[tuple[int, float]]:
         switched, self._switched = self._switched, []
         return switched
+
+    def drain_missed(self) -> int:
+        missed, self.missed = self.missed, 0
+        return missed
 
     def warnings(self) -> tuple[ArmFault, ...]:
         return ()

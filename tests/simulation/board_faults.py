@@ -130,16 +130,12 @@ class BoardFaults:
             return {}
         k = random.choice(free)
         channel = wiring.channels[k]
-        name, bus = f"{channel.bus}/{channel.node}", world.buses[channel.bus]
+        name = f"{channel.bus}/{channel.node}"
         objects, place = world.boards.simulated.board(name).objects, (world.judge.objects.base(name), 0)
         place = place[0], channel.output // 8 + 1
 
         def unread() -> None:
             objects.refused[place] = HARDWARE_ERROR
-            planner.ask_to_switch(k)
-
-        def hold() -> None:
-            bus.holds_rpdos = True
             planner.ask_to_switch(k)
 
         silent = Expected(
@@ -148,11 +144,7 @@ class BoardFaults:
             THREE_READS,
             words=(f"{place[0]:04X}h sub {place[1]}", "hardware error"),
         )
-        busy = Expected(frozenset({"bus-busy"}), (bus.name,), COMMANDED, cleared=True)
-        made: dict[str, Made] = {"commands are not sent": (hold, bus.restore, busy)}
-        if channel.pulse is None:
-            made["outputs cannot be read"] = (unread, objects.refused.clear, silent)
-        return made
+        return {"outputs cannot be read": (unread, objects.refused.clear, silent)} if channel.pulse is None else {}
 
     def _of_inputs(self) -> dict[str, Made]:
         """Returns an overrun after lost TPDOs: all inputs are read at once."""

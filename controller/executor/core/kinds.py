@@ -81,6 +81,10 @@ class Kinds:
         contracting = outputs >> self._size
         return outputs & self.paired, _mask(k for i, k in enumerate(self._pairs) if contracting >> i & 1)
 
+    def actuators(self, lines: int) -> int:
+        """Returns the mask of the actuators with one of these output lines."""
+        return lines & self.everything | self.on(lines)[1]
+
     def states(self, outputs: int, before: int) -> int:
         """Returns the states that outputs command; `before` where both outputs of a pair are off, or both on."""
         if not self.paired:

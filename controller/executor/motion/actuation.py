@@ -32,12 +32,13 @@ class Actuation:
 
     `tick` switches a pulsed output off when its pulse ends, in every mode. The state of an actuator with two outputs is
     uncertain while both outputs are off and the last one that was on is unknown. This is so after a start of the
-    executor, and after a restart of the board.
+    executor, after a restart of the board, and after a pulse that was over before it was read back.
 
     Attributes:
         free_at: when the last switched actuator has settled, by its travel time [s].
         target: states of the running commit; None if no commit runs.
         uncertain: mask of the actuators of unknown state; their bits of `states` are guesses.
+        missed: mask of those among them whose last pulse was missed: nothing tells whether it was on.
         switches: number of switches since the executor started.
         fault: set if the bus accepted no command for BUSY_FOR; cleared by the caller that reports it.
 
@@ -52,6 +53,7 @@ class Actuation:
         self.free_at = 0.0
         self.target: int | None = None
         self.uncertain = kinds.paired
+        self.missed = 0
         self.switches = 0
         self.fault: ArmFault | None = None
         self._master, self._arm, self._kinds, self._journal = master, arm, kinds, journal
@@ -82,6 +84,12 @@ class Actuation:
         extending, contracting = self._kinds.on(outputs & leaving)
         energised = (extending ^ contracting) & self._kinds.paired
         return (self._kinds.states(outputs, self._states) ^ self.states) | (energised & self.uncertain)
+
+    @property
+    def unproven(self) -> int:
+        """Mask of the switched actuators of which neither an end-stop nor their outputs, read back, has told yet."""
+        unread = self._master.unread
+        return self._kinds.actuators(unread) | self.missed if unread or self.missed else 0
 
     def pulsing(self, now: float) -> bool:
         """Returns whether a pulse is on; a pulse that could not be ended within LATE no longer counts."""
@@ -134,32 +142,31 @@ class Actuation:
             self._master.give_up(why)
 
     def tick(self, now: float) -> None:
-        """Switches off the outputs whose pulse is over. Call every period, in every mode."""
+        """Switches off the outputs whose pulse is over, and those that may still be on; in every mode, every period.
+
+        What a bus does not take now, the next tick sends. A board without its master switches its outputs off itself.
+        """
         if not self._kinds.paired:
             return
+        self._find_missed()
         extending, contracting = self._kinds.on(self._master.outputs)
-        over = (
-            (extending & contracting) | ((extending | contracting) & ~self._on(now)) | self._watch_doubtful_pulses(now)
-        )
-        if not over:
-            return
-        possible = self._master.outputs | self._master.doubtful
-        try:
-            self._master.commit(self._kinds.without(possible, over), now, release=True)
-        except Busy:
-            return  # the next tick tries again; a board without its master switches its outputs off itself
+        over = (extending & contracting) | ((extending | contracting) & ~self._on(now))
+        doubtful = self._watch_doubtful_pulses(now)
+        if over or doubtful:
+            possible = self._master.outputs | self._master.doubtful
+            self._master.commit(self._kinds.without(possible, over) & ~doubtful, now, release=True)
 
     def find_overdue(self, now: float) -> list[ArmFault]:
         """Returns a fault for each pulse that has not ended in time, once until the next boot has ended.
 
-        A pulse has ended when its outputs are off and its board is ready, so that it is read back. Call every period.
+        A pulse has ended when its outputs were read back off. Call every period.
         """
         if not self._watched or self._master.booting:
             self._told = 0
             return []
-        extending, contracting = self._kinds.on(self._master.outputs | self._master.doubtful)
-        self._watched &= extending | contracting | ~self._master.known
-        untold = indices(self._watched & ~self._told)
+        on = self._kinds.actuators(self._master.outputs | self._master.doubtful)
+        self._watched &= on | self._kinds.actuators(self._master.released) | ~self._master.known
+        untold = indices(self._watched & (on | ~self._master.known) & ~self._told)
         due = [k for k in untold if now >= max(self._pulse_ends[k], self._adopted_at) + LATE]
         self._told |= sum(1 << k for k in due)
         return [self._overdue(k) for k in due]
@@ -174,6 +181,7 @@ class Actuation:
             self._pulse_ends[k] = now + self._kinds.pulse[k]
             self._watched |= 1 << k
         self.uncertain &= ~energised
+        self.missed &= ~energised
         self._doubtful &= ~energised
         self._states = states
         if self._adopted is not None:  # a pulse that a start finds may end before the first adoption
@@ -209,6 +217,8 @@ class Actuation:
             now: [s].
         """
         self.target, self.fault = None, None
+        self._find_missed()
+        self.missed = 0
         extending, contracting = self._kinds.on(self._master.outputs)
         told = extending ^ contracting
         self.uncertain = (self.uncertain | self._find_rebooted() | self._doubtful | (extending & contracting)) & ~told
@@ -234,21 +244,26 @@ class Actuation:
         return on & ~sum(1 << k for k in over)
 
     def _watch_doubtful_pulses(self, now: float) -> int:
-        """Watches pulses that a SYNC may have begun although its bus was lost; returns the mask of their actuators."""
+        """Watches pulses that may be on without a command; returns the mask of their output lines."""
         doubtful = self._master.doubtful & ~self._master.outputs
-        if not doubtful:
-            return 0
-        extending, contracting = self._kinds.on(doubtful)
-        pulses = (extending | contracting) & self._kinds.pulsed
+        lines = doubtful & ~self._kinds.without(doubtful, self._kinds.pulsed)
+        pulses = self._kinds.actuators(lines) if lines else 0
         for k in indices(pulses & ~self._watched):
             self._pulse_ends[k] = now
         self._watched |= pulses
-        return pulses
+        return lines
+
+    def _find_missed(self) -> None:
+        """Finds actuators whose last pulse nobody has seen: their state is unknown."""
+        if missed := self._master.drain_missed():
+            self.missed |= self._kinds.actuators(missed)
+            self.uncertain |= self.missed
 
     def _overdue(self, k: int) -> ArmFault:
-        place = self._arm.wiring.channels[k].place
-        text = f"the pulse of actuator {place} could not be ended in time: its coil may be on"
-        return ArmFault("pulse-overdue", place, f"{text}; it is ended as soon as its bus and its board can be reached")
+        channel = self._arm.wiring.channels[k]
+        text = f"the pulse of actuator {channel.place} could not be ended in time: its coil may be on"
+        advice = f"it is switched off until it reads off; cut the power of {channel.bus}/{channel.node} if it gets hot"
+        return ArmFault("pulse-overdue", channel.place, f"{text}; {advice}")
 
     def _find_rebooted(self) -> int:
         """Returns the mask of the paired actuators whose board has restarted since the last adoption."""

@@ -193,7 +193,8 @@ class ArmMotion:
         execution = self.execution
         if execution is None:
             return None
-        rests = not self.busy and not self.moving and self.supervision.decided(self.readings.ends, self._master.known)
+        decided = self.supervision.decided(self.readings.ends, self._master.known) and not self.actuation.unproven
+        rests = not self.busy and not self.moving and decided
         if execution.waiting and rests and execution.settle(now):
             self._send(self._settled(execution))
         if execution.idle and rests and now >= self.actuation.free_at - EPSILON:
@@ -205,7 +206,7 @@ class ArmMotion:
     def _realign(self, homed: int, target: int, now: float) -> bool:
         """Sets the outputs of locked actuators to their locked states, and homes others, before any stage.
 
-        A locked actuator that comes loose then stays in its locked state.
+        A locked actuator that comes loose then stays in its locked state. A missed pulse is given again.
 
         Args:
             homed: mask of the actuators to home if their state is unknown.
@@ -215,10 +216,10 @@ class ArmMotion:
         Returns:
             Whether this is done, so that a stage may begin.
         """
-        before, most = self.actuation.states, self._arm.most
+        before, most, missed = self.actuation.states, self._arm.most, self.actuation.missed
         states = self._locked.realigned(before, most)
-        homing = first(self.readings.homing & homed, most - (states ^ before).bit_count())
-        states = merged(homing, target, states)
+        homing = first(self.readings.homing & (homed | missed), most - (states ^ before).bit_count())
+        states = merged(homing & ~missed, target, states)
         differ = self.actuation.differ(states, homing)
         if differ:
             if not self.busy and now >= self.actuation.ready_at(differ, strict=False) - EPSILON:
@@ -275,7 +276,7 @@ class ArmMotion:
             now: [s].
         """
         self._index, self._before = index, self.actuation.states
-        if strict and self.moving:
+        if strict and (self.moving or self.actuation.unproven):
             return StageBegin.WAITS
         if states == self._before:
             self._record_reached(CommitOutcome(states, reached=True), now)

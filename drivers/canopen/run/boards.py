@@ -46,7 +46,7 @@ class Boards:
         self.pulsed = sum(
             1 << k | 1 << len(channels) + i for i, k in enumerate(wiring.paired) if channels[k].pulse is not None
         )
-        self.image, self.log, self.outputs = StateImage(), FaultLog(), OutputLines(self.layout)
+        self.image, self.log, self.outputs = StateImage(), FaultLog(), OutputLines(self.layout, self.pulsed)
         stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards lose the master
         self.links = {bus.name: Link(bus, send, stuck_after) for bus in wiring.buses}
         self.stations = [
@@ -101,8 +101,7 @@ class Boards:
         """Returns what a release of lines switches.
 
         The release leaves out boards that have restarted: their outputs are off, and their frames could switch others
-        on. It leaves out buses that send no frames, unless there is no other. Doubtful lines of the same boards go off
-        too: their levels are unknown, and a release switches nothing on.
+        on. Doubtful lines of the same boards go off too: their levels are unknown, and a release switches nothing on.
 
         Args:
             lines: mask of lines to switch off.
@@ -111,8 +110,6 @@ class Boards:
             Levels of all lines after it, and the mask of the lines that go off.
         """
         states, doubtful = self.outputs.states, self.outputs.doubtful
-        usable = (s.board.layout.output_lines for s in self.stations if self.links[s.board.layout.bus].usable)
-        lines = lines & (states | doubtful) & union(usable) or lines
         boards = [s.board for s in self.stations if s.board.layout.output_lines & lines]
         off = (states | doubtful) & lines & union(b.layout.output_lines for b in boards if not b.restarted)
         touched = union(b.layout.output_lines for b in boards if b.layout.output_lines & off)

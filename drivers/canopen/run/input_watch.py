@@ -49,7 +49,7 @@ class InputWatch:
                 station.question(now)
 
     def hurry(self, bus: str, now: float) -> None:
-        """Asks all ready boards of a bus at once: their TPDOs may be lost."""
+        """Has all ready boards of a bus asked at the next tick: their TPDOs may be lost."""
         for station in self._stations:
             if station.board.layout.bus == bus:
-                station.question(now)
+                self._due[station.index] = now

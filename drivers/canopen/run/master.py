@@ -7,7 +7,6 @@ from collections.abc import Callable
 from drivers.canopen.boot.booting import Booting
 from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.boards import Boards
-from drivers.canopen.run.commit import Commit
 from drivers.canopen.run.heartbeat import Heartbeat, LoopClock
 from drivers.canopen.run.input_watch import InputWatch
 from drivers.canopen.run.switching import OutputSwitching
@@ -49,11 +48,10 @@ class Master:
         self._booting = Booting(boards.stations, boards.outputs, wiring, timing)
         self._receptions = boards.receptions(self._booting.rebooted)
         self._heartbeat = Heartbeat(boards.links.values(), boards.stations, timing)
-        self._verification = Verification(boards)
         interlocks = sum(1 << line for line in wiring.interlock_lines)
         self._inputs = InputWatch(boards.stations, boards.links.values(), interlocks)
-        self._commit = Commit(boards.links, boards.outputs, self._verification.switched, timing.heartbeat_timeout / 2)
-        self._switching = OutputSwitching(boards, self._booting, self._commit, self._verification)
+        self._switching = OutputSwitching(boards, self._booting, timing.heartbeat_timeout / 2)
+        self._verification = Verification(boards, self._switching)
 
     def receive_event(self, event: Event, now: float) -> None:
         """Passes an event of a bus to one of the six methods below."""
@@ -86,33 +84,26 @@ class Master:
     def echoed(self, bus: str, frame: Frame, now: float) -> None:
         """Takes the echo of a sent frame; a frame of another program counts as received."""
         time = self._clock.at(now)
-        if not self._links[bus].echoed(frame, time):
+        if not (sent := self._links[bus].echoed(frame, time)):
             self.receive_frame(bus, frame, now)
-            return
-        if self._commit.under_way:
-            self._commit.sent(bus, frame, now, time)
-        self._receptions[bus].echoed(frame, time)
+        for each in sent:
+            self._switching.sent(bus, each, now, time)
+            self._receptions[bus].echoed(each, time)
 
     def send_failed(self, bus: str, frame: Frame, why: str, now: float) -> None:
         """Records that a frame could not be sent."""
         self._links[bus].send_failed(frame, self._clock.at(now))
-        self._commit.send_failed(bus, frame, why)
+        self._switching.send_failed(bus, frame, why)
         self._heartbeat.send_failed(bus, frame)
 
     def bus_changed(self, bus: str, state: str | None, why: str, errors: tuple[int, int] | None, now: float) -> None:
         """Takes state and error counters of a bus; None: unchanged."""
         if (fault := self._links[bus].changed(state, why, errors, self._clock.at(now))) is not None:
             self._lose(fault)
-        elif state is not None:
-            # A restart of the controller drops the frames that it holds: a release is sent again at once.
-            self._switching.give_up_release(f"{bus} is {state} again")
 
     def overrun(self, bus: str, now: float) -> None:
-        """Records that the controller of a bus has lost received frames, and asks for the inputs again at once.
-
-        Echoes may be among them. A running commit without its echoes fails, or its bus counts as lost.
-        """
-        self._links[bus].overrun(give_up=not self._commit.under_way)
+        """Records that the controller of a bus has lost received frames, and asks for the inputs again soon."""
+        self._links[bus].overrun()
         if not self._booting.under_way:
             self._inputs.hurry(bus, self._clock.at(now))
 
@@ -127,7 +118,7 @@ class Master:
             if (fault := link.tick(time, now)) is not None:
                 self._lose(fault)
         self._heartbeat.tick(now, time)
-        self._commit.tick(now, time)
+        self._switching.tick(now, time)
         self._boards.tick(time, self._timing.heartbeat_timeout, self._clock.stalled)
         if not self._booting.under_way:
             self._verification.tick(time)
@@ -153,7 +144,7 @@ class Master:
         Correctly configured boards are not written to. A running boot begins again. Earlier faults are forgotten.
         """
         self._boards.log.clear()
-        self._commit.forget()
+        self._switching.forget()
         self._verification.begin()
         self._inputs.begin(self._clock.at(now))
         self._booting.begin(self._boards.rearm(), self._clock.at(now))
@@ -215,22 +206,22 @@ class Master:
     @property
     def committing(self) -> bool:
         """Whether a commit is running."""
-        return self._commit.under_way or bool(self._verification.blocking)
+        return self._switching.under_way
 
     @property
     def collecting(self) -> bool:
         """Whether the commit still waits for the echo of RPDOs; only the last of them changes anything."""
-        return self._commit.collecting
+        return self._switching.collecting
 
     @property
     def leaving(self) -> int:
         """Mask of the lines that frames already handed out will switch: SYNCs, and RPDOs of boards without SYNC."""
-        return self._commit.leaving
+        return self._switching.leaving
 
     @property
     def commit_failed(self) -> str | None:
         """Why the last commit failed, as a sentence; None after a success. Nothing of it is sent later."""
-        return self._commit.failed or self._verification.failed
+        return self._switching.failed
 
     @property
     def outputs(self) -> int:
@@ -239,13 +230,23 @@ class Master:
 
     @property
     def doubtful(self) -> int:
-        """Mask of the output lines that a SYNC may have switched: their bus was lost while it was being sent."""
+        """Mask of the output lines that may be on, see `OutputLines.doubtful`."""
         return self._boards.outputs.doubtful
+
+    @property
+    def released(self) -> int:
+        """Mask of the output lines whose pulse has ended, and was not read back off."""
+        return self._verification.released
+
+    @property
+    def unread(self) -> int:
+        """Mask of the output lines that were switched and not read back, and that no end-stop tells of."""
+        return self._verification.unread
 
     @property
     def outputs_known(self) -> bool:
         """Whether `outputs` are known: all boards are ready, and no SYNC is being sent."""
-        return self._boards.all_known and not self._commit.unknown
+        return self._boards.all_known and not self._switching.unknown
 
     @property
     def ends(self) -> int:
@@ -277,8 +278,13 @@ class Master:
 
     def drain_switched(self) -> list[tuple[int, float]]:
         """Returns the switches since the last call: mask of lines, and time when their SYNC was known as sent [s]."""
-        switched, self._commit.switched = self._commit.switched, []
+        switched = list(self._switching.switched)
+        self._switching.switched.clear()
         return switched
+
+    def drain_missed(self) -> int:
+        """Returns the output lines without end-stops whose pulse was over before it was read, since the last call."""
+        return self._verification.drain_missed()
 
     def warnings(self) -> tuple[ArmFault, ...]:
         """Returns the warnings of buses and boards."""
@@ -294,6 +300,6 @@ class Master:
 
     def _lose(self, fault: ArmFault) -> None:
         self._boards.forget(fault.source)  # one fault for the bus, not one for each board
-        self._commit.bus_lost(fault.source)
+        self._switching.bus_lost(fault.source)
         self._booting.bus_lost(fault)
         self._boards.log.report(fault)

@@ -1,4 +1,4 @@
-"""Output lines of all boards: levels after the last SYNC, and the frames that the boards have latched for the next."""
+"""Output lines of all boards: levels after the last SYNC, whether they were read back, and what the boards latched."""
 
 from __future__ import annotations
 
@@ -19,15 +19,22 @@ class OutputLines:
 
     Attributes:
         states: levels of the lines after the last SYNC.
-        changes: number of changes, also possible ones, of the lines of each board.
-        doubtful: mask of the lines that a SYNC may have switched: the bus was lost while it was being sent.
+        unread: mask of the lines that were switched, and were not read back with this level since.
+        missed: mask of the lines whose pulse was not read back while it was on; the caller clears it.
+        doubtful: mask of the lines that may be on: the bus was lost while a SYNC was being sent, or the end of a pulse
+            was not read back.
+
+    Args:
+        layout: of the boards.
+        pulsed: mask of the lines that are on for a pulse only.
     """
 
-    def __init__(self, layout: Layout) -> None:
-        self.states = 0
-        self.changes = [0] * len(layout.boards)
-        self.doubtful = 0
+    def __init__(self, layout: Layout, pulsed: int) -> None:
+        self.states = self.unread = self.missed = self.doubtful = 0
+        self._pulsed = pulsed
+        self._moved = [0] * len(layout.boards)  # lines of each board that may have changed since `begin_read`
         self._boards = layout.boards
+        self._trusted = union(b.output_lines for b in layout.boards if not b.settings.verify)
         self._lines = sum(board.output_lines for board in layout.boards)
         self._rpdos = {i: board.rpdos for i, board in enumerate(layout.boards)}
         self._frames: dict[Key, RpdoFrame] = {}
@@ -55,9 +62,36 @@ class OutputLines:
             self._uncertain.discard(key)
             frame = self._frames[key]
             lines = frame.lines & board.output_lines
+            self._find_missed(lines)
             self.states = self.states & ~lines | _levels(frame, self._image[key]) & lines
         self.doubtful &= ~board.output_lines
-        self.changes[i] += 1
+        self.unread &= ~board.output_lines
+        self._moved[i] = -1
+
+    def begin_read(self, i: int) -> None:
+        """Records that the outputs of board `i` are asked for; no frame that switches them may be on its way."""
+        self._moved[i] = 0
+
+    def read(self, i: int, sub: int, byte: int) -> tuple[int, int]:
+        """Takes an output byte of board `i`, in a sub-index, that was asked for at `begin_read`.
+
+        Returns:
+            Mask of the lines that have their level, and of those that have another one. Lines that have switched
+            meanwhile are in neither.
+        """
+        here = [bit for bit in self._boards[i].outputs if bit.place >> 8 * (sub - 1) & 0xFF]
+        levels = union(bit.line for bit in here if bool(byte << 8 * (sub - 1) & bit.place) != bit.inverted)
+        told = union(bit.line for bit in here) & ~self._moved[i]
+        wrong = (levels ^ self.states) & told
+        self.unread = self.unread & ~told | wrong
+        return told & ~wrong, wrong
+
+    def mistrust(self, lines: int) -> None:
+        """Records that lines whose pulse has ended may be on: their frames are sent again."""
+        self.doubtful |= lines
+        for key, frame in self._frames.items():
+            if frame.lines & lines:
+                self._latched[key] = None
 
     def due(self, states: int, released: int = 0) -> dict[str, list[Key]]:
         """Returns the frames to send before a SYNC, for each bus that needs a SYNC.
@@ -115,11 +149,11 @@ class OutputLines:
         """Returns whether a frame is an RPDO of the master."""
         return (bus, cob_id) in self._frames
 
-    def sending(self, key: Key) -> None:
-        """Records that a frame is handed out: the latched bytes are unknown until `sent`."""
+    def sending(self, key: Key, states: int) -> None:
+        """Records that a frame for these levels is handed out: the latched bytes are unknown until `sent`."""
         self._latched[key] = None
         self._uncertain.add(key)
-        self._changed(self._frames[key].boards)
+        self._move(self._frames[key], states ^ self.states)
 
     def sent(self, key: Key, frame: Frame, states: int) -> int:
         """Records that a frame was sent; returns the mask of the lines that it switched without SYNC."""
@@ -129,8 +163,9 @@ class OutputLines:
 
     def switched(self, bus: str, states: int) -> int:
         """Records that the SYNC of a bus was sent; returns the mask of the lines that it switched."""
-        here = [key for key, frame in self._frames.items() if frame.bus == bus]
-        self.doubtful &= ~union(self._frames[key].lines for key in here)
+        here, lines = [key for key, frame in self._frames.items() if frame.bus == bus], self.lines_of(bus)
+        self.unread |= self.doubtful & lines
+        self.doubtful &= ~lines
         return union(self._switch(key, states) for key in here)
 
     def bus_lost(self, bus: str, states: int | None) -> None:
@@ -146,21 +181,28 @@ class OutputLines:
                 if states is not None:
                     self.doubtful |= (states ^ self.states) & frame.lines
 
-    def bits(self, i: int) -> int:
-        """Returns the expected levels of the used output bits of board `i`."""
-        return union(b.place for b in self._boards[i].outputs if bool(self.states & b.line) != b.inverted)
+    def byte(self, i: int, sub: int) -> int:
+        """Returns the expected levels of the used output bits of board `i` in a sub-index."""
+        places = (b.place for b in self._boards[i].outputs if bool(self.states & b.line) != b.inverted)
+        return union(places) >> 8 * (sub - 1) & 0xFF
 
     def _switch(self, key: Key, states: int) -> int:
         frame, before = self._frames[key], self.states
         self._image[key] = self._wanted(key, states)
+        self._find_missed(frame.lines & ~states)
         self.states = before & ~frame.lines | states & frame.lines
         if switched := before ^ self.states:
-            self._changed(frame.boards)
+            self._move(frame, switched)
+            self.unread |= switched & (~self._trusted | self._pulsed & ~self.states)
         return switched
 
-    def _changed(self, boards: frozenset[int]) -> None:
-        for i in boards:
-            self.changes[i] += 1
+    def _find_missed(self, lines: int) -> None:
+        """Finds pulses on lines that go off, or are read, which were not read back while they were on."""
+        self.missed |= lines & self._pulsed & self.states & self.unread & ~self._trusted
+
+    def _move(self, frame: RpdoFrame, lines: int) -> None:
+        for i in frame.boards:
+            self._moved[i] |= lines
 
     def _assemble(self) -> None:
         frames = assemble(self._boards, self._rpdos)

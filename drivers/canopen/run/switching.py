@@ -1,96 +1,205 @@
-"""The start of commits and releases; a release only switches lines off, and needs no ready board."""
+"""Stages, which switch lines of several buses at one instant, and releases, which switch lines of one bus off."""
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import dataclass
 
 from drivers.canopen.boot.booting import Booting
 from drivers.canopen.faults import Busy
+from drivers.canopen.pdo import union
 from drivers.canopen.run.boards import Boards
-from drivers.canopen.run.commit import Commit
-from drivers.canopen.run.outputs import Key
-from drivers.canopen.run.verification import Verification
+from drivers.canopen.run.commit import BusCommit
+from drivers.canopen.wire.cia301 import Frame
+
+
+@dataclass
+class Switch:
+    """A stage or a release.
+
+    Attributes:
+        commits: those of its buses; no SYNC is handed out before the RPDOs of all of them were sent.
+        off: mask of the lines that a release switches off; None: it is a stage.
+        began: when it began [s, real time].
+    """
+
+    commits: list[BusCommit]
+    off: int | None = None
+    began: float = 0.0
+
+    @property
+    def collecting(self) -> bool:
+        """Whether it waits for RPDOs."""
+        return any(commit.collecting for commit in self.commits)
+
+    @property
+    def under_way(self) -> bool:
+        """Whether it may still switch something."""
+        return any(commit.under_way for commit in self.commits)
 
 
 class OutputSwitching:
-    """Starts commits and releases of output lines, and gives them up.
+    """Starts stages and releases of output lines, and gives them up.
 
+    So no SYNC waits in a queue when a bus fails, and the frames that the kernel still holds switch nothing when the bus
+    comes back. Each bus has its own release: what another bus does holds it up in nothing.
     Times `now` are real times, times `time` stand still while the loop stalls [s].
+
+    Attributes:
+        failed: why the last stage has failed, as a sentence; None after a success.
+        switched: masks of switched lines, each with the real time of its SYNC [s].
 
     Args:
         boards: of the arm.
         booting: boots the boards; a release switches lines off during a boot, too.
-        commit: sends the frames.
-        verification: reads outputs back after the first commit.
+        longest: a commit that takes longer is cancelled, since its SYNC would be too late [s, real time].
     """
 
-    def __init__(self, boards: Boards, booting: Booting, commit: Commit, verification: Verification) -> None:
-        self._boards, self._booting, self._commit, self._verification = boards, booting, commit, verification
-        self._releasing = 0, 0  # levels and lines of the last release
+    def __init__(self, boards: Boards, booting: Booting, longest: float) -> None:
+        self.failed: str | None = None
+        self.switched: list[tuple[int, float]] = []
+        self._boards, self._booting, self._longest = boards, booting, longest
+        self._commits = {n: BusCommit(link, boards.outputs, self.switched) for n, link in boards.links.items()}
+        self._stage = Switch([])
+        self._releases: dict[str, Switch] = {}
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a stage is under way, or a frame of one that was given up."""
+        return self._stage.under_way
+
+    def busy(self, bus: str) -> bool:
+        """Returns whether frames on their way may still switch something on a bus."""
+        return self._commits[bus].under_way
+
+    @property
+    def collecting(self) -> bool:
+        """Whether RPDOs are awaited."""
+        return any(commit.collecting for commit in self._commits.values())
+
+    @property
+    def unknown(self) -> bool:
+        """Whether a frame that switches was handed out, and may or may not be sent."""
+        return any(commit.unknown for commit in self._commits.values())
+
+    @property
+    def leaving(self) -> int:
+        """Mask of the lines that frames already handed out will switch, whatever is commanded now."""
+        return union(commit.leaving for commit in self._commits.values())
 
     def commit(self, outputs: int, now: float, time: float) -> None:
-        """Switches all output lines to `outputs`: sends RPDOs, and one SYNC on each bus after them, see `Commit`.
+        """Switches all output lines to `outputs`: sends RPDOs, and one SYNC on each bus after all of them.
 
-        Nothing is sent if nothing changes. After a boot, the first commit ends when the outputs of boards without
-        end-stops were read back.
+        Nothing is sent if nothing changes.
 
         Raises:
-            Busy: a commit is running, or a bus or a board is not ready.
+            Busy: frames of a bus were not sent yet, or a bus or a board is not ready.
             ValueError: `outputs` has a bit that is no line.
         """
-        if self._commit.under_way:
-            raise Busy("frames of the previous commit were not sent yet")
-        if self._verification.blocking:
-            raise Busy("the outputs of the previous commit are being read back")
         due = self._boards.outputs.due(outputs)
+        if self._stage.under_way:
+            raise Busy("frames of the previous commit were not sent yet")
+        self.failed = None
         if not due:
-            self._commit.failed = None
             return
-        self._begin(outputs, due, None, now, time)
+        refusals = (self._commits[bus].refusal(keys) for bus, keys in due.items())
+        if refusal := self._boards.refusal() or next(filter(None, refusals), None):
+            raise Busy(refusal)
+        self._stage = Switch([self._commits[bus] for bus in due], None, now)
+        for bus, keys in due.items():
+            self._releases.pop(bus, None)
+            self._commits[bus].begin(outputs, self._boards.frames_of(bus, keys, None), time)
+        self._advance(now, time)
 
     def release(self, outputs: int, now: float, time: float) -> None:
-        """Switches the lines off that are not in `outputs`, and cancels a commit whose RPDOs wait.
+        """Switches the lines off that are not in `outputs`; on their buses it gives a stage up whose RPDOs wait.
 
         A release is also for boards that are not ready, for buses that were lost and send frames again, and for a boot
-        under way. A release that waits for its echoes goes on.
-
-        Raises:
-            Busy: the SYNC of a commit was not sent yet, or a bus sends no frames.
+        under way. One that cannot begin now, begins at a later call. One that waits for its echoes goes on.
         """
-        boards = self._boards
-        states, off = boards.released(~outputs)
-        if not off or (self._commit.collecting and self._releasing == (states, off)):
+        states, off = self._boards.released(~outputs)
+        for bus in self._commits:
+            if here := off & self._boards.outputs.lines_of(bus):
+                self._release(bus, states, here, now, time)
+        self._advance(now, time)
+
+    def give_up(self, why: str) -> None:
+        """Gives up a stage whose SYNC was not handed out; `why` is the reason for `failed`, as a sentence."""
+        self._give_up(self._stage, why)
+
+    def forget(self) -> None:
+        """Cancels everything; the caller reads the outputs back."""
+        for commit in self._commits.values():
+            commit.lost()
+        self._stage, self._releases, self.failed = Switch([]), {}, None
+
+    def sent(self, bus: str, frame: Frame, now: float, time: float) -> None:
+        """Records that a frame of the master was sent."""
+        if (commit := self._commits[bus]).under_way:
+            commit.sent(frame, now)
+            self._advance(now, time)
+
+    def send_failed(self, bus: str, frame: Frame, why: str) -> None:
+        """Records that a frame of the master could not be sent."""
+        self._commits[bus].send_failed(frame, why)
+        self._end_failed()
+
+    def bus_lost(self, bus: str) -> None:
+        """Records the loss of a bus."""
+        self._commits[bus].lost()
+        self._end_failed()
+
+    def tick(self, now: float, time: float) -> None:
+        """Call every period."""
+        for commit in self._commits.values():
+            if commit.under_way:
+                commit.tick(now)
+        self._advance(now, time)
+
+    def _release(self, bus: str, states: int, off: int, now: float, time: float) -> None:
+        commit, last = self._commits[bus], self._releases.get(bus)
+        if last is not None and last.collecting and (last.off, commit.states) == (off, states):
             return
-        self._commit.give_up("an output had to be switched off first")
-        if self._commit.under_way:
-            raise Busy("the SYNC of the previous commit was not sent yet")
-        due = boards.outputs.due(states, off)
-        booted = [i for bus in due for i in boards.left_out(bus, off)] if self._booting.under_way else []
-        self._begin(states, due, off, now, time)
-        self._releasing = states, off
-        for station in (boards.stations[i] for i in booted):
+        if commit in self._stage.commits:
+            self._give_up(self._stage, "an output had to be switched off first")
+        commit.give_up("it is replaced")
+        keys = self._boards.outputs.due(states, off)[bus]
+        if self._boards.refusal(off) or commit.refusal(keys):
+            return
+        booted = self._boards.left_out(bus, off) if self._booting.under_way else ()
+        self._stage.commits = [other for other in self._stage.commits if other is not commit]
+        self._releases[bus] = Switch([commit], off, now)
+        commit.begin(states, self._boards.frames_of(bus, keys, off), time)
+        for station in (self._boards.stations[i] for i in sorted(booted)):
             if station.board.heard:  # it was told to leave operational, in which its boot may have put it
                 self._booting.rebooted(station, time)
 
-    def give_up(self, why: str) -> None:
-        """Gives up a commit whose SYNC was not handed out. Does nothing after that, or if it only switches lines off.
+    def _advance(self, now: float, time: float) -> None:
+        """Hands out the SYNCs of stage and releases whose RPDOs were sent, and ends those that take too long."""
+        for switch in (self._stage, *self._releases.values()):
+            if not switch.collecting:
+                continue
+            waiting = [commit.bus for commit in switch.commits if commit.waiting]
+            if now - switch.began > self._longest:
+                late = f"frames on {', '.join(waiting)} were not sent" if waiting else "the executor was halted"
+                self._give_up(switch, f"{late} for {self._longest:g} s")
+            elif waiting:
+                continue
+            elif refusal := self._boards.refusal(switch.off):
+                self._give_up(switch, refusal)
+            else:
+                for commit in switch.commits:
+                    commit.sync(time)
 
-        Args:
-            why: the reason for `Commit.failed`, as a sentence.
-        """
-        if self._releasing == (0, 0):
-            self._commit.give_up(why)
+    def _give_up(self, switch: Switch, why: str) -> None:
+        if switch.collecting:
+            for commit in switch.commits:
+                commit.give_up(why)
+            self._end_failed()
 
-    def give_up_release(self, why: str) -> None:
-        """Gives up a release whose SYNC was not handed out, so that the next call sends it again."""
-        if self._releasing != (0, 0):
-            self._commit.give_up(why)
-            self._releasing = 0, 0
-
-    def _begin(self, states: int, due: dict[str, list[Key]], off: int | None, now: float, time: float) -> None:
-        """Starts a commit; `off`: mask of lines if they only go off, else None."""
-        if refusal := self._boards.refusal(off):
-            raise Busy(refusal)
-        frames = {bus: self._boards.frames_of(bus, keys, off) for bus, keys in due.items()}
-        self._releasing, refuses = (0, 0), partial(self._boards.refusal, off)
-        self._commit.begin(states, frames, refuses, now, time, together=off is None)
+    def _end_failed(self) -> None:
+        """Gives a stage up on all its buses if one of them has failed."""
+        why = next((commit.failed for commit in self._stage.commits if commit.failed), None)
+        if why is not None:
+            self.failed = self.failed or why
+            for commit in self._stage.commits:
+                commit.give_up(why)

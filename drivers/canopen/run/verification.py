@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Generator
 
 from drivers.canopen.faults import ArmFault, board_error
-from drivers.canopen.pdo import subs_of
+from drivers.canopen.pdo import subs_of, union
 from drivers.canopen.run.board import Board
 from drivers.canopen.run.boards import Boards
 from drivers.canopen.run.station import Station
+from drivers.canopen.run.switching import OutputSwitching
 from drivers.canopen.sdo.client import SdoOutcome, Transfer
 from drivers.canopen.sdo.objects import Need, abort_words
 from drivers.canopen.sdo.procedure import Step, Wait
@@ -17,6 +18,7 @@ from drivers.canopen.wire.cia301 import wire_bits
 
 _SHARE, _SHORTEST = 0.01, 0.05  # share of the bit rate, and shortest time between two reads on one bus [s]
 _ALL_WITHIN = 1.0  # [s] for the outputs of all boards of a bus after a switch
+_ANSWER = 0.1  # [s] for one answer; longer for a board that answers slowly
 _PAUSE, _TRIES = 0.05, 8  # [s] between two reads of outputs that are not yet right, and number of reads
 _PULSE_PAUSE, _PULSE_TRIES = 0.01, 2  # the same inside a pulse: as many wrong reads prove that it did not begin
 _MOST_SILENT = 3  # reads in a row without a result
@@ -24,26 +26,30 @@ _MOST_MISSED = 3  # pulses in a row that were over before they were read
 
 
 class Verification:
-    """Reads back outputs after switches, and all objects of the boot in turn.
+    """Reads outputs back after each switch, and all objects of the boot in turn.
 
-    Attributes:
-        blocking: indices of boards without end-stops whose first switch after the boot is being read back.
-        failed: why the outputs of such a board did not switch; None if they did, and from the next boot on.
+    A board is read at once if nothing else tells whether it follows: no end-stop does, or a pulse has ended. The end of
+    a pulse that is not read back is switched again, also on a board that is not ready.
 
     Args:
         boards: the boards.
+        switching: tells which buses are switching, whose boards are read afterwards.
     """
 
-    def __init__(self, boards: Boards) -> None:
-        self.blocking: set[int] = set()
-        self.failed: str | None = None
-        self._boards = boards
-        self._unverified = set(range(len(boards.stations)))  # boards not verified since their boot
-        self._pulses: set[int] = set()  # boards with a pulse that was not read back
-        self._silent = [0] * len(boards.stations)  # reads in a row without a result
-        self._missed = [0] * len(boards.stations)  # pulses in a row that were not read back
-        self._due: dict[int, None] = {}  # boards whose outputs must be read back, the oldest first
-        self._next = dict.fromkeys(boards.links, 0.0)  # time of the next read on each bus
+    def __init__(self, boards: Boards, switching: OutputSwitching) -> None:
+        self._boards, self._outputs, self._switching = boards, boards.outputs, switching
+        sensed = union(board.sensed for board in boards.layout.boards)
+        self._urgent = ~sensed | boards.pulsed  # lines that are read at once
+        self._fragile = boards.pulsed & ~sensed  # lines of which only a read inside the pulse tells
+        count = len(boards.stations)
+        self._silent = [0] * count  # reads in a row without a result
+        self._wrong = [0] * count  # wrong reads since the lines of `_stays` last changed
+        self._stays = [0] * count  # lines that were read wrong, and had no other level since
+        self._levels = [0] * count  # their levels
+        self._missed = [0] * count  # pulses in a row that were not read back
+        self._pause = [0.0] * count  # until the next read of outputs [s]
+        self._next_read = [0.0] * count  # time of this read
+        self._next = dict.fromkeys(boards.links, 0.0)  # time of the next paced read on each bus
         self._turns = dict.fromkeys(boards.links, 0)
         self._of_bus = {
             name: [station for station in boards.stations if station.board.layout.bus == name] for name in boards.links
@@ -53,44 +59,70 @@ class Verification:
 
     def begin(self) -> None:
         """Records that a boot of all boards has begun."""
-        self._unverified = set(range(len(self._boards.stations)))
-        self._due.clear()
-        self._pulses.clear()
-        self.blocking.clear()
-        self.failed = None
+        count = len(self._boards.stations)
+        self._silent, self._wrong, self._stays = [0] * count, [0] * count, [0] * count
 
-    def switched(self, lines: int) -> None:
-        """Records that output lines were switched."""
-        for station in self._boards.stations:
-            layout, i = station.board.layout, station.index
-            if switched := layout.output_lines & lines:
-                self._due[i] = None
-                if switched & self._boards.pulsed & self._boards.outputs.states:
-                    self._pulses.add(i)
-                if i in self._unverified and switched & ~layout.sensed:
-                    self.blocking.add(i)
+    @property
+    def released(self) -> int:
+        """Mask of the lines whose pulse has ended, and was not read back off."""
+        return self._outputs.unread & self._boards.pulsed & ~self._outputs.states
+
+    @property
+    def unread(self) -> int:
+        """Mask of the lines that were switched and not read back, and that no end-stop tells of."""
+        return self._outputs.unread & ~self.released & (~self._boards.pulsed & self._urgent | self._fragile)
+
+    def drain_missed(self) -> int:
+        """Returns the mask of lines without end-stops whose pulse was over before it was read, since the last call."""
+        missed, self._outputs.missed = self._outputs.missed, 0
+        for station in self._boards.stations if missed else ():
+            board, i = station.board, station.index
+            if not board.layout.output_lines & missed:
+                continue
+            board.unverified += 1
+            self._missed[i] += 1
+            if self._missed[i] == _MOST_MISSED and board.layout.output_lines & missed & self._fragile:
+                text = (
+                    f"pulses of board {board.name} were over {_MOST_MISSED} times before they were read back: give"
+                    " longer pulses or end-stops, or verify: false in boards.nodes"
+                )
+                self._fail(station, ArmFault("not-verified", board.name, text))
+        return missed & self._fragile
 
     def tick(self, now: float) -> None:
         """Starts the reads that are due; `now` stands still while the loop stalls [s]."""
-        stations = self._boards.stations
-        for i in [i for i in self._due if not stations[i].board.ready]:
-            self._end(i)
-        for i in [i for i in sorted(self.blocking | self._pulses) if not stations[i].runner.running]:
-            self._start(stations[i], self._outputs(stations[i]), now)
+        released, hurried = self.released, self._outputs.unread & self._urgent
         for bus, link in self._boards.links.items():
-            if not link.armed:
+            if not link.usable or self._switching.busy(bus):
                 continue
-            due = [i for i in self._due if stations[i].board.layout.bus == bus and not stations[i].runner.running]
-            pace = min(self._pace[bus], _ALL_WITHIN / len(due)) if due else self._pace[bus]
-            self._next[bus] = min(self._next[bus], now + pace)
-            while now >= self._next[bus]:
-                self._next[bus] = max(self._next[bus] + pace, now - pace)
-                if due:
-                    station = stations[due.pop(0)]
-                    self._start(station, self._outputs(station), now)
-                else:
-                    self._take_turn(bus, now)
-                    break
+            due = [station for station in self._of_bus[bus] if self._due(station, self._outputs.unread, now)]
+            for station in due:
+                lines = station.board.layout.output_lines & (hurried if station.board.ready else released)
+                if lines:
+                    self._start(station, self._read_outputs(station, lines), now)
+            self._read_slowly(bus, [s for s in due if not s.runner.running and s.board.ready], now)
+
+    def _read_slowly(self, bus: str, due: list[Station], now: float) -> None:
+        """Reads boards whose end-stops tell of them as well, and then all objects in turn, at a pace."""
+        if not self._boards.links[bus].armed:
+            return
+        pace = min(self._pace[bus], _ALL_WITHIN / len(due)) if due else self._pace[bus]
+        self._next[bus] = min(self._next[bus], now + pace)
+        while now >= self._next[bus]:
+            self._next[bus] = max(self._next[bus] + pace, now - pace)
+            if not due:
+                self._take_turn(bus, now)
+                break
+            station = due.pop(0)
+            self._start(station, self._read_outputs(station, self._outputs.unread), now)
+
+    def _due(self, station: Station, lines: int, now: float) -> bool:
+        """Returns whether outputs of a board with some of the lines may be read now."""
+        i = station.index
+        if self._pause[i]:
+            self._next_read[i], self._pause[i] = now + self._pause[i], 0.0
+        here = station.board.layout.output_lines & lines
+        return bool(here) and now >= self._next_read[i] and not station.runner.running
 
     def _take_turn(self, bus: str, now: float) -> None:
         """Reads one object of one board: all boards in turn, and all objects of each in turn."""
@@ -108,54 +140,58 @@ class Verification:
         if k < len(board.expected):
             self._start(station, self._object(station, board.expected[k]), now)
         elif k == len(board.expected) and board.layout.outputs:
-            self._start(station, self._outputs(station), now)
+            self._start(station, self._read_outputs(station), now)
         else:
             self._start(station, self._errors(station), now)
 
     def _start(self, station: Station, reading: Generator[Step, SdoOutcome, None], now: float) -> None:
         station.runner.start(reading, None, now)
 
-    def _end(self, i: int) -> None:
-        self._due.pop(i, None)
-        self.blocking.discard(i)
-        self._pulses.discard(i)
-
-    def _outputs(self, station: Station) -> Generator[Step, SdoOutcome, None]:
-        """Compares the outputs of a board with the switched levels; a board may need some time."""
-        board, i, outputs = station.board, station.index, self._boards.outputs
-        changes, wrong = outputs.changes[i], list[tuple[int, int]]()
-        for _ in range(_TRIES):
-            pulsing = bool(outputs.states & self._boards.pulsed & board.layout.output_lines)
-            bits = yield from self._read(station)
-            if bits is None:
-                return
-            if outputs.changes[i] != changes:
-                break  # it was switched meanwhile: read again later
-            should = outputs.bits(i)
-            if bits == should:
-                self._right(station, pulsing)
-                return
-            wrong.append((bits, should))
-            yield Wait(lambda: False, _PULSE_PAUSE if pulsing else _PAUSE)
-        missed = len(wrong) == _TRIES or (len(wrong) >= _PULSE_TRIES and i in self._pulses)
-        if missed and board.ready:
-            self._not_switched(station, *wrong[-1])
-
-    def _read(self, station: Station) -> Generator[Step, SdoOutcome, int | None]:
-        """Reads the used outputs of a board; None, and a fault the third time, if the board does not tell them."""
-        board, bits = station.board, 0
-        for sub in subs_of(board.layout.output_bits):
-            outcome = yield Transfer(board.layout.settings.object, sub, fresh=True)
+    def _read_outputs(self, station: Station, lines: int = -1) -> Generator[Step, SdoOutcome, None]:
+        """Reads the output bytes of a board that have some of the lines, and compares each with the switched levels."""
+        board, outputs = station.board, self._outputs
+        for sub in subs_of(union(bit.place for bit in board.layout.outputs if bit.line & lines)):
+            outputs.begin_read(station.index)
+            outcome = yield Transfer(board.layout.settings.object, sub, timeout=_ANSWER, fresh=True)
             if not outcome.data:
                 self._unread(station, sub, outcome)
-                return None
-            bits |= outcome.data[0] << 8 * (sub - 1)
-        self._silent[station.index] = 0
-        return bits & board.layout.output_bits
+                return
+            self._silent[station.index] = 0
+            self._compare(station, sub, outcome.data[0])
+
+    def _compare(self, station: Station, sub: int, found: int) -> None:
+        """Compares an output byte with the switched levels."""
+        board, i, outputs = station.board, station.index, self._outputs
+        right, wrong = outputs.read(i, sub, found)
+        if right & self._boards.pulsed & outputs.states:
+            self._missed[i] = 0
+        outputs.mistrust(wrong & self.released)
+        wrong &= ~self._boards.pulsed | outputs.states
+        self._note(i, right, wrong)
+        pulsed = bool(wrong & self._boards.pulsed)
+        if wrong:
+            self._pause[i] = _PULSE_PAUSE if pulsed else _PAUSE
+        if wrong and self._wrong[i] >= (_PULSE_TRIES if pulsed else _TRIES) and board.ready:
+            used = board.layout.output_bits >> 8 * (sub - 1) & 0xFF
+            place = f"{board.layout.settings.object:04X}h sub {sub} (outputs)"
+            text = (
+                f"board {board.name} has {found & used:02X}h in {place}; {outputs.byte(i, sub):02X}h was switched: it"
+                " does not follow RPDO and SYNC, or another program writes to it; reset configures it again"
+            )
+            self._fail(station, ArmFault("not-switched", board.name, text))
+
+    def _note(self, i: int, right: int, wrong: int) -> None:
+        """Counts a wrong read. Only another level than at a wrong read shows that a line follows, if late."""
+        levels = self._outputs.states ^ wrong
+        self._stays[i] = self._stays[i] & ~((right | wrong) & (levels ^ self._levels[i])) | wrong
+        self._levels[i] = self._levels[i] & ~wrong | levels & wrong
+        self._wrong[i] = (self._wrong[i] if self._stays[i] else 0) + bool(wrong)
 
     def _unread(self, station: Station, sub: int, outcome: SdoOutcome) -> None:
         """Counts a read without a result; it verifies nothing, so the board stays due."""
         board, i = station.board, station.index
+        self._outputs.mistrust(board.layout.output_lines & self.released)
+        self._pause[i] = _PAUSE
         board.unverified += 1
         self._silent[i] += 1
         if self._silent[i] < _MOST_SILENT or not board.ready:
@@ -163,47 +199,12 @@ class Verification:
         why = outcome.silence or f"it refuses: {abort_words(outcome.abort or 0)}"
         place = f"{board.layout.settings.object:04X}h sub {sub} (outputs)"
         text = f"board {board.name} does not let {place} be read back, {_MOST_SILENT} times in a row: {why}"
-        if i in self.blocking:
-            self.failed = text
-        self._silent[i] = 0
-        self._end(i)
-        board.fail(ArmFault("not-verified", board.name, text))
+        self._fail(station, ArmFault("not-verified", board.name, text))
 
-    def _right(self, station: Station, pulsing: bool) -> None:
-        """Records that the outputs are right; after the end of a pulse, this tells nothing of the pulse."""
-        board, i = station.board, station.index
-        pulsed = i in self._pulses
-        self._end(i)
-        if pulsing:
-            self._missed[i] = 0
-        if pulsing or not board.layout.output_lines & self._boards.pulsed:
-            self._unverified.discard(i)
-        elif pulsed:
-            board.unverified += 1
-            self._missed[i] += 1
-            if self._missed[i] == _MOST_MISSED:
-                self._unverified.discard(i)  # no commit waits for it any more
-                self._warn(board)
-
-    def _warn(self, board: Board) -> None:
-        """Warns that the pulses of a board are not verified, unless end-stops tell of all of them."""
-        if board.layout.output_lines & self._boards.pulsed & ~board.layout.sensed:
-            text = "its pulses are too short to be read back; only end-stops tell whether its outputs follow"
-            board.warnings = (*board.warnings, text)
-
-    def _not_switched(self, station: Station, bits: int, should: int) -> None:
-        board = station.board
-        sub = subs_of(bits ^ should)[0]
-        found, wanted = (number >> 8 * (sub - 1) & 0xFF for number in (bits, should))
-        place = f"{board.layout.settings.object:04X}h sub {sub} (outputs)"
-        text = (
-            f"board {board.name} has {found:02X}h in {place}; {wanted:02X}h was switched: it does not follow RPDO and"
-            " SYNC, or another program writes to it; reset configures it again"
-        )
-        if station.index in self.blocking:
-            self.failed = text
-        self._end(station.index)
-        board.fail(ArmFault("not-switched", board.name, text))
+    def _fail(self, station: Station, fault: ArmFault) -> None:
+        i = station.index
+        self._silent[i] = self._wrong[i] = self._stays[i] = self._missed[i] = 0
+        station.board.fail(fault)
 
     def _object(self, station: Station, need: Need) -> Generator[Step, SdoOutcome, None]:
         """Checks that an object still has its value from the end of the boot."""

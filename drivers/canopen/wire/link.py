@@ -133,25 +133,20 @@ class Link:
         """Counts a received frame that was not understood."""
         self._ignored += 1
 
-    def overrun(self, give_up: bool) -> None:
-        """Counts a loss of received frames; `give_up`: echoes may be lost, so they are no longer waited for."""
+    def overrun(self) -> None:
+        """Counts a loss of received frames."""
         self._overruns += 1
-        if give_up:
-            for outgoing in self._unsent.values():
-                outgoing.sent = True
-            self._unsent.clear()
-            self.pending.give_up()
 
-    def echoed(self, frame: Frame, now: float) -> bool:
-        """Takes the echo of a sent frame; returns whether the master had sent it."""
-        if not self.pending.came_back(frame, now):
-            return False
-        if self.state == "bus-off":
+    def echoed(self, frame: Frame, now: float) -> list[Frame]:
+        """Takes the echo of a frame; returns the frames that were sent, see `TxPending.came_back`."""
+        sent = self.pending.came_back(frame, now)
+        if sent and self.state == "bus-off":
             self.state = "active"
-        if (outgoing := self._unsent.pop(frame, None)) is not None:
-            outgoing.sent = True
+        for each in sent:
+            if (outgoing := self._unsent.pop(each, None)) is not None:
+                outgoing.sent = True
         self._pump(now)
-        return True
+        return sent
 
     def send_failed(self, frame: Frame, now: float) -> None:
         """Records that a frame could not be sent; a queued frame is sent again after the next tick."""

@@ -3,71 +3,84 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import NamedTuple
 
-from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.cia301 import REMOTE, Frame
+
+
+class HandedOut(NamedTuple):
+    """When a frame was handed out: its number, and the time [s]."""
+
+    number: int
+    at: float
 
 
 class TxPending:
     """The frames that wait for their echo.
 
     SocketCAN echoes each frame when it was sent (receive_own_messages). Frames are matched by identifier and data,
-    since controllers with several mailboxes do not keep the order. Some interfaces never echo frames: no frame counts
-    as pending until the first echo.
+    since controllers with several mailboxes do not keep the order. All controllers send a frame before one that was
+    handed out later and has a greater identifier. So the echo of the later frame shows that the echo of the earlier
+    one was lost. Some interfaces never echo frames: no frame counts as pending until the first echo.
 
     Attributes:
         last_echo: time of the last echo [s]; None before the first.
 
     Args:
-        longest: a frame is not waited for any longer [s]: its echo may have been lost.
+        longest: a frame is not waited for any longer [s].
     """
 
     def __init__(self, longest: float) -> None:
         self.last_echo: float | None = None
         self._longest = longest
-        self._pending: dict[Frame, list[float]] = {}
+        self._number = 0
+        self._pending: dict[Frame, list[HandedOut]] = {}
         self._given_up: Counter[Frame] = Counter()
-        self._count = 0
-
-    @property
-    def waiting(self) -> bool:
-        """Whether a frame is pending."""
-        return self._count > 0 and self.last_echo is not None
 
     @property
     def count(self) -> int:
         """Number of pending frames."""
-        return 0 if self.last_echo is None else self._count
+        return 0 if self.last_echo is None else sum(map(len, self._pending.values()))
 
     @property
     def oldest(self) -> float | None:
         """Time when the oldest pending frame was handed out [s]; None if no frame is pending."""
-        if not self._count or self.last_echo is None:
+        if not self._pending or self.last_echo is None:
             return None
-        return min(times[0] for times in self._pending.values())
+        return min(out[0].at for out in self._pending.values())
+
+    def holds(self, cob_id: int) -> bool:
+        """Returns whether a frame with an identifier is pending."""
+        return self.last_echo is not None and any(frame.id == cob_id for frame in self._pending)
 
     def sent(self, frame: Frame, now: float) -> None:
         """Records a frame that is handed out."""
-        self._pending.setdefault(frame, []).append(now)
-        self._count += 1
+        self._number += 1
+        self._pending.setdefault(frame, []).append(HandedOut(self._number, now))
 
     def failed(self, frame: Frame) -> bool:
         """Removes a frame that could not be sent; returns whether it was pending."""
-        return self._remove(frame)
+        return self._remove(frame) is not None
 
-    def came_back(self, frame: Frame, now: float) -> bool:
-        """Takes an echo; returns whether the master had sent the frame."""
-        ours = self._remove(frame)
-        if not ours and frame in self._given_up:
+    def came_back(self, frame: Frame, now: float) -> list[Frame]:
+        """Takes an echo; returns the frames that were sent, whose echoes were lost but for the last; none: not ours."""
+        if (out := self._remove(frame)) is None:
+            if frame not in self._given_up:
+                return []
             self._given_up[frame] -= 1
             self._given_up = +self._given_up  # without zeros
-            ours = True
-        if ours:
             self.last_echo = now
-        return ours
+            return [frame]
+        self.last_echo = now
+        lost = [f for f, outs in self._pending.items() for o in outs if f.id & ~REMOTE < frame.id & ~REMOTE and o < out]
+        for each in lost:
+            self._remove(each)
+        self._given_up.update(lost)
+        return [*lost, frame]
 
     def tick(self, now: float) -> None:
         """Stops to wait for frames that are pending for longer than `longest`."""
-        for old in [frame for frame, times in self._pending.items() if now - times[0] > self._longest]:
+        for old in [frame for frame, outs in self._pending.items() if now - outs[0].at > self._longest]:
             self._give_up(old)
 
     def give_up(self) -> None:
@@ -79,19 +92,15 @@ class TxPending:
         """Forgets all frames: a bus that was opened again cannot echo them."""
         self._pending.clear()
         self._given_up.clear()
-        self._count = 0
 
     def _give_up(self, frame: Frame) -> None:
-        times = self._pending.pop(frame)
-        self._count -= len(times)
-        self._given_up[frame] += len(times)
+        self._given_up[frame] += len(self._pending.pop(frame))
 
-    def _remove(self, frame: Frame) -> bool:
-        times = self._pending.get(frame)
-        if not times:
-            return False
-        del times[0]
-        self._count -= 1
-        if not times:
+    def _remove(self, frame: Frame) -> HandedOut | None:
+        outs = self._pending.get(frame)
+        if not outs:
+            return None
+        out = outs.pop(0)
+        if not outs:
             del self._pending[frame]
-        return True
+        return out

@@ -22,10 +22,11 @@ STANDARD = FOLDER / "standard.txt"
 
 
 def transcript(case: Case) -> str:
-    """Returns the frames of a boot, and of a commit if it succeeds, without heartbeats and guarding."""
+    """Returns the frames of a boot, and of a commit until it is read back, without heartbeats and guarding."""
     world = booted(case)
     if world.master.ready:
         world.commit(1, 1)
+        world.until(lambda: not world.master.unread)
     return spoken(world)
 
 

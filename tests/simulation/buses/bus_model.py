@@ -42,7 +42,6 @@ class BusModel:
         acknowledged: whether any node acknowledges the executor's frames; if not, they stay in the controller,
             and it hears none.
         loss: share of the frames that their receiver loses after they have left.
-        holds_rpdos: whether RPDOs stay in the controller while other frames leave it.
         spares_commands: whether RPDOs and SYNCs are never lost.
         duplication: share of the frames that their receiver gets twice.
         answer_delay: longest delay of the boards' SDO answers [s].
@@ -72,7 +71,7 @@ class BusModel:
         self.capacity, self.mailboxes, self.acknowledged = CAPACITY, MAILBOXES, True
         self.loss = self.duplication = self.answer_delay = 0.0
         self.mute, self.tpdos_to_lose, self.tpdo_lost_at = False, 0, 0.0
-        self.spares_commands = self.holds_rpdos = False
+        self.spares_commands = False
         self.bitrate, self.room, self.stuck, self.echoes = bitrate, None, False, True
         self.log: list[Frame] | None = None
         self._agenda, self._random = agenda, random
@@ -174,7 +173,7 @@ class BusModel:
         self.capacity, self.acknowledged = CAPACITY, True
         self.loss = self.duplication = self.answer_delay = 0.0
         self.room, self.stuck, self.echoes = None, False, True
-        self.mute, self.holds_rpdos, self.tpdos_to_lose = False, False, 0
+        self.mute, self.tpdos_to_lose = False, 0
         if self.state != "active":
             self._change("active", "")
         self.begin()
@@ -190,8 +189,7 @@ class BusModel:
         """Puts the next frame on the wire if the wire is free."""
         if self._on_wire is not None:
             return
-        leaving = [w for w in self._queue if not (self.holds_rpdos and split(w.frame.id)[0] in RPDOS)]
-        ours = leaving[: self.mailboxes] if self._sends else []
+        ours = list(self._queue)[: self.mailboxes] if self._sends else []
         first = min(ours, key=lambda waiting: _rank(waiting.frame), default=None)
         other = min(self._others, key=_rank, default=None)
         if first is not None and (other is None or _rank(first.frame) <= _rank(other)):

@@ -51,7 +51,6 @@ class Faults:
         world, expected = self._world, fault.expected
         master = world.master
         world.ready, world.calm = False, expected.calm
-        world.use.fresh = False
         began = world.agenda.now
         fault.cause()
         told: list[Any] = []

@@ -195,7 +195,6 @@ class BoardWorld:
         self.calm = self.ready = master.ready
         if master.ready:
             self.switching.booted()
-            self.use.fresh = True
             self.watching.ready(self.agenda.now)
             split = {name for name, variant in self.drawn.names.items() if variant in SPLIT}
             self.boots.left = {

@@ -19,6 +19,13 @@ def pairs() -> list[Channel]:
     return [Channel(f"{node}", "can0", node, 0, None, 1, pulse=0.05) for node in (1, 2)]
 
 
+def release(world: World, outputs: int) -> None:
+    """Releases at each tick, as the executor does, until two heartbeats have left."""
+    for _ in range(25):
+        world.master.commit(outputs, world.now, release=True)
+        world.run(0.01)
+
+
 def lost(*nodes: int) -> World:
     """A world in which both actuators have an output on, and the boards are silent."""
     world = World(pairs()).up()
@@ -62,8 +69,8 @@ def bus_lost(channels: list[Channel] | None = None) -> World:
 
 def test_outputs_go_off_as_soon_as_a_lost_bus_is_usable() -> None:
     world = bus_lost()
-    with pytest.raises(Busy, match="bus-off"):
-        world.master.commit(0, world.now, release=True)
+    world.master.commit(0, world.now, release=True)
+    assert not world.master.collecting
     world.buses["can0"].restore()
     with pytest.raises(Busy, match="until its boards are booted"):
         world.master.commit(0, world.now)
@@ -85,8 +92,7 @@ def test_a_release_after_a_lost_bus_switches_nothing_that_was_latched_before() -
     world.buses["can0"].go_off()
     world.buses["can0"].echoes = True
     world.buses["can0"].restore()
-    world.master.commit(0b0010, world.now, release=True)
-    world.run(0.02)
+    release(world, 0b0010)
     frames = world.frames()
     assert frames.index((0x000, "80 02")) < frames.index((0x080, "")), "the other board leaves operational first"
     assert world.boards.coils() == [(0, 0), (0, 0)]
@@ -176,10 +182,10 @@ def test_a_release_whose_frames_the_controller_has_dropped_is_sent_again_at_its_
     world.buses["can0"].restart()
     world.buses["can0"].stuck = False
     world.frames()
-    world.master.commit(0, world.now, release=True)
-    world.run(0.01)
+    release(world, 0)
     frames = [frame for frame in world.frames() if frame[0] in (0x201, 0x80)]
-    assert frames == [(0x201, "00"), (0x80, "")]
+    assert frames[-2:] == [(0x201, "00"), (0x80, "")]
+    assert world.boards.coils() == [(0, 0), (0, 0)]
 
 
 def on_two_buses() -> World:
@@ -214,5 +220,3 @@ def test_outputs_of_a_bus_go_off_while_another_bus_is_lost(lose: Callable[[BusMo
     world.run(0.01)
     assert world.boards.coils() == [(0, 0), (1, 0)]
     assert world.master.outputs == 0b0010
-    with pytest.raises(Busy, match="can1"):
-        world.master.commit(0, world.now, release=True)

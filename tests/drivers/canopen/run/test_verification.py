@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-from drivers.canopen.wiring import Channel
+from drivers.canopen.wiring import Channel, NodeWiring
 from tests.drivers.canopen.world import World
 
 BLIND = [Channel("5.left", "can0", 5, 0, None), Channel("9.left", "can0", 9, 3, None)]
@@ -16,30 +18,54 @@ def sdo(world: World, index: int, sub: int, value: int, size: int) -> None:
     board.set_data(index, sub, value.to_bytes(size, "little"))
 
 
-def test_the_first_commit_ends_when_boards_without_end_stops_are_read_back():
+def test_boards_without_end_stops_are_read_back_at_once_after_each_switch():
     world = World(BLIND).up()
-    world.commit(1, 1)
+    for states in ((1, 1), (0, 1)):
+        world.commit(*states)
+        assert world.master.unread == world.switched[-1][0]
+        world.until(lambda: not world.master.unread)
+        assert world.measured() == list(states)
     frames = world.frames(sdo=True)
     assert frames[:3] == [(0x205, "01"), (0x209, "08"), (0x080, "")]
     assert {(0x605, "40 00 62 01 00 00 00 00"), (0x609, "40 00 62 01 00 00 00 00")} <= set(frames)
-    assert world.master.commit_failed is None
-    world.commit(0, 1)  # the second one is read back in the background
-    assert world.frames(sdo=True)[-1] == (0x080, "")
 
 
-def test_a_first_commit_that_a_board_does_not_follow_fails():
+def test_boards_with_end_stops_are_not_unread():
+    world = World([Channel("5.left", "can0", 5, 0, 0)]).up()
+    world.commit(1)
+    assert world.master.unread == 0
+
+
+def test_a_board_that_is_not_verified_is_not_unread():
+    world = World(BLIND, nodes=(NodeWiring("can0", 5, verify=False),)).up()
+    world.commit(1, 1)
+    assert world.master.unread == 0b10
+
+
+def test_a_board_that_does_not_follow_stays_unread_until_it_is_a_fault():
     world = World(BLIND).up()
     sdo(world, 0x1005, 0, 0x85, 4)  # just after the boot
     world.commit(1, 1)
+    while not world.faults:
+        assert world.master.unread & 0b01
+        world.run(0.001)
     assert world.codes() == ["not-switched"]
-    failed = world.master.commit_failed
-    assert failed == world.faults[0].message
-    assert "can0/5 has 00h in 6200h sub 1 (outputs); 01h was switched: it does not follow RPDO and SYNC" in failed
+    text = "can0/5 has 00h in 6200h sub 1 (outputs); 01h was switched: it does not follow RPDO and SYNC"
+    assert text in world.faults[0].message
     assert world.measured() == [-1, 1]
     world.up()  # a reset configures the board again
     assert world.measured() == [0, 1]
-    world.commit(1, 1)
-    assert world.master.commit_failed is None
+
+
+def test_a_board_that_is_dead_while_others_switch_fast_is_noticed():
+    world = World(BLIND).up()
+    world.boards.board("can0/5")._pdos.receive = lambda cob_id, data, now: False
+    for k in range(100):
+        world.commit_when_possible(k // 2 & 1, k & 1)
+        world.run(0.01)
+        if world.faults:
+            break
+    assert world.codes() == ["not-switched"]
 
 
 @pytest.mark.parametrize("end_stop", [None, 0])
@@ -111,29 +137,97 @@ def pulse(world: World, length: float) -> None:
     world.master.commit(0, world.now, release=True)
 
 
-def deaf(length: float) -> World:
-    world = World([Channel("1.a", "can0", 5, 0, None, output_off=1, pulse=length)]).up()
-    world.boards.board("can0/5")._pdos.receive = lambda cob_id, data, now: False
-    return world
+def pulsed(length: float, latency: float = 0.001, **options: Any) -> World:
+    return World([Channel("1.a", "can0", 5, 0, None, output_off=1, pulse=length)], latency=latency, **options).up()
 
 
 @pytest.mark.parametrize("length", [0.05, 0.2])
 def test_a_pulse_that_a_board_does_not_follow_is_noticed_inside_the_pulse(length):
-    world = deaf(length)
+    world = pulsed(length)
+    world.boards.board("can0/5")._pdos.receive = lambda cob_id, data, now: False
     pulse(world, length)
     world.run(1.0)
     assert world.codes() == ["not-switched"]
+    assert world.master.drain_missed() == 0b01
 
 
-def test_pulses_that_are_too_short_to_be_read_back_are_told():
-    world = World([Channel("1.a", "can0", 5, 0, None, output_off=1, pulse=0.02)], latency=0.03).up()
-    for _ in range(3):
+def test_a_pulse_that_was_read_back_is_not_missed():
+    world = pulsed(0.05)
+    world.master.commit(1, world.now)
+    world.until(lambda: not world.master.unread)
+    world.master.commit(0, world.now, release=True)
+    world.until(lambda: not world.master.released)
+    assert world.master.drain_missed() == 0
+
+
+def test_pulses_that_are_over_before_they_are_read_are_missed_and_the_third_is_a_fault():
+    world = pulsed(0.02, latency=0.03)
+    for k in range(3):
         pulse(world, 0.02)
         world.run(1.0)
         assert not world.master.committing
+        assert world.codes() == []
+        assert world.master.drain_missed() == 0b01
+        assert world.master.status().boards[0].unverified == k + 1
+    assert world.codes() == ["not-verified"]
+    assert "verify: false in boards.nodes" in world.faults[0].message
+
+
+def test_pulses_of_a_board_that_is_not_verified_are_not_missed():
+    world = pulsed(0.02, latency=0.03, nodes=(NodeWiring("can0", 5, verify=False),))
+    for _ in range(4):
+        pulse(world, 0.02)
+        world.run(1.0)
+        assert world.master.drain_missed() == 0
     assert world.faults == []
-    assert "pulses are too short to be read back" in world.master.warnings()[0].message
-    assert world.master.status().boards[0].unverified == 3
+
+
+def loses(world: World, times: int) -> None:
+    """The board loses the next RPDOs that switch everything off."""
+    pdos, left = world.boards.board("can0/5")._pdos, [times]
+    receive = pdos.receive
+
+    def lossy(cob_id: int, data: bytes, now: float) -> bool:
+        if cob_id == 0x205 and not any(data) and left[0]:
+            left[0] -= 1
+            return True
+        return bool(receive(cob_id, data, now))
+
+    pdos.receive = lossy
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_the_end_of_a_pulse_that_a_board_has_lost_is_sent_until_it_is_read_off(times):
+    world = pulsed(0.05)
+    loses(world, times)
+    pulse(world, 0.05)
+    assert world.master.released == 0
+    world.run(0.01)
+    assert world.boards.coils() == [(1, 0)]
+    for _ in range(20):
+        world.master.commit(0, world.now, release=True)
+        world.run(0.01)
+    assert world.boards.coils() == [(0, 0)]
+    assert (world.master.released, world.master.doubtful) == (0, 0)
+    assert world.faults == []
+
+
+def test_the_end_of_a_pulse_is_sent_until_it_is_read_off_also_to_a_board_that_is_not_ready():
+    world = pulsed(0.05)
+    loses(world, 2)
+    pulse(world, 0.05)
+    world.lost = lambda bus, frame: frame.id in (0x705, 0x585)  # it hears, and is not heard
+    for _ in range(100):
+        world.master.commit(0, world.now, release=True)
+        world.run(0.01)
+    assert world.codes()[0] == "board-lost"
+    assert world.boards.coils() == [(0, 0)]
+    assert world.master.released | world.master.doubtful == 0b01  # nobody has told so
+    world.lost = lambda bus, frame: False
+    for _ in range(50):
+        world.master.commit(0, world.now, release=True)
+        world.run(0.01)
+    assert world.master.released | world.master.doubtful == 0
 
 
 @pytest.mark.parametrize("answer", ["abort", "silence"])
@@ -144,8 +238,8 @@ def test_outputs_that_cannot_be_read_back_are_not_verified(answer):
     else:
         world.lost = lambda bus, frame: frame.id == 0x585
     world.commit(1)
+    world.until(lambda: world.codes())
     assert world.codes() == ["not-verified"]
-    assert world.master.commit_failed == world.faults[0].message
     assert world.master.status().boards[0].unverified == 3
 
 

@@ -15,22 +15,42 @@ def test_the_first_frame_is_ours_however_late_it_comes_back():
     for k in range(3):
         pending.sent(BEAT, 0.7 * k)
         pending.tick(0.7 * k)
-    assert [pending.came_back(BEAT, 3.0) for _ in range(4)] == [True, True, True, False]
+    assert [pending.came_back(BEAT, 3.0) for _ in range(4)] == [[BEAT], [BEAT], [BEAT], []]
     assert pending.last_echo == 3.0
 
 
 def test_nothing_is_pending_before_the_first_echo():
     pending = TxPending(longest=1.0)
     pending.sent(BEAT, 0.0)
-    assert (pending.waiting, pending.oldest) == (False, None)
+    assert (pending.count, pending.oldest) == (0, None)
     pending.came_back(BEAT, 0.1)
     pending.sent(BEAT, 0.2)
-    assert (pending.waiting, pending.oldest) == (True, 0.2)
+    assert (pending.count, pending.oldest) == (1, 0.2)
     pending.failed(BEAT)
-    assert not pending.waiting
+    assert pending.count == 0
     pending.sent(BEAT, 0.3)
     pending.forget()
     assert not pending.came_back(BEAT, 0.4)
+
+
+def test_the_echo_of_a_later_frame_of_lower_priority_shows_that_an_echo_was_lost():
+    pending = TxPending(longest=1.0)
+    rpdo, poll = Frame(0x205, b"\x01"), Frame(REMOTE | 0x705)
+    for frame in (BEAT, rpdo, poll, BEAT):
+        pending.sent(frame, 0.0)
+    assert pending.came_back(poll, 0.1) == [rpdo, poll]  # the first heartbeat has less priority than the poll
+    assert [pending.came_back(BEAT, 0.2) for _ in range(2)] == [[BEAT], [BEAT]]
+    assert pending.came_back(rpdo, 0.3) == [rpdo]  # it was only late
+
+
+def test_a_frame_that_was_handed_out_after_the_echoed_one_stays_pending():
+    pending = TxPending(longest=1.0)
+    rpdo = Frame(0x205, b"\x01")
+    pending.sent(BEAT, 0.0)
+    pending.sent(rpdo, 0.0)
+    assert pending.came_back(BEAT, 0.1) == [BEAT]
+    assert pending.holds(0x205)
+    assert not pending.holds(0x206)
 
 
 def test_a_bus_is_stuck_after_its_own_time():
