@@ -46,9 +46,11 @@ class Verification:
         self._wrong = [0] * count  # wrong reads since the lines of `_stays` last changed
         self._stays = [0] * count  # lines that were read wrong, and had no other level since
         self._levels = [0] * count  # their levels
-        self._missed = [0] * count  # pulses in a row that were not read back
+        self._missed = [0] * count  # pulses in a row that were not read back, though the board answers
+        self._answers = [False] * count  # whether it has answered since the last of them
         self._pause = [0.0] * count  # until the next read of outputs [s]
         self._next_read = [0.0] * count  # time of this read
+        self._asked_at = [0.0] * count  # time of the last read
         self._next = dict.fromkeys(boards.links, 0.0)  # time of the next paced read on each bus
         self._turns = dict.fromkeys(boards.links, 0)
         self._of_bus = {
@@ -80,7 +82,8 @@ class Verification:
             if not board.layout.output_lines & missed:
                 continue
             board.unverified += 1
-            self._missed[i] += 1
+            self._missed[i] += self._answers[i]
+            self._answers[i] = False
             if self._missed[i] == _MOST_MISSED and board.layout.output_lines & missed & self._fragile:
                 text = (
                     f"pulses of board {board.name} were over {_MOST_MISSED} times before they were read back: give"
@@ -91,7 +94,7 @@ class Verification:
 
     def tick(self, now: float) -> None:
         """Starts the reads that are due; `now` stands still while the loop stalls [s]."""
-        released, hurried = self.released, self._outputs.unread & self._urgent
+        released, hurried = self.released, self._outputs.unread & (self._urgent | union(self._stays))
         for bus, link in self._boards.links.items():
             if not link.usable or self._switching.busy(bus):
                 continue
@@ -100,7 +103,8 @@ class Verification:
                 lines = station.board.layout.output_lines & (hurried if station.board.ready else released)
                 if lines:
                     self._start(station, self._read_outputs(station, lines), now)
-            self._read_slowly(bus, [s for s in due if not s.runner.running and s.board.ready], now)
+            due = [station for station in due if not station.runner.running and station.board.ready]
+            self._read_slowly(bus, sorted(due, key=lambda station: self._asked_at[station.index]), now)
 
     def _read_slowly(self, bus: str, due: list[Station], now: float) -> None:
         """Reads boards whose end-stops tell of them as well, and then all objects in turn, at a pace."""
@@ -114,6 +118,7 @@ class Verification:
                 self._take_turn(bus, now)
                 break
             station = due.pop(0)
+            self._asked_at[station.index] = now
             self._start(station, self._read_outputs(station, self._outputs.unread), now)
 
     def _due(self, station: Station, lines: int, now: float) -> bool:
@@ -156,21 +161,22 @@ class Verification:
             if not outcome.data:
                 self._unread(station, sub, outcome)
                 return
-            self._silent[station.index] = 0
+            self._silent[station.index], self._answers[station.index] = 0, True
             self._compare(station, sub, outcome.data[0])
 
     def _compare(self, station: Station, sub: int, found: int) -> None:
         """Compares an output byte with the switched levels."""
         board, i, outputs = station.board, station.index, self._outputs
+        released, off = self.released & ~self._stays[i], self._boards.pulsed & ~outputs.states
         right, wrong = outputs.read(i, sub, found)
         if right & self._boards.pulsed & outputs.states:
             self._missed[i] = 0
-        outputs.mistrust(wrong & self.released)
-        wrong &= ~self._boards.pulsed | outputs.states
+        outputs.mistrust(wrong & off)
+        outputs.missed |= wrong & off & ~released  # another program has switched it on
+        self._pause[i] = (_PULSE_PAUSE if wrong & self._boards.pulsed & ~off else _PAUSE) if wrong else 0.0
+        wrong &= ~released
         self._note(i, right, wrong)
         pulsed = bool(wrong & self._boards.pulsed)
-        if wrong:
-            self._pause[i] = _PULSE_PAUSE if pulsed else _PAUSE
         if wrong and self._wrong[i] >= (_PULSE_TRIES if pulsed else _TRIES) and board.ready:
             used = board.layout.output_bits >> 8 * (sub - 1) & 0xFF
             place = f"{board.layout.settings.object:04X}h sub {sub} (outputs)"

@@ -156,6 +156,7 @@ class Account:
         stream: number of the followed stream and its end; None if none is followed.
         commit: the last commit.
         mover: the last commit that switched an actuator.
+        homed_at: time of the last commit that might bring actuators of unknown state to a known one [s].
         ticked: time of the last tick [s].
         asked_states: states in which locked actuators without an end-stop are locked, by the arm's file or a request.
         unknown: mask of the actuators with two outputs, both off since the process started or their board has, and
@@ -179,6 +180,7 @@ class Account:
         self.stream: Stream | None = None
         self.commit: Commit | None = None
         self.mover: Commit | None = None
+        self.homed_at = -math.inf
         self.ticked = self.now
         self.quitting = False
         self.locked, self.locked_states = self.arm.declared

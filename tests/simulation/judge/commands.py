@@ -148,6 +148,8 @@ class Commands:
         if commit.stages is None:
             commit.stages, (commit.homing, commit.homes) = self._stages(), self._homes()
             commit.locked, commit.contracts = a.locked, self._contracts
+            if commit.homing & a.arm.paired:
+                a.homed_at = a.now
         mask = extends = contracts = 0
         for bit, k, is_off, inverted in lines:
             level = data[bit // 8] >> bit % 8 & 1 ^ inverted if bit // 8 < len(data) else 0

@@ -91,8 +91,7 @@ class Programs:
         self.end("replaced", "replaced")
         a.run = Run(asked, message, a.locked, a.locked_states, a.homing)
         a.run.held_at = a.run.taken_at = a.run.accepted_at = a.now
-        homed = a.commit.homing & a.arm.paired if a.commit is not None and a.now < a.commit.at + READ_BACK else 0
-        a.run.delayed = bool(a.run.homes or homed)
+        a.run.delayed = bool(a.run.homes) or a.now < a.homed_at + READ_BACK
         a.stream = None
         a.program_number = asked.program
         a.greatest = max(a.greatest, asked.program)

@@ -75,7 +75,7 @@ class Waits:
         if now < a.adopted_until or not ground.surely_at_rest(now, 2 * TICK):
             return True
         following = run.taken + 1
-        if run.taken < 0 and (run.homes or (a.locked and ground.states != run.start)):
+        if run.taken < 0 and (run.delayed or (a.locked and ground.states != run.start)):
             return now < run.taken_at + READ_BACK
         if following < len(run.stages):
             stage = run.stages[following]

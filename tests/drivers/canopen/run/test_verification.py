@@ -204,7 +204,7 @@ def test_the_end_of_a_pulse_that_a_board_has_lost_is_sent_until_it_is_read_off(t
     assert world.master.released == 0
     world.run(0.01)
     assert world.boards.coils() == [(1, 0)]
-    for _ in range(20):
+    for _ in range(60):
         world.master.commit(0, world.now, release=True)
         world.run(0.01)
     assert world.boards.coils() == [(0, 0)]
