@@ -184,7 +184,7 @@ class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """One board: its identity by 1018h, the object of its outputs, and the state of its outputs without the master."""
+    """One board: its identity by 1018h, its outputs, their state without the master, and whether they are read back."""
 
     bus: str
     node: Node
@@ -194,6 +194,7 @@ class NodeSettings(Struct, forbid_unknown_fields=True, frozen=True):
     revision: Word | None = None
     serial: Word | None = None
     error_state: ErrorState | None = None
+    verify: bool = True
 
 
 class BoardSettings(Struct, forbid_unknown_fields=True, frozen=True):

@@ -163,6 +163,7 @@ class Ended(Message, frozen=True, tag="ended"):
         measured: packed states.
         known: packed, 1 where the state is known.
         travels: the first MOST_TRAVELS measured travels.
+        verified: whether end-stops or outputs, read back, have told of each switch; else the arm's file forgoes it.
     """
 
     result: Number
@@ -175,6 +176,7 @@ class Ended(Message, frozen=True, tag="ended"):
     measured: States
     known: States
     travels: Annotated[tuple[Travel, ...], Meta(max_length=MOST_TRAVELS)] = ()
+    verified: bool = True
 
 
 class Counted(Message, frozen=True, tag="counted"):

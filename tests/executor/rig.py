@@ -31,7 +31,7 @@ from controller.program import (
 )
 from drivers.canopen.faults import ArmFault
 from drivers.canopen.wire.events import FrameIgnored
-from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, Timing, Wiring
+from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
 from tests.executor.fake_master import FakeMaster
 from tests.simulation.agenda import Agenda
 
@@ -52,6 +52,7 @@ def small_arm(
     interlocks: tuple[Interlock, ...] = (),
     on_loss: Literal["hold", "contract"] = "hold",
     input_board: BoardId | None = None,
+    nodes: tuple[NodeWiring, ...] = (),
     **fields: Any,
 ) -> ExecutedArm:
     """Returns an arm of two boards with three actuators each.
@@ -76,7 +77,7 @@ def small_arm(
     )
     names = dict.fromkeys(["can0", *([input_board.bus] if input_board else [])])
     buses = tuple(BusWiring(name, "virtual", name) for name in names)
-    wiring = Wiring(buses, channels, on_loss=on_loss, interlocks=interlocks)
+    wiring = Wiring(buses, channels, on_loss=on_loss, interlocks=interlocks, nodes=nodes)
     timing = Timing(travel_time=TRAVEL, settle_margin=margin)
     return ExecutedArm("small", LABELS, wiring, timing, digest="d" * 64, **fields)
 

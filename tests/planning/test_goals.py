@@ -25,6 +25,16 @@ def taken(desk: Desk, *configurations: tuple[int, ...], **fields: object) -> Pro
     return program
 
 
+def test_a_goal_that_nothing_verifies_says_so(desk: Desk) -> None:
+    program = taken(desk, A)
+    desk.executor.run(program, 0)
+    assert desk.inbox.next("feedback")["waypoint"] == 0
+    desk.executor.end(program, verified=False, switches=2)
+    result = desk.inbox.next("result")
+    assert result["status"] == "succeeded"
+    assert result["message"].endswith("; commanded, not verified")
+
+
 def test_a_goal_becomes_a_program_and_its_result_is_told_once(desk: Desk) -> None:
     desk.goal(A, B)
     program = desk.executor.expect(Program)

@@ -33,6 +33,7 @@ class Kinds:
         ends_extended: mask of those with an end-stop at the extended end.
         ends_contracted: mask of those with one at the contracted end.
         sensed: mask of those with at least one end-stop.
+        trusted: mask of those of which nothing tells whether they follow, as the arm's file says `verify: false`.
         travel: longest times to the contracted and to the extended end, shape (A, 2) [s].
         margin: settle margin, added to these times before an actuator counts as late, shape (A,) [s].
         interlocks: in the order of their input lines.
@@ -51,6 +52,8 @@ class Kinds:
         self.pulsed = _mask(self.pulse)
         self.ends_extended = _mask(k for k, channel in enumerate(channels) if channel.input is not None)
         self.sensed = self.ends_extended | self.ends_contracted
+        unverified = {(node.bus, node.node) for node in wiring.nodes if not node.verify}
+        self.trusted = _mask(k for k, c in enumerate(channels) if (c.bus, c.node) in unverified) & ~self.sensed
         times = timing.travel_time
         self.travel = tuple((times, times) if channel.travel is None else channel.travel for channel in channels)
         self.margin = tuple(

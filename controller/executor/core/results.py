@@ -37,6 +37,7 @@ class ProgramResults:
             measured=measured,
             known=known,
             travels=tuple(execution.travels[:MOST_TRAVELS]),
+            verified=execution.verified,
         )
         self._stored[self._number] = result
         if len(self._stored) > MOST_STORED:  # the planner acknowledges nothing

@@ -165,8 +165,8 @@ class Actuation:
             self._told = 0
             return []
         on = self._kinds.actuators(self._master.outputs | self._master.doubtful)
-        self._watched &= on | self._kinds.actuators(self._master.released) | ~self._master.known
-        untold = indices(self._watched & (on | ~self._master.known) & ~self._told)
+        self._watched &= on | self._kinds.actuators(self._master.released)
+        untold = indices(self._watched & on & ~self._told)
         due = [k for k in untold if now >= max(self._pulse_ends[k], self._adopted_at) + LATE]
         self._told |= sum(1 << k for k in due)
         return [self._overdue(k) for k in due]
@@ -262,7 +262,7 @@ class Actuation:
     def _overdue(self, k: int) -> ArmFault:
         channel = self._arm.wiring.channels[k]
         text = f"the pulse of actuator {channel.place} could not be ended in time: its coil may be on"
-        advice = f"it is switched off until it reads off; cut the power of {channel.bus}/{channel.node} if it gets hot"
+        advice = f"it is switched off again until it reads off; cut the power of {channel.bus}/{channel.node} meanwhile"
         return ArmFault("pulse-overdue", channel.place, f"{text}; {advice}")
 
     def _find_rebooted(self) -> int:

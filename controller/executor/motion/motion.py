@@ -176,6 +176,7 @@ class ArmMotion:
             self._travel_times.begin(mask, self.actuation.states, self.readings.ends, at)
             if running is not None:
                 running.switches += mask.bit_count()
+                running.verified &= not mask & self.kinds.trusted
         if self._travel_times.measuring:
             travels = self._travel_times.drain_arrived(self.readings.ends, at)
             if running is not None and len(running.travels) < MOST_TRAVELS:

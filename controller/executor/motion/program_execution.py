@@ -52,6 +52,7 @@ class ProgramExecution:
         stages: number of stages that switched something since the previous mark.
         planned: whether all stages since the previous mark were taken as planned.
         travels: travel times measured so far.
+        verified: whether something tells that each switched actuator has followed.
         strict: no stage is skipped, and none begins before the previous one has settled.
         final: no more stages will come.
 
@@ -68,6 +69,7 @@ class ProgramExecution:
         self.switches = self.stages = 0
         self.planned = True
         self.travels: list[Travel] = []
+        self.verified = True
         self._generation = -1
         self._begun = -1  # the last stage whose commit was begun
         self._stages = list(program.stages)

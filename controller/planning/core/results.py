@@ -132,6 +132,8 @@ class Results:
         outcome = outcome or outcome_of(manipulator, message, measured, context)
         if outcome.status == "succeeded" and (why := why_not_as_planned(planned, context.proof, message.switches)):
             outcome = outcome._replace(message=f"{outcome.message}; {why}")
+        if outcome.status == "succeeded" and not message.verified:
+            outcome = outcome._replace(message=f"{outcome.message}; commanded, not verified")
         payload = result_of(manipulator, message, measured, context, outcome, target)
         view.ended(outcome.sentence)
         self._tell(Untold(identity, message.result, accepted_of(context), payload), known, inherited=known is None)

@@ -169,12 +169,13 @@ class OutputLines:
         return union(self._switch(key, states) for key in here)
 
     def bus_lost(self, bus: str, states: int | None) -> None:
-        """Records the loss of a bus: nothing is known of the bytes that its boards have latched.
+        """Records the loss of a bus: nothing is known of its latched bytes, and of pulses not read off.
 
         Args:
             bus: its name.
             states: levels that its SYNC, which was being sent, may have switched to; None: none was being sent.
         """
+        self.doubtful |= self.unread & self._pulsed & ~self.states & self.lines_of(bus)
         for key, frame in self._frames.items():
             if frame.bus == bus:
                 self._latched[key] = None

@@ -122,6 +122,7 @@ class PlayedExecutor(ABC):
             fields.get("measured", self.state.measured),
             self.state.known,
             fields.get("travels", ()),
+            fields.get("verified", True),
         )
         self.send(ended)
         self.show(mode="ready", reason=f"holding; {program.name} ended", program=-1)
