@@ -181,6 +181,7 @@ class FakeMaster:
 
     def drain_missed(self) -> int:
         missed, self.missed = self.missed, 0
+        self.unread &= ~missed
         return missed
 
     def warnings(self) -> tuple[ArmFault, ...]:

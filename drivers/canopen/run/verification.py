@@ -71,8 +71,9 @@ class Verification:
 
     @property
     def unread(self) -> int:
-        """Mask of the lines that were switched and not read back, and that no end-stop tells of."""
-        return self._outputs.unread & ~self.released & (~self._boards.pulsed & self._urgent | self._fragile)
+        """Mask of the lines that were switched and not read back, and that no end-stop tells of; missed pulses, too."""
+        unread = self._outputs.unread & ~self.released & (~self._boards.pulsed & self._urgent | self._fragile)
+        return unread | self._outputs.missed & self._fragile
 
     def drain_missed(self) -> int:
         """Returns the mask of lines without end-stops whose pulse was over before it was read, since the last call."""

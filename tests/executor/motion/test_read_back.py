@@ -34,7 +34,7 @@ def test_a_missed_pulse_is_given_again_before_the_goal_is_done() -> None:
     arm.run(0b000011)
     arm.go(0.06)  # the pulse has ended
     before = list(arm.switched)
-    arm.master.unread, arm.master.missed = 0, 0b000010
+    arm.master.missed = 0b000010
     arm.go(1.0)
     assert arm.switched == [*before, 0b000010]
     assert arm.results[1:] == [(2, "done")]

@@ -165,6 +165,7 @@ def test_pulses_that_are_over_before_they_are_read_are_missed_and_the_third_is_a
     for k in range(3):
         pulse(world, 0.02)
         world.run(1.0)
+        assert world.master.unread == 0b01
         assert not world.master.committing
         assert world.codes() == []
         assert world.master.drain_missed() == 0b01
