@@ -24,20 +24,11 @@ AT_ONCE = 0.05  # [s] until a frame on a slow bus, or a change of a bus, is told
 SHOWN = 0.1  # [s] until a warning is told, by the next snapshot
 RESTARTS = 0.5  # [s] until a board without supply has booted
 READ_BACK = 2.0  # [s] until outputs that do not follow are told: about a second, and eight reads
+OVERRUNS, OVERRUN_EVERY = 25, 0.02  # number, and time between two of them [s]
 TIMES = 8  # stages that switch an actuator to and fro
 LOOSE = 0.3  # [s] for which a wire is loose; a board that does not answer for longer is a fault
 WAYS = {"clear": "answers", "touched": "finds an obstacle", "silent": "is silent", "stream": "sends set-points"}
 ASKED = 0.3  # [s] until the boards of a late actuator were asked
-
-# What the executor gets wrong today, and which faults are not drawn for that reason. A later change mends the code and
-# removes the rows here, so that these faults are drawn as well; no check is weaker because of them.
-NOT_DRAWN = {
-    "a board loses an RPDO or a SYNC that begins or ends a pulse": "a lost release is not repeated, the coil stays on",
-    "a board is unplugged while it gets a pulse": "a state without end-stop is believed, although nobody read it back",
-    "one bus is stuck while another one has a pulse": "commit and release are one transaction over all buses",
-    "an echo is lost while a pulse ends": "the release waits for the echo, up to half of heartbeat_timeout",
-    "the bus loses frames again and again": "questions starve reads, and a wait is not bounded",
-}
 
 
 class Fault(NamedTuple):
@@ -75,7 +66,7 @@ class FaultKinds:
     def draw(self) -> tuple[str, Fault]:
         """Returns the name of a fault, and the fault."""
         makers = [self._of_bus, self._of_board, self._of_frames, self._of_actuator, self._of_motion, self._of_executor]
-        makers += [self._of_running_boards] * 3 + [self._of_motion] * 2
+        makers += [self._of_running_boards] * 3 + [self._of_motion] * 2 + [self._of_pulses] * 2
         while True:
             made = self._random.choice(makers)()
             if made:
@@ -103,10 +94,24 @@ class FaultKinds:
             "bus is unacknowledged": Fault(set_("acknowledged", False), bus.restore, stuck),
             "queue is full": Fault(set_("capacity", 0), bus.restore, stuck),
             "bus-passive": Fault(bus.warn, bus.restore, cleared(SHOWN, "bus-passive")),
+            "overruns": Fault(self._overrun(bus), nothing, NO_FAULT),
             "overrun": Fault(lambda: world.executor.post(BusOverrun(bus.name)), nothing, NO_FAULT),
             "frames come twice": Fault(set_("duplication", 0.2), bus.restore, NO_FAULT),
             "answers are late": Fault(set_("answer_delay", 0.05), bus.restore, NO_FAULT),
         }
+
+    def _overrun(self, bus: BusModel) -> Callable[[], None]:
+        """Returns what loses received frames again and again while an actuator is switched."""
+        world, planner = self._world, self._world.planner
+        assert isinstance(planner, ScriptedPlanner)
+
+        def happen() -> None:
+            for count in range(OVERRUNS):
+                world.agenda.after(OVERRUN_EVERY * count, lambda: world.executor.post(BusOverrun(bus.name)))
+            if not world.judge.account.homing and not world.judge.account.locked:
+                planner.ask_to_switch(0)
+
+        return happen
 
     def _of_board(self) -> dict[str, Fault]:
         timing, boards = self._world.arm.timing, self._world.boards
@@ -209,7 +214,7 @@ class FaultKinds:
             planner.ask_to_switch(k)
 
         def lose_sync() -> None:
-            boards.loses_sync = board
+            boards.loses = board, cia301.SYNC
             planner.ask_to_switch(k)
 
         pause = max(world.kinds.travel[k]) + world.kinds.margin[k] / 2 + world.arm.rest
@@ -239,6 +244,70 @@ class FaultKinds:
             also = codes("stuck", "not-switched", "unexpected-motion")
             unheard = Expected(also, (label, board), READ_BACK + late, also=also)
             made["a board loses a SYNC"] = Fault(lose_sync, nothing, unheard)
+        return made
+
+    def _of_pulses(self) -> dict[str, Fault]:
+        """Returns faults of frames that begin or end a pulse, and of a bus beside it."""
+        world, boards, planner = self._world, self._world.boards, self._world.planner
+        assert isinstance(planner, ScriptedPlanner)
+        free = [k for k in world.kinds.pulse if not world.judge.account.locked >> k & 1]
+        if not free or world.judge.account.homing:
+            return {}
+        k = self._random.choice(free)
+        channel, pulse = world.arm.wiring.channels[k], world.kinds.pulse[k]
+        board, bus, timing = f"{channel.bus}/{channel.node}", world.buses[channel.bus], world.arm.timing
+        silent = timing.heartbeat_timeout + timing.heartbeat + AT_ONCE + world.arm.rest
+        others = [other for name, other in world.buses.items() if name != channel.bus]
+        frame = self._random.choice([cia301.RPDO1, cia301.SYNC])
+
+        def switch(happen: Callable[[], object], after: float) -> Callable[[], None]:
+            def cause() -> None:
+                bus.at_next_sync(lambda: world.agenda.after(after, happen))
+                planner.ask_to_switch(k)
+
+            return cause
+
+        def lose() -> None:
+            boards.loses = board, frame
+
+        def unplug() -> None:
+            boards.fault("silence", board)
+
+        def plug() -> None:
+            disarm()
+            boards.fault("unsilence", board)
+
+        def hold_others() -> None:
+            for other in others:
+                other.acknowledged = False
+
+        def release_others() -> None:
+            disarm()
+            for other in others:
+                other.restore()
+
+        def disarm() -> None:
+            boards.loses = None
+            bus.at_next_sync(nothing)
+            bus.lose_echo(0)
+
+        late = READ_BACK + max(world.kinds.travel[k]) + world.kinds.margin[k] + world.arm.rest
+        unheard = codes("stuck", "not-switched", "unexpected-motion", "pulse-overdue")
+        begins = Expected(unheard, (channel.actuator, board), late, also=unheard)
+        lost = Expected(
+            codes("board-lost"), (board,), silent + pulse, also=codes("pulse-overdue", "stuck"), cleared=True
+        )
+        made = {
+            "a board loses the end of a pulse": Fault(switch(lose, pulse / 2), disarm, NO_FAULT),
+            "an echo is lost while a pulse ends": Fault(switch(bus.lose_echo, pulse / 2), disarm, NO_FAULT),
+            "a board is unplugged while it gets a pulse": Fault(switch(unplug, 0.0), plug, lost),
+        }
+        if frame == cia301.SYNC and not world.arm.continue_on_stuck:
+            made["a board loses the SYNC of a pulse"] = Fault(switch(lose, 0.0), disarm, begins)
+        if others:
+            names = tuple(name for name in (*world.buses, *boards.simulated.names) if not name.startswith(channel.bus))
+            stuck = Expected(codes("board-lost", "bus-busy"), names, silent, also=codes("stuck"), cleared=True)
+            made["another bus is stuck while a pulse ends"] = Fault(switch(hold_others, 0.0), release_others, stuck)
         return made
 
     def _loosen(self, label: str, bus: BusModel, ask: Callable[[], None]) -> None:

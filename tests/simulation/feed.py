@@ -69,6 +69,7 @@ class Feed(Witness):
             case FrameReceived():
                 judge.other_event()
                 judge.counts.hears(event.bus, event.frame.id)
+                judge.proofs.hears(event.bus, event.frame.id, event.frame.data)
             case Health(loop, dropped):
                 judge.other_event()
                 judge.counts.process(loop, dropped)

@@ -19,9 +19,9 @@ from controller.executor.motion.program_execution import STARVED, End, ProgramEx
 from controller.executor.motion.readings import Readings
 from controller.executor.process.switch_journal import MemoryJournal
 from controller.program import Replacement
-from drivers.canopen.run.commit import Commit
+from drivers.canopen.run.commit import BusCommit
 from drivers.canopen.run.heartbeat import Heartbeat
-from drivers.canopen.wire.cia301 import SYNC, Frame, State
+from drivers.canopen.wire.cia301 import State
 from drivers.simulation.firmware import SimulatedBoard
 from tests.simulation.judge.verdict import Violation
 from tests.simulation.world import World
@@ -52,11 +52,12 @@ def _count_everything(self: MemoryJournal, states: int, unknown: int = 0) -> int
     return 0
 
 
-def _do_not_wait(self: Commit, clock: float, now: float) -> None:
-    buses, self._waiting = list(self._waiting), {}
-    self._syncs.update(buses)
-    for bus in buses:
-        self._links[bus].send_frame(Frame(SYNC), now)
+_begin = BusCommit.begin
+
+
+def _do_not_wait(self: BusCommit, states: int, frames: Any, now: float) -> None:
+    _begin(self, states, frames, now)
+    self.waiting = {}
 
 
 _hold_measured = Modes.hold_measured
@@ -82,10 +83,10 @@ def _start_switches(self: SimulatedBoard, state: State) -> None:
         self._drive()
 
 
-_give_up = Commit.give_up
+_give_up = BusCommit.give_up
 
 
-def _give_up_late(self: Commit, why: str) -> None:
+def _give_up_late(self: BusCommit, why: str) -> None:
     if "not sent" in why or "lost" in why:
         _give_up(self, why)
 
@@ -125,13 +126,13 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "stages begin too early": (ProgramExecution, "due", lambda self, now, *_: self.taken + 1 if self._stages else None),
     "locks are taken whatever the end-stops read": (LockedActuators, "refusal", lambda self, *_: None),
     "heartbeats end": (Heartbeat, "tick", lambda self, clock, now: None),
-    "the SYNC does not wait for the RPDOs": (Commit, "_sync_when_sent", _do_not_wait),
+    "the SYNC does not wait for the RPDOs": (BusCommit, "begin", _do_not_wait),
     "no epoch ends": (Modes, "new_epoch", lambda self: None),
     "pulses do not end": (Actuation, "tick", lambda self, now: None),
     "both outputs of a pair are on": (Kinds, "_off_lines", lambda self, mask: mask << self._size),
     "a start energises": (Modes, "hold_measured", lambda self, now: _energise(self, now)),
     "START applies other outputs": (SimulatedBoard, "_enter", _start_switches),
-    "waiting RPDOs are switched after a stop": (Commit, "give_up", _give_up_late),
+    "waiting RPDOs are switched after a stop": (BusCommit, "give_up", _give_up_late),
     "interlocks are ignored": (Readings, "interlock_faults", lambda self: []),
     "the loss of the planner begins no epoch": (Executor, "_lose_planner", _begin_no_epoch),
     "marks settle again after a replacement": (ProgramExecution, "replace", _settle_again),

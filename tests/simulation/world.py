@@ -40,6 +40,9 @@ FILES = 0.9  # share of the arms that are written to a file and read
 PATIENCE = 15.0  # [s] added to the boot time until the arm is ready after all trouble; late SDO answers take long
 
 
+ECHO_LOST = 0.05  # [s] after which the executor knows that an echo was lost
+
+
 class World:
     """One arm, its executor, its boards and its clients.
 
@@ -90,8 +93,6 @@ class World:
         judge.log.simulated, judge.log.watchdog = habits.simulation is not None, habits.watchdog
         record.misses = judge.misses
         self.kinds = Kinds(arm.wiring, arm.timing)
-        for bus in self.buses.values():
-            bus.spares_commands = bool(self.kinds.pulse)  # see `fault_kinds.NOT_DRAWN`
         self.planner: ScriptedPlanner | Daemon
         self.strangers: Strangers | None = None
         self.daemon: Daemon | None = None
@@ -260,7 +261,7 @@ class World:
         """Returns whether frames of the executor reach the board of an actuator, and take effect there."""
         channel = self.arm.wiring.channels[actuator]
         bus = self.buses[channel.bus]
-        fit = self.executor.awake and bus.healthy and not bus.loss
+        fit = self.executor.awake and bus.healthy and not bus.loss and self.agenda.now > bus.echo_lost_at + ECHO_LOST
         return fit and self.boards.takes_part(f"{channel.bus}/{channel.node}")
 
     @property

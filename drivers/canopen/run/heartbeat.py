@@ -43,7 +43,7 @@ class Heartbeat:
         self._last = clock
         for link in self._links:
             due = clock >= self._sent.get(link.name, -math.inf) + self._timing.heartbeat - 1e-6
-            if link.usable and (due or link.failing):  # another one shows whether the bus still fails
+            if link.usable and (due or link.failing or link.misses_echo(now, BEAT)):  # its echo tells of the others
                 link.send_frame(BEAT, now)
                 self._before[link.name] = self._sent.get(link.name, -math.inf)
                 self._sent[link.name] = clock

@@ -13,6 +13,7 @@ from drivers.canopen.wire.tx_echo import TxPending
 from drivers.canopen.wiring import BusWiring
 
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
+_ECHOED = 0.03  # [s] within which nearly all commands are sent
 _UNUSABLE = ("closed", "down", "bus-off")
 _BUS_OFF = "the controller is bus-off after too many errors; check cable, termination, bit rate"
 
@@ -85,6 +86,10 @@ class Link:
     def echoes(self) -> bool:
         """Whether the interface echoes frames that were sent."""
         return self.pending.last_echo is not None
+
+    def misses_echo(self, now: float, last: Frame) -> bool:
+        """Returns whether the echo of a command is overdue; that of `last`, the frame of least priority, will tell."""
+        return self.pending.commanded(now - _ECHOED) and not self.pending.holds(last.id)
 
     def fit(self, now: float) -> bool:
         """Returns whether the bus sends frames again after its loss."""

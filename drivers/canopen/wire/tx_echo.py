@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
+from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import REMOTE, Frame
 
 
@@ -52,6 +53,11 @@ class TxPending:
     def holds(self, cob_id: int) -> bool:
         """Returns whether a frame with an identifier is pending."""
         return self.last_echo is not None and any(frame.id == cob_id for frame in self._pending)
+
+    def commanded(self, before: float) -> bool:
+        """Returns whether an NMT command, SYNC or RPDO is pending that was handed out before a time [s]."""
+        outs = (out[0].at for frame, out in self._pending.items() if frame.id < cia301.SDO_ANSWER)
+        return self.last_echo is not None and min(outs, default=before) < before
 
     def sent(self, frame: Frame, now: float) -> None:
         """Records a frame that is handed out."""

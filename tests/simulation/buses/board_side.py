@@ -27,7 +27,7 @@ class BoardSide(AttachedBoards):
         names: mask of the actuators of each board, by the board's name.
         silent: whether a board is disconnected from its bus.
         opened: names of the open interlocks.
-        loses_sync: the board that does not receive the next SYNC of its bus; None: all do.
+        loses: a board and the function code of a frame, of which it loses the next one; None: it loses none.
 
     Args:
         wiring: buses, boards and actuators.
@@ -56,7 +56,7 @@ class BoardSide(AttachedBoards):
             self.names[name] = self.names.get(name, 0) | 1 << k
             self._masks[channel.bus] |= 1 << k
         self.silent = False
-        self.loses_sync: str | None = None
+        self.loses: tuple[str, int] | None = None
         self._record, self._judge = record, judge
         self._read = True  # whether end-stops may have changed
         self._paired = sum(1 << k for k in wiring.paired)
@@ -137,9 +137,12 @@ class BoardSide(AttachedBoards):
 
     def _deaf_to(self, frame: Frame) -> str | None:
         """Returns the board that loses a frame which all others receive."""
-        if self.loses_sync is None or frame.id != cia301.SYNC:
+        if self.loses is None:
             return None
-        board, self.loses_sync = self.loses_sync, None
+        board, function = self.loses
+        if frame.id not in (function, function + int(board.split("/")[1])):
+            return None
+        self.loses = None
         return board
 
     def hear_tool(self, bus: str, frame: Frame) -> None:

@@ -42,12 +42,12 @@ class BusModel:
         acknowledged: whether any node acknowledges the executor's frames; if not, they stay in the controller,
             and it hears none.
         loss: share of the frames that their receiver loses after they have left.
-        spares_commands: whether RPDOs and SYNCs are never lost.
         duplication: share of the frames that their receiver gets twice.
         answer_delay: longest delay of the boards' SDO answers [s].
         mute: whether the boards' SDO answers are lost.
         tpdos_to_lose: number of the next TPDOs that are lost.
         tpdo_lost_at: time of the last lost TPDO [s].
+        echo_lost_at: time of the last lost echo [s].
 
     Args:
         name: of the bus.
@@ -71,7 +71,6 @@ class BusModel:
         self.capacity, self.mailboxes, self.acknowledged = CAPACITY, MAILBOXES, True
         self.loss = self.duplication = self.answer_delay = 0.0
         self.mute, self.tpdos_to_lose, self.tpdo_lost_at = False, 0, 0.0
-        self.spares_commands = False
         self.bitrate, self.room, self.stuck, self.echoes = bitrate, None, False, True
         self.log: list[Frame] | None = None
         self._agenda, self._random = agenda, random
@@ -80,6 +79,8 @@ class BusModel:
         self._at_sync: Callable[[], None] = lambda: None
         self._queue: deque[OnItsWay] = deque()  # of the executor; the first ones are in the mailboxes
         self._others: deque[Frame] = deque()
+        self._echoes_to_lose = 0  # of the next RPDOs
+        self.echo_lost_at = -1e12
         self._on_wire: OnItsWay | Frame | None = None  # of the executor, or of a board
 
     @property
@@ -164,6 +165,10 @@ class BusModel:
         if self.state == "active":
             self._change("passive", "")
 
+    def lose_echo(self, count: int = 1) -> None:
+        """Loses the echoes of the next RPDOs."""
+        self._echoes_to_lose = count
+
     def hear_answers(self) -> None:
         """Ends the loss of SDO answers."""
         self.mute = False
@@ -205,14 +210,19 @@ class BusModel:
     def _finish(self) -> None:
         """Delivers the frame on the wire."""
         on_wire, self._on_wire = self._on_wire, None
-        lost = self._random.random() < self.loss and not self._spared(on_wire)
+        lost = self._random.random() < self.loss
         twice = not lost and self._random.random() < self.duplication
         if isinstance(on_wire, OnItsWay) and not self._sends:
             if self.state != "down":
                 self._queue.appendleft(on_wire)  # it stays in the controller
         elif isinstance(on_wire, OnItsWay):
             self._note(on_wire.frame)
-            if self.echoes:
+            rpdo = split(on_wire.frame.id)[0] in RPDOS
+            loses = rpdo and self._echoes_to_lose > 0
+            self._echoes_to_lose -= loses
+            if loses or not self.echoes:
+                self.echo_lost_at = self._agenda.now
+            if self.echoes and not loses:
                 self._to_executor(FrameEchoed(self.name, on_wire.frame, self._agenda.now))
             for _ in range(1 + twice):
                 self._to_boards(self.name, on_wire, lost)
@@ -224,12 +234,6 @@ class BusModel:
                 if on_wire.id == MASTER_HEARTBEAT or split(on_wire.id)[0] not in (SDO_ANSWER, HEARTBEAT):
                     self._to_boards(self.name, OnItsWay(on_wire, None), lost)
         self.begin()
-
-    def _spared(self, on_wire: OnItsWay | Frame | None) -> bool:
-        """Returns whether a frame is never lost."""
-        if not self.spares_commands or not isinstance(on_wire, OnItsWay):
-            return False
-        return on_wire.frame.id == SYNC or split(on_wire.frame.id)[0] in RPDOS
 
     def _note(self, frame: Frame) -> None:
         if self.log is not None:

@@ -154,7 +154,7 @@ class Trouble:
                 bus.mute = True
                 world.agenda.after(random.uniform(0.5, 3.0), bus.hear_answers)
             case "echoes are lost":
-                bus.echoes = bus.spares_commands  # see `fault_kinds.NOT_DRAWN`
+                bus.echoes = False
                 self._later(1.0, bus.restore)
             case "TPDO is lost":
                 bus.tpdos_to_lose = 1

@@ -128,18 +128,28 @@ def draw_interlocks(random: Random, buses: list[str]) -> tuple[Interlock, ...]:
     return (Interlock("door", buses[node % len(buses)], node, 30, inverted),)
 
 
+UNVERIFIED = 0.1  # share of the boards that nothing reads back
+
+
 def draw_boards(random: Random, arm: ExecutedArm) -> tuple[ExecutedArm, dict[str, Variant]]:
     """Returns the arm with the settings that its boards need, and the variants of its boards.
 
-    A quarter of the arms have only standard boards.
+    A quarter of the arms have only standard boards. Nothing reads some boards back.
     """
     if random.random() < 0.25:
         return arm, {}
     wiring = arm.wiring
     names = ORDINARY if any(level is not None for level in wiring.loss_levels) else ORDINARY + HOLDING
     chosen = {board: random.choice(names) for board in board_names(wiring)}
-    makers = (board.split("/") for board, name in chosen.items() if name == "maker-object")
-    nodes = tuple(NodeWiring(bus, int(node), object=VARIANTS["maker-object"].output_object) for bus, node in makers)
+    nodes = tuple(
+        NodeWiring(
+            board.split("/")[0],
+            int(board.split("/")[1]),
+            object=VARIANTS["maker-object"].output_object if name == "maker-object" else 0x6200,
+            verify=random.random() >= UNVERIFIED,
+        )
+        for board, name in chosen.items()
+    )
     shared = wiring.shared_rpdo and set(UNSHARED).isdisjoint(chosen.values())
     wiring = replace(wiring, error_state="device", nodes=nodes, shared_rpdo=shared)
     return replace(arm, wiring=wiring), {board: VARIANTS[name] for board, name in chosen.items()}

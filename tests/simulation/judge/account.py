@@ -78,6 +78,7 @@ class Run:
         taken: the last stage that was told as begun.
         settled: the last stage whose mark was told as settled.
         switches: actuators switched by SYNC since the acceptance.
+        moved: mask of the actuators that were commanded to another state, or whose output came on.
         counted: stages that switched something since the last mark.
         planned: whether all stages since the last mark were carried out as planned.
         mark: the last mark reached; `open_mark` until it was told as settled.
@@ -101,7 +102,7 @@ class Run:
         self.stages: list[RunStage] = []
         self.append(0, message.stages)
         self.taken = self.settled = -1
-        self.switches = self.counted = 0
+        self.switches = self.counted = self.moved = 0
         self.homes = homing & (unpack(message.homed) if message.homed else -1)
         ends_elsewhere = bool(message.homed and self.stages)
         self.homed = self.stages[-1].states if ends_elsewhere else self.start

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from controller.program import Setpoint, Snapshot, unpack
 from tests.simulation.judge.account import EPSILON, Account, Commit
 from tests.simulation.judge.arm import bits_of, merged
+from tests.simulation.judge.proofs import Proofs
 from tests.simulation.judge.traffic import Look
 from tests.simulation.judge.verdict import require
 
@@ -41,9 +42,11 @@ class Commands:
     Args:
         account: of the executor.
         arm: the executor's arm.
+        proofs: tells which pulses may be given again.
     """
 
-    def __init__(self, account: Account, arm: Any) -> None:
+    def __init__(self, account: Account, arm: Any, proofs: Proofs) -> None:
+        self.proofs = proofs
         self.look: dict[str, Look] = {}
         self.suspect = 0
         self._a, wiring = account, arm.wiring
@@ -121,13 +124,14 @@ class Commands:
     def _homes(self) -> tuple[int, int]:
         """Returns the mask of the actuators that may be brought to a state before any stage, and these states."""
         a, run = self._a, self._a.run
-        states, unknown = a.ground.states, a.homing
+        states, unknown, again = a.ground.states, a.homing, self.proofs.missed
         if a.shown is not None:
             states = unpack(a.shown.outputs)
         if run is not None:
             mask, states = run.homes, run.homed
+            mask, states = mask | again, merged(again, self.proofs.states, states)
         elif alive := self._alive:
-            mask, states = unknown, unpack(alive[-1].start)
+            mask, states = unknown | again, merged(again, self.proofs.states, unpack(alive[-1].start))
         else:
             mask = unknown if self._contracts else 0
         asked = run is not None or bool(self._alive) or self._contracts

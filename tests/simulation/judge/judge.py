@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from tests.simulation.judge.account import Account, Commit
-from tests.simulation.judge.arm import JudgedArm
+from tests.simulation.judge.arm import JudgedArm, mask_of
 from tests.simulation.judge.boards import BoardObjects, Endings
 from tests.simulation.judge.clients import Clients
 from tests.simulation.judge.commands import Commands
@@ -15,6 +15,7 @@ from tests.simulation.judge.ground import Ground
 from tests.simulation.judge.log import Log
 from tests.simulation.judge.messages import Messages
 from tests.simulation.judge.programs import Programs
+from tests.simulation.judge.proofs import Proofs
 from tests.simulation.judge.pulses import Pulses
 from tests.simulation.judge.reasons import Reasons
 from tests.simulation.judge.requests import Requests
@@ -42,11 +43,12 @@ class Judge:
         self.arm = JudgedArm(arm)
         self.ground = Ground(self.arm)
         self.account = Account(self.arm, self.ground)
-        self.commands = Commands(self.account, arm)
+        self.proofs = Proofs(self.account, arm)
+        self.commands = Commands(self.account, arm, self.proofs)
         self.silence = Silence(self.account, self._lose_silent)
         self.snapshots = Snapshots(self.account, self.silence)
         self.travels, self.reasons = Travels(self.account, arm), Reasons(self.account)
-        self.programs = Programs(self.account, self.snapshots, self.silence, self.travels, self.reasons)
+        self.programs = Programs(self.account, self.snapshots, self.silence, self.travels, self.reasons, self.proofs)
         self.pulses = Pulses(self.account)
         self.streams = Streams(self.account, self.programs)
         self.requests = Requests(self.account, self.programs, self.snapshots, self.silence, self.reasons)
@@ -89,7 +91,8 @@ class Judge:
         self.counts.begin()
         self.account.begin()
         parts = self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log
-        for part in (*parts, self.commands, self.silence, self.clients, self.travels, self.reasons):
+        self._commits: dict[str, Commit] = {}  # last one of each bus
+        for part in (*parts, self.commands, self.silence, self.clients, self.travels, self.reasons, self.proofs):
             part.begin()
 
     def dies(self) -> None:
@@ -150,6 +153,9 @@ class Judge:
         self.close_step()
         if frame_id == SYNC and self.account.commit is not None:
             self.account.commit.awaited.discard(bus)
+        if frame_id == SYNC and bus in self._commits:
+            arm = self.arm
+            self.proofs.switched(self._commits[bus], mask_of(k for k in range(arm.count) if arm.bus_of[k] == bus))
 
     def _lose_silent(self) -> None:
         """The planner was silent for too long."""
@@ -160,6 +166,7 @@ class Judge:
         """The process hands a frame to a bus; returns the commit of a SYNC."""
         a = self.account
         self.traffic.hands_out(bus, frame_id, data)
+        self.proofs.hands_out(bus, frame_id, data)
         self.travels.hands_out(bus, frame_id, data)
         self.counts.hands_out(bus)
         if frame_id & 0x780 in RPDOS:
@@ -167,6 +174,7 @@ class Judge:
                 a.commit = Commit(a.now, self.ground.states)
                 self.programs.switches_for = a.run
             a.commit.open.add(bus)
+            self._commits[bus] = a.commit
             self.commands.commit(bus, frame_id, data)
         elif frame_id == SYNC:
             self.commands.sync(bus)

@@ -8,6 +8,7 @@ from controller.program import Accepted, Begun, Declined, Ended, Program, Replac
 from tests.simulation.judge.acceptance import MODE_REASONS, misfits, must_decline
 from tests.simulation.judge.account import EPSILON, Account, Run
 from tests.simulation.judge.owed import WORDS, Ending
+from tests.simulation.judge.proofs import Proofs
 from tests.simulation.judge.reasons import Reasons
 from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.snapshots import Snapshots
@@ -32,11 +33,19 @@ class Programs:
         silence: of the planner.
         travels: measured by the judge.
         reasons: of the modes.
+        proofs: of what was read back.
     """
 
     def __init__(
-        self, account: Account, snapshots: Snapshots, silence: Silence, travels: Travels, reasons: Reasons
+        self,
+        account: Account,
+        snapshots: Snapshots,
+        silence: Silence,
+        travels: Travels,
+        reasons: Reasons,
+        proofs: Proofs,
     ) -> None:
+        self._proofs = proofs
         self._a, self._snapshots, self._silence = account, snapshots, silence
         self._travels, self._reasons = travels, reasons
         self.count: Callable[[int], None] = lambda mask: None
@@ -239,6 +248,8 @@ class Programs:
             require(False, f"{message} is of no running program")
             return
         text = f"result {message.result} of program {run.number}"
+        if message.status == "done":
+            self._proofs.done(run, message.verified, text)
         require(message.context == run.message.context, f"{text} has another context")
         require(message.mark == run.mark, f"{text} tells mark {message.mark}, not {run.mark}")
         early = WORDS["starved"] in message.message and self.waits.unfed < STARVES_AFTER - 2 * TICK

@@ -11,6 +11,7 @@ from tests.simulation.judge.arm import bits_of
 from tests.simulation.judge.verdict import require
 
 SHORTER = 0.01  # [s] that a pulse may be too short: it ends at a tick, and its first SYNC may wait for other frames
+LOST = 0.1  # [s] that it may be too long if its board has missed a frame
 LONGER = 0.02  # [s] that it may be too long: to the next tick, and a commit that is under way
 TICK = 0.01  # [s], period of the executor's loop
 
@@ -62,11 +63,12 @@ class Pulses:
         a = self._a
         for k, since in self._since.items():
             length = a.arm.pulse.get(k)
-            if length is None or self.suspect >> k & 1:
+            if length is None:
                 continue
             knows = a.ready_at < math.inf  # a process that has just started learns of a pulse by its first boot
             away = self._away[k].count(now, knows and reaches(k))
             longest = length + away + TICK * (1 + (away > 0.0))  # the executor hears of it, then acts
+            longest += LOST * (self.suspect >> k & 1)
             require(
                 now - since <= longest + EPSILON, f"actuator {k}: a coil is on for {now - since:g} s, of {longest:g} s"
             )

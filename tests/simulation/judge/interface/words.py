@@ -19,6 +19,7 @@ MISSED = re.compile(
     r"the measured tip is (?P<away>unknown|[\d.]+ from the last waypoint)(?: and turned (?P<turned>[\d.]+) rad)?,"
     r" tolerances? (?P<tolerance>[\d.e+-]+)(?: and (?P<angle>[\d.e+-]+))?"
 )
+UNVERIFIED = "; commanded, not verified"
 COLLIDES = re.compile(r"the planned motion would collide: (.*); the arm holds", re.DOTALL)
 
 
@@ -62,7 +63,10 @@ class Words:
         """Judges the message of a result."""
         status, message = payload["status"], payload["message"]
         if status == "succeeded":
-            self._judge_reached(ran, payload, text)
+            unread = ended is not None and not ended.verified
+            message = message.removesuffix(UNVERIFIED) if unread else message
+            require((payload["message"] != message) == unread, f"{text}; the executor has verified it: {not unread}")
+            self._judge_reached(ran, payload, message, text)
         elif payload["code"] == -5:
             self._judge_missed(ran, payload, text)
         elif ended is not None and ended.status == status and not self._of_planner(message):
@@ -74,19 +78,19 @@ class Words:
         """Returns whether the planner has ended a goal, before or after the executor did."""
         return COLLIDES.fullmatch(message) is not None or message.startswith("after waypoints[") or self._a.quits
 
-    def _judge_reached(self, ran: Ran, payload: Payload, text: str) -> None:
+    def _judge_reached(self, ran: Ran, payload: Payload, message: str, text: str) -> None:
         if ran.jog:
-            require(payload["message"] == "switched", f"{text} has other words")
+            require(message == "switched", f"{text} has other words")
             return
         if ran.planned is None:
-            require(payload["message"].startswith("reached"), f"{text} has other words")
+            require(message.startswith("reached"), f"{text} has other words")
             return
         told, planned = payload["switches"], ran.planned
         which = ["improved"] if ran.replaced else []
         which += [] if told == planned else ["more" if told > planned else "fewer"]
         sentences = [f"reached; {told} switches instead of {planned}: {WHY[k]}" for k in which]
         sentences = ["reached"] if told == planned else sentences
-        require(payload["message"] in sentences, f"{text} says none of {sentences}")
+        require(message in sentences, f"{text} says none of {sentences}")
         as_told = payload["planned_switches"] == planned
         joined = payload["planned_switches"] is None or ran.replaced
         require(as_told or joined, f"{text}; the answer told {planned} switches")
