@@ -16,7 +16,8 @@ log = logging.getLogger(__name__)
 BACKLOG = 128  # connections that wait to be accepted
 
 MOST_ACCEPTED = 16  # connections in one poll, so that a flood of them does not block the loop
-MOST_MESSAGES = 64  # of one client in one poll, so that a flood does not block the loop
+MOST_MESSAGES = 64  # of all clients in one poll, about, so that a flood does not block the loop
+LEAST_MESSAGES = 4  # of one client in one poll
 MOST_QUEUED = 1_000  # messages that wait for a client that does not read; it is disconnected with more
 
 
@@ -148,7 +149,7 @@ class ExecutorServer:
 
     def _read(self, connection: ClientConnection, events: list[FromClient | ClientGone]) -> None:
         """Reads the messages of a client; drops a connection that was closed."""
-        for _ in range(MOST_MESSAGES):
+        for _ in range(max(LEAST_MESSAGES, MOST_MESSAGES // len(self._connections))):
             try:
                 size = connection.socket.recv_into(self._buffer)
             except BlockingIOError:

@@ -4,7 +4,9 @@ import os
 import socket
 import stat
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -128,6 +130,20 @@ def test_a_flood_does_not_stop_the_caller(server: ExecutorServer, path: Path) ->
             assert len(events) <= 64
             heard += len(events)
         assert heard == sent
+
+
+def test_floods_of_many_clients_share_what_one_poll_takes(server: ExecutorServer, path: Path) -> None:
+    with ExitStack() as closing:
+        clients = [closing.enter_context(connected(path)) for _ in range(8)]
+        server.poll()
+        for client in clients:
+            for _ in range(30):
+                client.send(encode(Alive()))
+        heard: list[Any] = []
+        while events := server.poll():
+            assert len(events) <= 64
+            heard += events
+        assert [sum(event.client == each for event in heard) for each in {e.client for e in heard}] == [30] * 8
 
 
 class Clock:
