@@ -55,8 +55,8 @@ def _count_everything(self: MemoryJournal, states: int, unknown: int = 0) -> int
 _begin = BusCommit.begin
 
 
-def _do_not_wait(self: BusCommit, states: int, frames: Any, now: float) -> None:
-    _begin(self, states, frames, now)
+def _do_not_wait(self: BusCommit, *arguments: Any) -> None:
+    _begin(self, *arguments)
     self.waiting = {}
 
 

@@ -11,6 +11,7 @@ from drivers.canopen.wire.cia301 import Frame
 from drivers.canopen.wire.link import Link
 
 _SYNC = Frame(cia301.SYNC)
+_LONGEST = 1.0  # [s] from the begin of a commit, within which its frames are sent, or its bus is lost
 
 
 class BusCommit:
@@ -38,6 +39,7 @@ class BusCommit:
         self.waiting: dict[Frame, Key | None] = {}
         self.failed: str | None = None
         self._link, self._outputs, self._record = link, outputs, switched
+        self._began = 0.0  # [s, real time]
         self._syncing = False  # SYNC was handed out and not sent yet
         self._leaving: dict[Frame, Key] = {}  # frames of a commit given up that switch without SYNC
 
@@ -66,9 +68,9 @@ class BusCommit:
         older = [cob_id for _, cob_id in keys if self._link.pending.holds(cob_id)]
         return f"{self.bus}: an older frame {older[0]:03X}h was not sent yet" if older else None
 
-    def begin(self, states: int, frames: Sequence[Key | Frame], now: float) -> None:
+    def begin(self, states: int, frames: Sequence[Key | Frame], clock: float, now: float) -> None:
         """Hands out RPDOs and NMT commands, in order; call `sync` when none of them waits."""
-        self.states, self.collecting, self.failed = states, True, None
+        self.states, self.collecting, self.failed, self._began = states, True, None, clock
         self.waiting = {}
         for each in frames:
             if isinstance(each, Frame):
@@ -124,7 +126,12 @@ class BusCommit:
             self._leaving.pop(frame, None)
 
     def tick(self, clock: float) -> None:
-        """On a bus without echoes, frames that did not fail count as sent. Call every period."""
+        """Call every period. On a bus without echoes, frames that did not fail count as sent.
+
+        A frame that is neither sent nor lost for long is in doubt: nothing may wait for it for ever.
+        """
+        if self.unknown and clock - self._began > _LONGEST:
+            self.lost()
         if not self._link.echoes:
             for frame in [*self.waiting, *self._leaving, *([_SYNC] if self._syncing else ())]:
                 self.sent(frame, clock)

@@ -107,7 +107,7 @@ class OutputSwitching:
         self._stage = Switch([self._commits[bus] for bus in due], None, now)
         for bus, keys in due.items():
             self._releases.pop(bus, None)
-            self._commits[bus].begin(outputs, self._boards.frames_of(bus, keys, None), time)
+            self._commits[bus].begin(outputs, self._boards.frames_of(bus, keys, None), now, time)
         self._advance(now, time)
 
     def release(self, outputs: int, now: float, time: float) -> None:
@@ -168,7 +168,7 @@ class OutputSwitching:
         booted = self._boards.left_out(bus, off) if self._booting.under_way else ()
         self._stage.commits = [other for other in self._stage.commits if other is not commit]
         self._releases[bus] = Switch([commit], off, now)
-        commit.begin(states, self._boards.frames_of(bus, keys, off), time)
+        commit.begin(states, self._boards.frames_of(bus, keys, off), now, time)
         for station in (self._boards.stations[i] for i in sorted(booted)):
             if station.board.heard:  # it was told to leave operational, in which its boot may have put it
                 self._booting.rebooted(station, time)

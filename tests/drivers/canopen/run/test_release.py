@@ -188,6 +188,20 @@ def test_a_release_whose_frames_the_controller_has_dropped_is_sent_again_at_its_
     assert world.boards.coils() == [(0, 0), (0, 0)]
 
 
+def test_frames_that_are_neither_sent_nor_lost_hold_nothing_up_for_ever() -> None:
+    world = bus_lost()  # so that a bus that sends nothing is not lost once more
+    world.buses["can0"].restore()
+    world.run(0.05)
+    world.buses["can0"].at_next_sync(lambda: setattr(world.buses["can0"], "stuck", True))
+    release(world, 0)
+    world.run(1.0)
+    assert not world.master.leaving
+    world.buses["can0"].stuck = False
+    world.buses["can0"].drop()
+    release(world, 0)
+    assert world.boards.coils() == [(0, 0), (0, 0)]
+
+
 def on_two_buses() -> World:
     """A world in which an actuator of each bus has an output on."""
     world = World([Channel(bus, bus, 1, 0, None, 1, pulse=0.05) for bus in ("can0", "can1")]).up()
