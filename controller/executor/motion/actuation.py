@@ -254,9 +254,9 @@ class Actuation:
         return lines
 
     def _find_missed(self) -> None:
-        """Finds actuators whose last pulse nobody has seen: their state is unknown."""
+        """Finds actuators whose last pulse nobody has seen: their state is unknown, unless another pulse is on."""
         if missed := self._master.drain_missed():
-            self.missed |= self._kinds.actuators(missed)
+            self.missed |= self._kinds.actuators(missed) & ~self._kinds.actuators(self._master.outputs)
             self.uncertain |= self.missed
 
     def _overdue(self, k: int) -> ArmFault:

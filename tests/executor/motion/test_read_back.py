@@ -41,6 +41,19 @@ def test_a_missed_pulse_is_given_again_before_the_goal_is_done() -> None:
     assert unpack(arm.snapshot.homing) == 0
 
 
+def test_a_missed_pulse_that_another_one_follows_at_once_is_not_given_again() -> None:
+    arm = rig.ready(sensed=0, channel=BISTABLE)
+    arm.run(0b000010)
+    arm.go(1.0)
+    arm.run(0b000000)
+    arm.go()
+    before = list(arm.switched)
+    arm.master.missed = 0b000010  # of the pulse before, which was reversed
+    arm.go(1.0)
+    assert arm.switched == before
+    assert unpack(arm.snapshot.homing) == 0
+
+
 def test_an_actuator_whose_pulse_was_missed_is_unknown_after_the_goal() -> None:
     arm = rig.ready(sensed=0, channel=BISTABLE)
     arm.run(0b000001)
