@@ -270,6 +270,10 @@ class FaultKinds:
         def lose() -> None:
             boards.loses = board, frame
 
+        def mute() -> None:
+            bus.mute = True
+            world.agenda.after(pulse + 0.05, bus.hear_answers)
+
         def unplug() -> None:
             boards.fault("silence", board)
 
@@ -299,6 +303,7 @@ class FaultKinds:
         )
         made = {
             "a board loses the end of a pulse": Fault(switch(lose, pulse / 2), disarm, NO_FAULT),
+            "nobody answers during a pulse": Fault(switch(mute, 0.0), disarm, NO_FAULT),
             "an echo is lost while a pulse ends": Fault(switch(bus.lose_echo, pulse / 2), disarm, NO_FAULT),
             "a board is unplugged while it gets a pulse": Fault(switch(unplug, 0.0), plug, lost),
         }

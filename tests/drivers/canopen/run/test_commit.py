@@ -106,6 +106,22 @@ def test_a_commit_during_another_is_refused():
         world.master.commit(2, world.now)
 
 
+def test_an_rpdo_waits_until_no_older_one_with_its_cob_id_is_pending():
+    world = World().up()
+    world.buses["can0"].stuck = True  # as a congested bus is
+    world.master.commit(0b01, world.now)
+    world.master.give_up("canceled")
+    for states in (0b10, 0b01):
+        with pytest.raises(Busy, match="an older frame 205h was not sent yet"):
+            world.master.commit(states, world.now)
+    world.buses["can0"].stuck = False
+    world.buses["can0"].begin()
+    world.frames()
+    world.commit_when_possible(1, 0)
+    assert world.frames()[-2:] == [(0x205, "01"), (0x080, "")]
+    assert world.switches() == [1, 0]
+
+
 def test_a_commit_before_boot_is_refused():
     world = World()
     with pytest.raises(Busy, match="booted"):
