@@ -12,6 +12,7 @@ from drivers.canopen.wire import cia301
 from drivers.canopen.wire.bus import CanBus
 from drivers.canopen.wire.cia301 import Frame, State
 from drivers.canopen.wire.events import Event, FrameEchoed, FrameReceived, SendFailed
+from drivers.canopen.wire.interface_lock import InterfaceInUse
 from drivers.canopen.wiring import MASTER, BusWiring
 
 log = logging.getLogger(__name__)
@@ -66,7 +67,7 @@ class CanBuses:
             heartbeat: period of the own heartbeat [s].
 
         Raises:
-            BusError: another master sends its heartbeat.
+            BusError: another master sends its heartbeat, or another process of this computer owns an interface.
         """
         until = time.monotonic() + max(LISTEN, PERIODS * heartbeat)
         first: dict[str, float] = {}  # time of the first heartbeat, by bus
@@ -123,6 +124,9 @@ class CanBuses:
             try:
                 self._buses[name].open()
                 self._unopened.discard(name)
+            except InterfaceInUse:
+                if first:  # the loop has not begun
+                    raise
             except BusError as error:
                 if first:
                     log.error("%s; tried again every %g s", error, OPEN_EVERY)

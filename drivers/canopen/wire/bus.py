@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import socket
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -13,6 +14,7 @@ import can
 from drivers.canopen.faults import BusError
 from drivers.canopen.wire.cia301 import BUS_OFF, REMOTE, RESTARTED, Frame, wire_bits
 from drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
+from drivers.canopen.wire.interface_lock import lock_interface
 from drivers.canopen.wiring import BusWiring
 
 _MOST_EVENTS = 256  # in one poll, so that a flood does not block the caller
@@ -72,6 +74,7 @@ class CanBus:
         self.wiring = wiring
         self._clock = clock
         self._bus: can.BusABC | None = None
+        self._lock: socket.socket | None = None
         self._closed = True
         self._down = False
         self._pause = _FIRST_PAUSE
@@ -84,11 +87,14 @@ class CanBus:
         return self.wiring.name
 
     def open(self) -> None:
-        """Opens the bus.
+        """Opens the bus, and holds the lock of its interface until `close`.
 
         Raises:
+            InterfaceInUse: another process of this computer owns the interface.
             BusError: the interface cannot be opened.
         """
+        if self._lock is None and self.wiring.interface == "socketcan":
+            self._lock = lock_interface(self.wiring.channel)
         try:
             self._bus = self._open()
         except Exception as error:  # python-can passes on whatever the interface raises
@@ -153,6 +159,9 @@ class CanBus:
         """Closes the bus. Sends nothing."""
         self._closed = True
         self._shut()
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
         self._events = [BusChanged(self.name, "closed", "", None)]
 
     def _event(self, message: can.Message) -> Event:
