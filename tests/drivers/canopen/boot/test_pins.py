@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
 from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, State
+from drivers.canopen.wire.cia301 import Command, Frame, State
 from drivers.simulation import dictionary
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import Channel, World, one_board
@@ -105,6 +106,36 @@ def test_the_error_mode_is_read_before_another_one_is_written():
     assert boot(world) == []
     world.run(0.5)
     assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_a_board_that_takes_no_write_in_two_steps_gets_one():
+    channels = [Channel("5.left", "can0", 5, 0, None, on_loss="contract"), Channel("5.right", "can0", 5, 1, None)]
+    for abort in ("", "01000405"):  # no answer, or abort 05040001h
+        world = World(channels, variants=BOARD).up()
+        world.commit(1, 1)
+        world.run(0.3)
+        lose_master(world)
+        world.lost = refusing(world, bytes.fromhex(abort))
+        assert boot(world) == []
+        assert (outputs(world), world.measured()) == (0b10, [0, 1])
+        asked = [data for cob_id, data in world.frames(sdo=True) if cob_id == 0x605 and data[3:11] == "00 62 01"]
+        assert [data[:2] for data in asked if data[:2] != "40"][:3] == ["21", "21", "2f"]
+
+
+def refusing(world: World, abort: bytes) -> Callable[[str, Frame], bool]:
+    """Lets the board refuse the first two writes of its outputs, which are in two steps; the third one is in one."""
+    refused = 0
+
+    def lost(bus: str, frame: Frame) -> bool:
+        nonlocal refused
+        if refused == 2 or frame.data[:4] != bytes.fromhex("60006201"):
+            return False
+        refused += 1
+        if abort:
+            world.say(0x585, b"\x80" + frame.data[1:4] + abort)
+        return True
+
+    return lost
 
 
 @pytest.mark.parametrize(("error_state", "left"), [("off", 0), ("device", 0), ("hold", 0b11)])
