@@ -39,13 +39,16 @@ class ErrorMode(NamedTuple):
     told: bool
 
 
-def settle(it: Inspection, error_state: ErrorState | None, stopped: bool) -> Generator[Step, SdoOutcome, bool]:
+def settle(
+    it: Inspection, error_state: ErrorState | None, stopped: bool, held: int | None
+) -> Generator[Step, SdoOutcome, bool]:
     """Writes the outputs so that START changes no pin. Call in state pre-operational, before 6206h is overwritten.
 
     Args:
         it: the board's inspection.
         error_state: field `error_state` of the arm's file, for boards without an error mode.
         stopped: whether the board was found stopped: then its pins have their error values.
+        held: the used output bits that this master has commanded, if the pins have held since; None: unknown.
 
     Returns:
         Whether outputs were written that the board may have switched itself.
@@ -64,7 +67,8 @@ def settle(it: Inspection, error_state: ErrorState | None, stopped: bool) -> Gen
         for staged in (True, True, False):  # not each board takes a write in two steps
             present = yield from objects.read(it.name, layout.settings.object, sub, fresh=True)
             unsure = mode.taken & (mode.value ^ present)
-            if not (unsure or mode.taken & used):
+            known = mode.told and held is not None and present & used == held >> 8 * (sub - 1) & _ALL
+            if known or not (unsure or mode.taken & used):
                 break
             need = Need(layout.settings.object, sub, value & unsure, 1, "outputs", mask=unsure)
             written |= not need.met(present)

@@ -108,6 +108,58 @@ def test_the_error_mode_is_read_before_another_one_is_written():
     assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
 
 
+def held(*frames: tuple[int, bytes], after: float = 0.2, **options: object) -> World:
+    """An arm whose two actuators are extended; then another program sends frames, and the same master boots again."""
+    world = World(one_board(), **{"variants": BOARD, "on_loss": "contract", **options}).up()
+    world.commit(1, 1)
+    world.run(0.3)
+    for cob_id, data in frames:
+        world.say(cob_id, data)
+        world.run(0.02)
+    world.run(after)
+    assert boot(world) == []
+    world.run(0.5)
+    return world
+
+
+def test_what_a_running_master_has_commanded_stays_on_after_a_command_of_another_program():
+    world = held((0, bytes([Command.PRE_OPERATIONAL, 0])), (0, bytes([Command.PRE_OPERATIONAL, 5])))
+    assert (outputs(world), world.positions(), world.switches()) == (0b11, [1.0, 1.0], [1, 1])
+    assert world.master.warnings() == ()
+
+
+@pytest.mark.parametrize("board", [0, 5])
+@pytest.mark.parametrize("commands", [[Command.STOP], [Command.STOP, Command.START]])
+def test_a_board_that_was_stopped_meanwhile_is_written_off(board, commands):
+    world = held(*((0, bytes([command, board])) for command in [*commands, Command.PRE_OPERATIONAL]), after=0.0)
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_outputs_that_another_program_has_written_meanwhile_are_written_off():
+    written = bytes.fromhex("2f00620101000000")
+    world = held((0, bytes([Command.PRE_OPERATIONAL, 5])), (0x605, written))
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_outputs_that_are_off_outside_operational_are_written_off():
+    variants = {"can0/5": VARIANTS["off-in-preoperational"]}
+    world = held((0, bytes([Command.PRE_OPERATIONAL, 5])), variants=variants, error_state="off")
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_a_master_that_stood_still_meanwhile_writes_off():
+    world = World(one_board(), variants=BOARD, on_loss="contract").up()
+    world.commit(1, 1)
+    world.run(0.3)
+    world.say(0, bytes([Command.PRE_OPERATIONAL, 5]))
+    world.run(0.2)
+    world.stall(1.0)
+    world.say(0, bytes([Command.PRE_OPERATIONAL, 5]))
+    assert boot(world) == []
+    world.run(0.5)
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
 def test_a_board_that_takes_no_write_in_two_steps_gets_one():
     channels = [Channel("5.left", "can0", 5, 0, None, on_loss="contract"), Channel("5.right", "can0", 5, 1, None)]
     for abort in ("", "01000405"):  # no answer, or abort 05040001h
