@@ -160,6 +160,11 @@ class Board:
         self.ready = False
         self.report(fault)
 
+    @property
+    def stopped(self) -> bool:
+        """Whether it is heard, and is stopped: it answers no SDO."""
+        return self.state is State.STOPPED and not self._lost
+
     def obey(self, command: int) -> None:
         """Takes an NMT command of another program for the board."""
         self.held = True if command == Command.PRE_OPERATIONAL and self.held is not None else None
