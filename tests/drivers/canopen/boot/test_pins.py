@@ -228,7 +228,8 @@ def test_outputs_are_not_written_while_the_board_is_operational():
     world.new_master()
     world.frames(sdo=True)
     assert boot(world) == []
-    written = [data for cob_id, data in world.frames(sdo=True) if cob_id == 0x605 and data.startswith("2f 00 62")]
+    requests = [data for cob_id, data in world.frames(sdo=True) if cob_id == 0x605]
+    written = [data for data in requests if data[0] == "2" and data[3:8] == "00 62"]
     assert (written, outputs(world), world.measured()) == ([], 0b11, [1, 1])
 
 
