@@ -101,11 +101,16 @@ class SimulatedBoard:
     def _read_node(self) -> None:
         """Applies the node id that LSS has stored."""
         self.node = node = self.objects.node = self.lss.node
-        self._sdo = SdoServer(  # type: ignore[no-untyped-call]
-            cia301.SDO_REQUEST + node, cia301.SDO_ANSWER + node, self.objects
-        )
-        self._sdo.network = self  # type: ignore[assignment]  # the server uses only send_message of its network
+        self._sdo = self._sdo_server()
         self._supervision = Supervision(node, self.objects, self.send_message, self._lose_master, self._hear_master)
+
+    def _sdo_server(self) -> SdoServer:
+        """Returns an SDO server without a transfer."""
+        server = SdoServer(  # type: ignore[no-untyped-call]
+            cia301.SDO_REQUEST + self.node, cia301.SDO_ANSWER + self.node, self.objects
+        )
+        server.network = self  # type: ignore[assignment]  # the server uses only send_message of its network
+        return server
 
     def power_on(self, now: float) -> None:
         """Starts with all outputs off."""
@@ -185,6 +190,7 @@ class SimulatedBoard:
             self._drive()
 
     def _forget(self) -> None:
+        self._sdo = self._sdo_server()
         self._supervision.reset()
         self._pdos.forget()
         self._requests.clear()

@@ -52,6 +52,7 @@ class Judge:
         self._proposed: dict[int, list[Program | Replacement]] = {}
         self._ended: set[int] = set()
         self._latched: dict[int, bytes] = {}
+        self._staged: dict[int, int] = {}  # sub-index of the last write of 6200h in two steps, by its COB-ID
 
     def begin(self) -> None:
         """Removes programs that ended before this event."""
@@ -119,8 +120,14 @@ class Judge:
         if sdo and data[0] in (0x40, 0x80):  # to read, and to abort
             return
         if core._master.booting and (cob_id == cia301.NMT or sdo):
-            written = sdo and data[1:3] == b"\x00\x62" and data[0] & 0xE0 == 0x20
-            if written and data[4] << 8 * (data[3] - 1) & ~pins(cob_id & 0x7F):  # the boot may write outputs off
+            value = 0
+            if sdo and data[0] & 0xE0 == 0:  # the second step of a write
+                value = data[1] << 8 * (self._staged[cob_id] - 1)
+            elif sdo and data[1:3] == b"\x00\x62" and data[0] & 0x02:
+                value = data[4] << 8 * (data[3] - 1)
+            elif sdo and data[1:3] == b"\x00\x62":
+                self._staged[cob_id] = data[3]
+            if value and value & ~pins(cob_id & 0x7F):  # the boot may write outputs off
                 raise Moved("outputs were switched on by SDO")
             return
         raise Moved(f"{cob_id:03X}h {data.hex()} was sent in mode {core.modes.mode} without a goal that asks for it")

@@ -205,17 +205,9 @@ class BootFaults:
         """Requires the fault with its words, and a board that is as it was found."""
         world = self._world
 
-        again = False
-
         def told() -> bool:
-            nonlocal again
             snapshot = world.planner.snapshot
-            if snapshot is None or snapshot.mode != "fault":
-                return False
-            # A board that has just lost its dead master may stop in the middle of its boot; the next boot finds it.
-            missing = any(fault.code == "board-missing" for fault in snapshot.faults)
-            again |= missing
-            return not missing or any(fault.code == expected.code for fault in snapshot.faults)
+            return snapshot is not None and snapshot.mode == "fault"
 
         planner = world.planner
         planner.patient = True  # type: ignore[union-attr]
@@ -226,10 +218,8 @@ class BootFaults:
         others = [f for f in snapshot.faults if f.source.split("/")[0] in world.buses and f.source != name]
         right = len(ours) == 1 and all(word in ours[0].message for word in expected.words)
         require(right, f"{name} must be refused by {expected}, told is {snapshot.faults}")
-        others = [f for f in others if f.code not in ("board-limits", "outputs-off", "bus-passive", "board-missing")]
+        others = [f for f in others if f.code not in ("board-limits", "outputs-off", "bus-passive")]
         require(not others, f"only {name} has a cause for a fault, told is {others}")
-        if again:
-            return
         world.pass_time(SETTLED)
         before, after = found, self._values(board)
         base = world.judge.objects.base(name)

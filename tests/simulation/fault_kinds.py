@@ -31,16 +31,17 @@ WAYS = {"clear": "answers", "touched": "finds an obstacle", "silent": "is silent
 ASKED = 0.3  # [s] until the boards of a late actuator were asked
 
 
+def nothing() -> None:
+    """Mends a fault that is over at once."""
+
+
 class Fault(NamedTuple):
-    """A fault that can be caused and mended."""
+    """A fault that can be caused and mended; neither the fault nor the reset after it changes what `holds` returns."""
 
     cause: Callable[[], object]
     mend: Callable[[], object]
     expected: Expected
-
-
-def nothing() -> None:
-    """Mends a fault that is over at once."""
+    holds: Callable[[], object] = nothing
 
 
 def codes(*names: str) -> frozenset[str]:
@@ -155,8 +156,15 @@ class FaultKinds:
             return happen
 
         pre_operational = bytes([Command.PRE_OPERATIONAL, node])
+        board = world.boards.simulated.board(f"{bus}/{node}")
+        tells = board.objects.has(0x6206) and not board.variant.off_outside_operational
         made = {
-            "foreign NMT": Fault(send(cia301.NMT, pre_operational, to_boards=True), nothing, hurts),
+            "foreign NMT": Fault(
+                send(cia301.NMT, pre_operational, to_boards=True),
+                nothing,
+                hurts,
+                (lambda: board.pins) if tells else nothing,
+            ),
             "foreign START": Fault(send(cia301.NMT, bytes([Command.START, 0])), nothing, foreign),
             "foreign SYNC": Fault(send(cia301.SYNC, b""), nothing, foreign),
             "foreign heartbeat": Fault(send(cia301.HEARTBEAT + 127, b"\x05"), nothing, foreign),

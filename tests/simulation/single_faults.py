@@ -127,6 +127,7 @@ class SingleFaults:
         world, expected = self._world, fault.expected
         asked = world.judge.requests.asked
         planner.unlocks = False
+        held = fault.holds()
         fault.cause()
         if not expected.codes:
             self._watch(expected, NOTHING)
@@ -152,6 +153,7 @@ class SingleFaults:
             self._require_mode("fault", name)
             planner.patient = False
         world.wait(lambda: self._is("ready"), f"ready after {name}", world.ready_within)
+        require(fault.holds() == held, f"{name} and the reset after it have changed {held} to {fault.holds()}")
         planner.patient = False
         self._watch(expected, SUPERVISED)  # an actuator that was released may move now
         world.wait(lambda: self._is("ready"), f"ready after {name}", world.ready_within)

@@ -24,6 +24,7 @@ from drivers.canopen.wiring import ErrorState, Timing
 
 _LAST_DUMMY = 7  # 0001h to 0007h are dummy entries (CiA 301, 7.4.7)
 _TELL_STATE = (0x100C, 0x100D, 0x1017)
+_MOST_STOPS = 3  # attempts of one boot: the loss of an earlier master, or another program, may stop the board
 _ERROR_TIMEOUT = 0.5  # [s] in which an error may end after the board hears the master
 
 
@@ -39,7 +40,7 @@ class Boot:
         error_state: field `error_state` of the arm's file, for boards without an error mode.
         it: values read from the board.
         undo: changes of this boot.
-        kind: device type, 1000h.
+        kind: device type, 1000h; -1 before its answer.
         stopped: whether the board was found stopped, and has not been started since.
     """
 
@@ -50,7 +51,7 @@ class Boot:
     error_state: ErrorState | None
     it: Inspection
     undo: Undo
-    kind: int = 0
+    kind: int = -1
     stopped: bool = False
 
 
@@ -59,17 +60,26 @@ def boot_board(
 ) -> Procedure:
     """Boots a board. A board that is operational and correctly configured is not written to.
 
+    A board that stops during its boot, and answers no longer, is booted again.
     A refused board gets its objects and its NMT state back, except outputs that were written off.
     """
     undo = Undo(board.layout.settings.object)
-    boot = Boot(index, board, outputs, timing, error_state, Inspection(board.layout), undo)
-    try:
-        yield from undo.recorded(_steps(boot))
-    except BoardError as error:
-        board.guarded = False
-        if error.fault.code != "board-missing":
-            yield from undo.restore()
-        raise
+    for stops_left in reversed(range(_MOST_STOPS)):
+        boot = Boot(index, board, outputs, timing, error_state, Inspection(board.layout), undo)
+        try:
+            yield from undo.recorded(_steps(boot))
+            return
+        except BoardError as error:
+            missing, found = error.fault.code == "board-missing", boot.kind >= 0
+            if missing and found and board.state is None:  # perhaps it is stopped, and answers only node guarding
+                board.guard()
+                yield Wait(lambda: board.state is not None, 2 * timing.heartbeat)
+            board.guarded = False
+            if not missing:
+                yield from undo.restore()
+            if not (missing and found and board.stopped and stops_left):
+                raise
+            undo.begin_again()
 
 
 def _steps(boot: Boot) -> Procedure:
@@ -152,8 +162,10 @@ def _configure(boot: Boot) -> Procedure:
     if board.state is None:
         yield from _make_it_tell(boot)
     yield from _enter_pre_operational(boot)
-    if board.layout.outputs and (yield from settle(it, boot.error_state, boot.stopped)):
-        board.released = True
+    if board.layout.outputs:
+        sure = board.held and not boot.outputs.doubtful & board.layout.output_lines
+        held = boot.outputs.bits(boot.index) if sure else None
+        board.released |= yield from settle(it, boot.error_state, boot.stopped, held)
     boot.undo.pins_known = True
     yield from inspection.ensure(it, it.needs)
     for pdos in (it.rpdos, it.tpdos):

@@ -3,6 +3,10 @@
 START applies the stored outputs, 6200h, to the pins. In the error state the pins may differ from 6200h. So 6200h gets
 the levels that the pins are known to have, and "off" where nobody can know them. The boot writes this before it
 overwrites 6206h and 6207h. From then on the board itself stores what was learnt, also for a later boot.
+
+A byte may also have bits that hold. A board that restarts comes back with all outputs off, and the byte that was read
+before would switch some on. So a byte with such bits is written in two steps, directly after it was read: a restart
+before the first step is noticed by its boot-up message, and after a later restart the board refuses the second step.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from drivers.canopen.pdo import OUTPUTS, subs_of, union
 from drivers.canopen.sdo import objects
 from drivers.canopen.sdo.client import SdoOutcome
 from drivers.canopen.sdo.objects import Need
-from drivers.canopen.sdo.procedure import Step
+from drivers.canopen.sdo.procedure import BoardError, Step
 from drivers.canopen.wiring import ErrorState
 
 _ALL = 0xFF
@@ -35,13 +39,16 @@ class ErrorMode(NamedTuple):
     told: bool
 
 
-def settle(it: Inspection, error_state: ErrorState | None, stopped: bool) -> Generator[Step, SdoOutcome, bool]:
+def settle(
+    it: Inspection, error_state: ErrorState | None, stopped: bool, held: int | None
+) -> Generator[Step, SdoOutcome, bool]:
     """Writes the outputs so that START changes no pin. Call in state pre-operational, before 6206h is overwritten.
 
     Args:
         it: the board's inspection.
         error_state: field `error_state` of the arm's file, for boards without an error mode.
         stopped: whether the board was found stopped: then its pins have their error values.
+        held: the used output bits that this master has commanded, if the pins have held since; None: unknown.
 
     Returns:
         Whether outputs were written that the board may have switched itself.
@@ -53,19 +60,27 @@ def settle(it: Inspection, error_state: ErrorState | None, stopped: bool) -> Gen
     off = union(bit.place for bit in layout.outputs if bit.inverted)
     for sub in _subs(it):
         used = layout.output_bits >> 8 * (sub - 1) & _ALL
-        present = yield from objects.read(it.name, layout.settings.object, sub, fresh=True)
-        if not (present or used):
+        if not used and not (yield from objects.read(it.name, layout.settings.object, sub, fresh=True)):
             continue
         mode = yield from _error_mode(it, sub, error_state)
-        unsure = mode.taken & (mode.value ^ present)
-        if not (unsure or mode.taken & used):
-            continue
         value = mode.value if stopped and mode.told else off >> 8 * (sub - 1)
-        need = Need(layout.settings.object, sub, value & unsure, 1, "outputs", mask=unsure)
-        # Written even if it is met: the object may show the command while the pins differ, or the pins while the
-        # command differs.
-        yield from objects.ensure(it.name, need, present)
-        written |= not need.met(present)
+        for staged in (True, True, False):  # not each board takes a write in two steps
+            present = yield from objects.read(it.name, layout.settings.object, sub, fresh=True)
+            unsure = mode.taken & (mode.value ^ present)
+            known = mode.told and held is not None and present & used == held >> 8 * (sub - 1) & _ALL
+            if known or not (unsure or mode.taken & used):
+                break
+            need = Need(layout.settings.object, sub, value & unsure, 1, "outputs", mask=unsure)
+            written |= not need.met(present)
+            staged = staged and need.corrected(present) != 0
+            # Written even if it is met: the object may show the command while the pins differ, or the pins while the
+            # command differs.
+            try:
+                yield from objects.ensure(it.name, need, present, staged)
+                break
+            except BoardError:
+                if not staged:
+                    raise
     return written
 
 

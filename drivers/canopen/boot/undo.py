@@ -23,6 +23,7 @@ class Undo:
         self.pins_known = False
         self._spared = spared
         self._seen: dict[tuple[int, int], bytes] = {}  # last value of each object
+        self._state_known = False  # whether the NMT state that was found is recorded, or was pre-operational
         self._back: list[Transfer | Order] = []  # the steps that take each change back
 
     def recorded(self, procedure: Procedure) -> Procedure:
@@ -40,8 +41,12 @@ class Undo:
 
     def left(self, before: State | None) -> None:
         """Records that the board leaves an NMT state for pre-operational by a command of the boot."""
-        if before is not None and before in _COMMANDS:
+        if before in _COMMANDS and not self._state_known:
             self._back.append(Order(_COMMANDS[before]))
+
+    def begin_again(self) -> None:
+        """Records on, after the board has stopped during the boot: its pins may have changed."""
+        self.pins_known, self._state_known = False, bool(self._back)
 
     def restore(self) -> Procedure:
         """Takes the changes back, the last one first. Ends early if the board does not answer."""

@@ -11,7 +11,7 @@ from drivers.canopen.pdo import INPUTS, Carried, Pdo, carries, union
 from drivers.canopen.sdo.objects import Need
 from drivers.canopen.status import BoardStatus
 from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import STATES, State
+from drivers.canopen.wire.cia301 import STATES, Command, State
 
 _WINDOW = 10  # periods of the heartbeat in which it is counted
 
@@ -92,6 +92,8 @@ class Board:
         expected: values of its objects at the end of the last boot.
         beats: counts its heartbeats.
         released: whether outputs were written off before the last start.
+        held: whether an NMT command 80h of another program, and nothing else, has made it leave operational, so that
+            its pins hold; None: something else may have changed them.
 
     Args:
         layout: wiring of the board.
@@ -116,6 +118,7 @@ class Board:
         self.expected: tuple[Need, ...] = ()
         self.beats = BeatCount()
         self.released = False
+        self.held: bool | None = None
         self._toggle: int | None = None  # toggle bit of the last answer to node guarding
         self._tpdos: dict[int, tuple[int, list[Carried]]] = {}
         self.set_tpdos(layout.tpdos)
@@ -141,7 +144,7 @@ class Board:
     def ready(self, ready: bool) -> None:
         self._ready = ready
         if ready:
-            self._booted, self.restarted = True, False
+            self._booted, self.restarted, self.held = True, False, False
         else:
             self._frames_before = self.frames
         self._image.set_ready(self.layout, ready)
@@ -156,6 +159,17 @@ class Board:
         """Marks outputs and inputs as unknown until the next boot, and reports a fault."""
         self.ready = False
         self.report(fault)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it is heard, and is stopped: it answers no SDO."""
+        return self.state is State.STOPPED and not self._lost
+
+    def obey(self, command: int) -> None:
+        """Takes an NMT command of another program for the board."""
+        self.held = True if command == Command.PRE_OPERATIONAL and self.held is not None else None
+        if not self._ready:
+            self.state = None
 
     def guard(self) -> None:
         """Expects answers to node guarding from now on."""
@@ -209,7 +223,7 @@ class Board:
         """Reports the board as lost after a silence of `timeout` [s]."""
         if self._lost or self._beat_at is None or now - self._beat_at < timeout:
             return
-        self._lost = True
+        self._lost, self.held = True, None
         if self._ready:
             self.ready = False
             missing = "no answer to node guarding" if self.guarded else "no heartbeat"
@@ -240,6 +254,8 @@ class Board:
         self.state = state
         self.beats.heard()
         self._beat_at, self._lost = now, False
+        if state is not State.OPERATIONAL and not (self.held and state is State.PRE_OPERATIONAL):
+            self.held = None
         if state is State.BOOT_UP:
             self.boots += 1
             self.restarted = True
@@ -257,7 +273,7 @@ class Board:
         if code >> 8 == 0:
             self.emergency, self.emergency_register = None, 0
             return
-        self.emergency, self.emergency_register = code, register
+        self.emergency, self.emergency_register, self.held = code, register, None
         if self._ready:  # before, it may be old: the boot reads 1001h
             self._fault("emergency", f"it reports {cia301.emergency_words(code)}: remove the cause, then reset")
 

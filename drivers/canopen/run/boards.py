@@ -150,7 +150,7 @@ class Boards:
         for station in self.stations:
             if bus in (None, station.board.layout.bus):
                 station.cancel()
-                station.board.ready = False
+                station.board.ready, station.board.held = False, None
 
     def tick(self, now: float, heartbeat_timeout: float, stalled: bool) -> None:
         """Handles the timeouts of all boards, and finds two boards with one node id.

@@ -132,10 +132,10 @@ class Master:
         """
         if (fault := self._heartbeat.find_pause(now)) is None:
             return None
+        self._boards.forget()  # the boards' states are unknown after the pause
         if self._booting.under_way:
             self.boot(now)
             return None
-        self._boards.forget()  # the boards' states are unknown after the pause
         return fault
 
     def boot(self, now: float) -> None:

@@ -8,7 +8,7 @@ from drivers.canopen.faults import ArmFault
 from drivers.canopen.run.outputs import OutputLines
 from drivers.canopen.run.station import Station
 from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.cia301 import Command, Frame
 from drivers.canopen.wiring import MASTER
 
 
@@ -43,6 +43,8 @@ class Reception:
         if what is not None:
             text = f"another master sends on {self._bus} ({what}, frame {cob_id:03X}h): stop it, only one may switch"
             self._report(ArmFault("foreign-master", self._bus, f"{text} the boards"))
+            if cob_id == cia301.NMT and len(data) == 2:
+                self._obey(data[0], data[1], now)
             return True
         if not 0 <= cob_id <= 0x7FF or (station := self._stations.get(cob_id & 0x7F)) is None:
             return False
@@ -54,6 +56,14 @@ class Reception:
             self._rebooted(station, now)
         station.runner.check(now)
         return understood
+
+    def _obey(self, command: int, node: int, now: float) -> None:
+        """Takes an NMT command of another program. After START a boot begins again: the pins are as 6200h says."""
+        for station in self._stations.values():
+            if node in (0, station.board.layout.node):
+                station.board.obey(command)
+                if command == Command.START:
+                    self._rebooted(station, now)
 
     def echoed(self, frame: Frame, now: float) -> None:
         """Takes the echo of a sent frame: the procedure of a board may wait for its NMT command."""

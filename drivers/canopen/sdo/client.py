@@ -32,6 +32,8 @@ class Transfer:
         timeout: timeout of one attempt [s]; longer for a board that answers slowly.
         tries: number of attempts.
         fresh: a late answer to an earlier read must not count.
+        staged: write in two steps, by a segment (CiA 301, 7.2.4.3.3 and 7.2.4.3.4). A board that restarts after the
+            first step refuses the second one.
     """
 
     index: int
@@ -40,6 +42,7 @@ class Transfer:
     timeout: float = SDO_TIMEOUT
     tries: int = TRIES
     fresh: bool = False
+    staged: bool = False
 
 
 class SdoOutcome(NamedTuple):
@@ -110,9 +113,12 @@ class SdoClient:
             self._receive_late(data[1:4])
             return
         kind = data[0] & 0xE0
-        if self._segments is not None and kind == 0x00:
+        if self._segments is not None and kind == (0x00 if transfer.data is None else 0x20):
             self._link.answered(outgoing, now)
-            self._receive_segment(data, now)
+            if transfer.data is None:
+                self._receive_segment(data, now)
+            else:
+                self._end(SdoOutcome(data=b""))
             return
         if data[1:4] != self._multiplexer:
             self._receive_late(data[1:4])
@@ -133,6 +139,9 @@ class SdoClient:
             self._end(SdoOutcome(abort=int.from_bytes(data[4:], "little")))
         elif self._segments is not None:
             return
+        elif transfer.data is not None and kind == 0x60 and transfer.staged:
+            self._segments = b""
+            self._send(bytes((2 * (7 - len(transfer.data)) | 1,)) + transfer.data.ljust(7, b"\0"), now)
         elif transfer.data is not None and kind == 0x60:
             self._end(SdoOutcome(data=b""))
         elif transfer.data is None and kind == 0x40:
@@ -167,6 +176,8 @@ class SdoClient:
         self._asked += 1
         if data is None:
             self._send(b"\x40" + self._multiplexer + bytes(4), now)
+        elif self._transfer.staged:
+            self._send(b"\x21" + self._multiplexer + len(data).to_bytes(4, "little"), now)
         else:
             kind = 0x23 | (4 - len(data)) << 2
             self._send(bytes((kind,)) + self._multiplexer + data.ljust(4, b"\0"), now)

@@ -6,7 +6,7 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 from drivers.canopen.faults import ArmFault
-from drivers.canopen.sdo.client import SdoOutcome, Transfer
+from drivers.canopen.sdo.client import TRIES, SdoOutcome, Transfer
 from drivers.canopen.sdo.procedure import BoardError, Step
 
 # SDO abort codes (CiA 301, 7.2.4.3.17).
@@ -142,27 +142,28 @@ def number(board: str, index: int, sub: int, size: int, outcome: SdoOutcome) -> 
     return int.from_bytes(outcome.data[:size], "little")
 
 
-def write(board: str, need: Need, value: int) -> Generator[Step, SdoOutcome, int | None]:
-    """Writes a value; returns None, or the abort code of the board.
+def write(board: str, need: Need, value: int, staged: bool = False) -> Generator[Step, SdoOutcome, int | None]:
+    """Writes a value; returns None, or the abort code of the board. A staged write is tried once, see `Transfer`.
 
     Raises:
         BoardError: the board does not answer.
     """
-    outcome = yield Transfer(need.index, need.sub, value.to_bytes(need.size, "little"))
+    data = value.to_bytes(need.size, "little")
+    outcome = yield Transfer(need.index, need.sub, data, tries=1 if staged else TRIES, staged=staged)
     if outcome.abort is None and outcome.data is None:
         message = f"board {board} does not answer to {need.index:04X}h sub {need.sub}: {outcome.silence}"
         raise BoardError(ArmFault("board-missing", board, message))
     return outcome.abort
 
 
-def ensure(board: str, need: Need, present: int) -> Generator[Step, SdoOutcome, None]:
+def ensure(board: str, need: Need, present: int, staged: bool = False) -> Generator[Step, SdoOutcome, None]:
     """Writes the needed value into an object with another value, and reads it back.
 
     Raises:
         BoardError: the board refuses, does not answer, or has another value afterwards.
     """
     value = need.corrected(present)
-    abort = yield from write(board, need, value)
+    abort = yield from write(board, need, value, staged)
     if abort is not None:
         raise refused(board, need, present, abort)
     confirmed = yield from read(board, need.index, need.sub, need.size, fresh=True)

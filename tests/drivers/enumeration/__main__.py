@@ -9,11 +9,13 @@ import time
 from collections import Counter
 from functools import partial
 
+from tests.drivers.enumeration.mixed import MIXED
 from tests.drivers.enumeration.trials import Verdict, run, trials
 from tests.drivers.variants.cases import CASES
 
 SHOWN = 3  # examples of each broken invariant
-COLUMNS = ("boots", "pins changed by START", "energised", "refused", "mended")
+COLUMNS = ("boots", "changed by START", "energised", "moved", "refused", "mended")
+BOARDS = (*CASES, *MIXED)
 Rows = dict[tuple[str, str], Counter[str]]
 
 
@@ -22,15 +24,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--every", type=int, default=1, help="run only each N-th trial of a board")
     parser.add_argument("--board", help="run only boards whose name has this text")
+    parser.add_argument("--failure", default="", help="run only failures whose kind has this text")
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
     began = time.monotonic()
-    numbers = [i for i, case in enumerate(CASES) if options.board is None or options.board in case.name]
+    numbers = [i for i, case in enumerate(BOARDS) if options.board is None or options.board in case.name]
     with multiprocessing.Pool(options.processes) as pool:
-        results = pool.map(partial(results_of, every=options.every), numbers, chunksize=1)
+        results = pool.map(partial(results_of, every=options.every, kind=options.failure), numbers, chunksize=1)
     total: Counter[str] = Counter()
     kinds: Rows = {}
-    print(f"{'board':<36} {'failure':<26}" + "".join(f"{column:>22}" for column in COLUMNS))
+    print(f"{'board':<36} {'failure':<26}" + "".join(f"{column:>18}" for column in COLUMNS))
     for rows, _ in results:
         for (name, kind), counter in rows.items():
             print(line(name, kind, counter))
@@ -47,11 +50,11 @@ def main() -> int:
     return bool(broken)
 
 
-def results_of(number: int, every: int) -> tuple[Rows, list[tuple[str, str]]]:
-    """Runs the trials of one of `CASES`; returns the rows of the table, and sentences on broken invariants."""
-    case, rows = CASES[number], Rows()
+def results_of(number: int, every: int, kind: str) -> tuple[Rows, list[tuple[str, str]]]:
+    """Runs the trials of one of `BOARDS`; returns the rows of the table, and sentences on broken invariants."""
+    case, rows = BOARDS[number], Rows()
     broken: list[tuple[str, str]] = []
-    for trial in trials(case, every):
+    for trial in trials(case, every, kind):
         verdict = run(trial)
         rows.setdefault((case.name, trial.failure.kind), Counter()).update(counts(verdict))
         broken += [(trial.name, sentence) for sentence in verdict.broken]
@@ -60,12 +63,13 @@ def results_of(number: int, every: int) -> tuple[Rows, list[tuple[str, str]]]:
 
 def counts(verdict: Verdict) -> dict[str, int]:
     """Returns the columns of one trial."""
-    return dict(zip(COLUMNS, (1, verdict.started, verdict.energised, not verdict.ready, verdict.ready), strict=True))
+    columns = (1, verdict.started, verdict.energised, verdict.moved, not verdict.ready, verdict.ready)
+    return dict(zip(COLUMNS, columns, strict=True))
 
 
 def line(name: str, kind: str, counter: Counter[str]) -> str:
     """Returns one line of the table."""
-    return f"{name:<36} {kind:<26}" + "".join(f"{counter[column]:>22}" for column in COLUMNS)
+    return f"{name:<36} {kind:<26}" + "".join(f"{counter[column]:>18}" for column in COLUMNS)
 
 
 def alike(broken: list[tuple[str, str]]) -> dict[str, list[str]]:

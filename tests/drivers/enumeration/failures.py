@@ -17,7 +17,7 @@ class Failure(NamedTuple):
     """One failure.
 
     Attributes:
-        kind: a key of `SDO_KINDS` or of `FRAME_KINDS`.
+        kind: a key of `SDO_KINDS`, of `WIRE_KINDS` or of `FRAME_KINDS`.
         at: ordinal of the SDO request, or of the frame after which it happens, from 1.
         text: the object, or the frame.
     """
@@ -86,7 +86,8 @@ SDO_KINDS = {  # the frame that fails, how often, and the delays of its deliveri
     "answer doubled": (BOARD, 1, (0.0, 0.0)),
     "answer late": (BOARD, 1, (LATE,)),
 }
-KINDS = (*SDO_KINDS, *FRAME_KINDS)
+WIRE_KINDS: dict[str, tuple[float, ...]] = {"frame lost": (), "frame doubled": (0.0, 0.0)}  # delays of deliveries
+KINDS = (*SDO_KINDS, *WIRE_KINDS, *FRAME_KINDS)
 
 
 class Injection:
@@ -105,15 +106,20 @@ class Injection:
         self._object = b""
         self._sender, self._left, self._delays = SDO_KINDS.get(failure.kind, ("", 0, ()))
         self._between = FRAME_KINDS.get(failure.kind)
+        self._wire = WIRE_KINDS.get(failure.kind)
 
     def delays(self, sender: str, frame: Frame) -> tuple[float, ...]:
         """Returns the delay of each delivery of a frame [s]."""
+        if self._wire is not None and self._frames + 1 == self._failure.at:
+            self.struck = True
+            return self._wire
         if not self._left:
             return (0.0,)
         if is_request(sender, frame):
             self._requests += 1
             if self._requests == self._failure.at:
-                self._object = frame.data[1:4]
+                answer_to_segment = self._sender == BOARD and _is_segment(frame)
+                self._object = bytes(3) if answer_to_segment else frame.data[1:4]
         wanted = is_request(sender, frame) if self._sender == MASTER else _is_answer(sender, frame)
         if not wanted or not self._object or frame.data[1:4] != self._object:
             return (0.0,)
@@ -138,6 +144,11 @@ def _is_answer(sender: str, frame: Frame) -> bool:
     return sender == BOARD and frame.id & 0x780 == cia301.SDO_ANSWER
 
 
+def _is_segment(frame: Frame) -> bool:
+    """Returns whether a request is the second step of a write in two steps."""
+    return frame.data[0] & 0xE0 == 0
+
+
 def failures(log: Iterable[tuple[str, Frame]]) -> Iterator[Failure]:
     """Yields all failures of a boot with these frames."""
     frames = list(log)
@@ -146,7 +157,7 @@ def failures(log: Iterable[tuple[str, Frame]]) -> Iterator[Failure]:
         for at, frame in enumerate(requests, 1):
             index, sub = int.from_bytes(frame.data[1:3], "little"), frame.data[3]
             verb = "read" if frame.data[0] == 0x40 else "write"
-            yield Failure(kind, at, f"{verb} {index:04X}h/{sub}")
-    for kind in FRAME_KINDS:
+            yield Failure(kind, at, "segment" if _is_segment(frame) else f"{verb} {index:04X}h/{sub}")
+    for kind in (*WIRE_KINDS, *FRAME_KINDS):
         for at, (_, frame) in enumerate(frames, 1):
-            yield Failure(kind, at, f"after {frame.id:03X}h {frame.data.hex()}")
+            yield Failure(kind, at, f"{'' if kind in WIRE_KINDS else 'after '}{frame.id:03X}h {frame.data.hex()}")

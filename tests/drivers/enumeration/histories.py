@@ -9,10 +9,9 @@ from typing import NamedTuple
 from drivers.canopen.wire.cia301 import Command
 from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from drivers.simulation.variants import VARIANTS
-from tests.drivers.enumeration.rig import BITRATE, BUS, Rig
+from tests.drivers.enumeration.rig import BITRATE, BUS, NODE, Rig
 from tests.drivers.variants.cases import Case
 
-NODE = 5
 LOST = 1.0  # [s] after which the boards have lost the master
 LONGEST_BOOT = 60.0  # [s], of a board with slow answers
 SLOW = ("slow-answers", "late-boot")
@@ -75,33 +74,52 @@ def histories(case: Case) -> Iterator[tuple[Before, Rig]]:
     """Yields a rig for each possible history of a board, at the moment before a boot; no executor runs."""
     name = case.variant
     far = 64 if name == "many-outputs" else 1
-    channels = (Channel("5.left", BUS, NODE, 0, 0, input_contracted=1), Channel("5.right", BUS, NODE, far, None))
+    two = (Channel("5.left", BUS, NODE, 0, 0, input_contracted=1), Channel("5.right", BUS, NODE, far, None))
     buses = (BusWiring(BUS, "none", BUS, BITRATE),)
-    wiring = Wiring(buses, channels, **case.options)
+    wiring = Wiring(buses, case.channels or two, **case.options)
     timing = Timing(boot_timeout=8.0 if name == "late-boot" else 2.0)
     for before in (FIRST_START,) if case.refused else HISTORIES:
-        earlier = replace(wiring, on_loss=OPPOSITE[wiring.on_loss]) if before.other_loss else wiring
-        rig = Rig(earlier, timing, VARIANTS[name])
+        rig = Rig(with_other_loss(wiring) if before.other_loss else wiring, timing, VARIANTS[name])
         rig.run(0.05)
+        if case.foreign_holds:
+            rig.write(0x6206, 1, 0xFF & ~case.foreign)
+            rig.run(0.01)
         if case.refused:
             yield before, rig
             continue
         if not extended(rig):
             continue
         rig.master = None
+        if case.foreign:
+            rig.write(rig.variant.output_object, 1, rig.board.pins & 0xFF | case.foreign)
+            rig.run(0.01)
         before.happens(rig)
         rig.wiring = wiring
         yield before, rig
 
 
 def extended(rig: Rig) -> bool:
-    """Boots the board and extends both actuators; returns whether the board booted."""
+    """Boots the board and switches its actuators; returns whether the board booted.
+
+    All actuators are extended but each second one with two coils. Pulses stay on.
+    """
     master = rig.start_master()
     rig.boot()
     assert rig.until(lambda: not master.booting, LONGEST_BOOT)
     if not master.ready:
         return False
-    rig.commit(0b11)
+    count, states = len(rig.wiring.channels), (1 << len(rig.wiring.channels)) - 1
+    for i, k in enumerate(rig.wiring.paired):
+        if i % 2:
+            states ^= 1 << k | 1 << count + i
+    rig.commit(states)
     rig.run(0.2)
-    assert rig.board.pins.bit_count() == 2
     return True
+
+
+def with_other_loss(wiring: Wiring) -> Wiring:
+    """Returns a wiring whose actuators without pulses have the other `on_loss`."""
+    channels = tuple(
+        replace(c, on_loss=OPPOSITE[c.on_loss]) if c.on_loss and c.pulse is None else c for c in wiring.channels
+    )
+    return replace(wiring, channels=channels, on_loss=OPPOSITE[wiring.on_loss])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import io
 import pickle
+import struct
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
@@ -16,7 +17,7 @@ from drivers.simulation.buses import build_actuator, wire
 from drivers.simulation.firmware import SimulatedBoard
 from drivers.simulation.variants import Variant
 
-BUS, BITRATE = "can0", 1_000_000
+BUS, BITRATE, NODE = "can0", 1_000_000, 5
 TICK, LATENCY = 0.01, 0.001  # [s] of the master, and of an SDO answer
 MASTER, BOARD, TOOL = "master", "board", "another program"  # senders of frames
 
@@ -132,12 +133,13 @@ class Rig:
         self.master.boot(self.now)
 
     def commit(self, states: int) -> None:
-        """Switches all actuators; returns after their travel."""
+        """Switches all lines; returns after the travel of their actuators."""
         assert self.master is not None
         self._commanded = True
         self.master.commit(states, self.now)
         assert self.until(lambda: self.master is not None and not self.master.committing, 10.0)
         assert self.master.commit_failed is None
+        assert self.lines == states
         self.run(2 * self.timing.travel_time)
         self._commanded = False
 
@@ -151,6 +153,16 @@ class Rig:
             self.master.bus_changed(BUS, state, "", None, self.now)
 
     # --- the board and other programs
+
+    @property
+    def lines(self) -> int:
+        """Levels of the output lines that the pins have."""
+        pins = self.board.pins
+        return sum((pins >> line.bit & 1 ^ line.inverted) << k for k, line in enumerate(self.wiring.output_lines))
+
+    def write(self, index: int, sub: int, value: int) -> None:
+        """Writes a byte by SDO of another program."""
+        self._put(TOOL, Frame(cia301.SDO_REQUEST + NODE, struct.pack("<BHBI", 0x2F, index, sub, value)), 0.0)
 
     def command(self, command: Command) -> None:
         """Sends an NMT command of another program to all boards."""

@@ -5,16 +5,27 @@ from __future__ import annotations
 import pytest
 
 from tests.drivers.enumeration.histories import SLOW
-from tests.drivers.enumeration.trials import run, trials
+from tests.drivers.enumeration.mixed import MIXED
+from tests.drivers.enumeration.trials import Verdict, run, trials
 from tests.drivers.variants.cases import CASES, Case
 
 EVERY, EVERY_SLOW = 1187, 8009  # prime, so that all kinds of failures are among them
+EVERY_RESTART = 3  # a restart is dangerous between some successive frames
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@pytest.mark.parametrize("case", [*CASES, *MIXED], ids=lambda case: case.name)
 def test_a_boot_with_one_failure_switches_nothing(case: Case):
     every = EVERY_SLOW if case.variant in SLOW else EVERY
     verdicts = [(trial.name, run(trial)) for trial in trials(case, every)]
     assert any(verdict.ready for _, verdict in verdicts) == (not case.refused)
+    require_unbroken(verdicts)
+
+
+def test_a_board_with_outputs_of_all_kinds_may_restart_in_its_boot():
+    restarts = [trial for case in MIXED[1::5] for trial in trials(case, EVERY_RESTART, "power-cycled")]
+    require_unbroken([(trial.name, run(trial)) for trial in restarts])
+
+
+def require_unbroken(verdicts: list[tuple[str, Verdict]]) -> None:
     broken = [f"{name}: {sentence}" for name, verdict in verdicts for sentence in verdict.broken]
     assert not broken, "\n".join(broken[:10])

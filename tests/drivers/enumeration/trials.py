@@ -10,8 +10,8 @@ from drivers.canopen.run.master import Master
 from drivers.canopen.wire.cia301 import Frame, State
 from drivers.simulation.objects import Objects
 from tests.drivers.enumeration.failures import SDO_KINDS, Failure, Injection, failures
-from tests.drivers.enumeration.histories import LONGEST_BOOT, NODE, Before, histories
-from tests.drivers.enumeration.rig import BUS, MASTER, TICK, TOOL, Copies, Rig
+from tests.drivers.enumeration.histories import LONGEST_BOOT, Before, histories
+from tests.drivers.enumeration.rig import BUS, MASTER, NODE, TICK, TOOL, Copies, PinChange, Rig
 from tests.drivers.variants.cases import Case
 
 MOST_BOOTS = 6
@@ -49,7 +49,9 @@ class Verdict(NamedTuple):
 
     Attributes:
         started: number of changes of pins by START of the master.
-        energised: number of pins that came on without a commit, except by another program or by the supply.
+        energised: number of changes that energised a coil or a foreign output without a commit, except by another
+            program, by the supply, or as `on_loss` says.
+        moved: number of changes by the master of pins that hold on loss.
         ready: whether the board is ready at the end.
         boots: number of boots.
         broken: sentences on broken invariants, also those of `started` and `energised`.
@@ -57,19 +59,26 @@ class Verdict(NamedTuple):
 
     started: int
     energised: int
+    moved: int
     ready: bool
     boots: int
     broken: tuple[str, ...]
 
 
-def trials(case: Case, every: int = 1) -> Iterator[Trial]:
-    """Yields each `every`-th trial of a board, in an order that is always the same."""
+def trials(case: Case, every: int = 1, kind: str = "") -> Iterator[Trial]:
+    """Yields each `every`-th trial of a board, in an order that is always the same.
+
+    Args:
+        case: the board.
+        every: see above.
+        kind: text in the kinds of failures.
+    """
     number = 0
     for before, rig in histories(case):
         copies = Copies(rig)
         for failure in failures(frames_of_a_boot(copies)):
-            number += 1
-            if number % every == 0:
+            number += kind in failure.kind
+            if kind in failure.kind and number % every == 0:
                 yield Trial(case, before, failure, copies)
 
 
@@ -87,6 +96,7 @@ def run(trial: Trial) -> Verdict:
     """Runs a trial."""
     rig = trial.copies.copy()
     rig.changes.clear()
+    holding = _holding(rig)
     rig.start_master()
     rig.interception = injection = Injection(trial.failure)
     broken: list[str] = []
@@ -100,7 +110,7 @@ def run(trial: Trial) -> Verdict:
             rig.run(TICK)  # the command of another program may still be on the bus
     if not injection.struck:
         broken.append("the failure did not happen")
-    return _verdict(rig, boots, ready, broken)
+    return _verdict(rig, holding, boots, ready, broken)
 
 
 def _boot(rig: Rig, injection: Injection, trial: Trial) -> Iterator[str]:
@@ -182,16 +192,42 @@ def _wait_until_back(rig: Rig) -> None:
         master.probe_silent(rig.now)
 
 
-def _verdict(rig: Rig, boots: int, ready: bool, broken: list[str]) -> Verdict:
-    started = [change for change in rig.changes if change.cause == "START" and change.sender == MASTER]
-    ours = [change for change in rig.changes if change.sender != TOOL and change.cause != "supply"]
-    energised = [change for change in ours if change.on]
+def _holding(rig: Rig) -> int:
+    """Returns the mask of the pins that hold when the board loses its master, before and after the boot."""
+    objects, lines = rig.board.objects, zip(rig.wiring.output_lines, rig.wiring.loss_levels, strict=True)
+    holding = sum((objects.number(0x6206, sub) ^ 0xFF) << 8 * (sub - 1) for sub in objects.subs(0x6206))
+    return holding & ~sum(1 << line.bit for line, level in lines if level is not None)
+
+
+def _verdict(rig: Rig, holding: int, boots: int, ready: bool, broken: list[str]) -> Verdict:
+    ours = [
+        change
+        for before, change in zip([None, *rig.changes], rig.changes, strict=False)
+        if change.sender != TOOL and change.cause != "supply" and not _reverts(before, change)
+    ]
+    by_master = [change for change in ours if change.sender == MASTER]
+    started = [change for change in by_master if change.cause == "START"]
+    moved = [change for change in by_master if (change.on | change.off) & holding]
+    energised = [change for change in ours if _energises(rig, change)]
     broken += [f"START has changed pins: {change}" for change in started]
+    broken += [f"pins that hold have changed: {change}" for change in moved if change not in started]
     broken += [f"pins came on: {change}" for change in energised if change not in started]
-    if ready and rig.master is not None and rig.master.outputs != _lines(rig):
-        broken.append(f"the master is wrong on the pins: it believes {rig.master.outputs:b}, not {_lines(rig):b}")
-    return Verdict(len(started), len(energised), ready, boots, tuple(broken))
+    if ready and rig.master is not None and rig.master.outputs != rig.lines:
+        broken.append(f"the master is wrong on the pins: it believes {rig.master.outputs:b}, not {rig.lines:b}")
+    return Verdict(len(started), len(energised), len(moved), ready, boots, tuple(broken))
 
 
-def _lines(rig: Rig) -> int:
-    return sum((rig.board.pins >> channel.output & 1) << k for k, channel in enumerate(rig.wiring.channels))
+def _reverts(before: PinChange | None, change: PinChange) -> bool:
+    """Returns whether a change puts the pins back as they were before a command of another program.
+
+    The frame for what the board was before may be on its way when the command comes.
+    """
+    return before is not None and before.sender == TOOL and (before.on, before.off) == (change.off, change.on)
+
+
+def _energises(rig: Rig, change: PinChange) -> int:
+    """Returns the mask of the pins that energise a coil or a foreign output, except by the board at a loss."""
+    lines = list(zip(rig.wiring.output_lines, rig.wiring.loss_levels, strict=True))
+    inverted = sum(1 << line.bit for line, _ in lines if line.inverted)
+    on_loss = sum(1 << line.bit for line, level in lines if level == 1 and change.sender != MASTER)
+    return (change.on & ~inverted | change.off & inverted) & ~on_loss

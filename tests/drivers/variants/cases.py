@@ -23,6 +23,9 @@ class Case(NamedTuple):
         options: of the wiring.
         label: of these options.
         timing: heartbeat times.
+        channels: its actuators in boots with one failure; empty: two, of which one has both end-stops.
+        foreign: output bits that no actuator uses, and that another program has switched on.
+        foreign_holds: whether they hold in the error state (6206h).
     """
 
     variant: str
@@ -31,6 +34,9 @@ class Case(NamedTuple):
     options: Mapping[str, Any] = _NONE
     label: str = ""
     timing: Timing = Timing(boot_timeout=8.0)
+    channels: tuple[Channel, ...] = ()
+    foreign: int = 0
+    foreign_holds: bool = False
 
     @property
     def name(self) -> str:

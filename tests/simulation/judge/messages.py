@@ -150,8 +150,6 @@ class Messages:
 
     def _shows(self, message: Snapshot) -> None:
         judge, last = self._judge, self._judge.account.shown
-        if any(fault.code == "board-missing" and judge.traffic.stopped(fault.source) for fault in message.faults):
-            judge.disturb()
         judge.log.shows(last, message)
         judge.streams.shown(message)
         judge.snapshots.show(message)

@@ -19,7 +19,7 @@ SHARE = 0.01  # of the bit rate, for reads of inputs of boards without interlock
 FRAME_BITS = 135  # of a CAN frame with 8 bytes and all stuff bits
 PACE = 0.05  # [s], shortest time between two reads of other objects
 PULSE_READS = 12  # SDO requests of one board for one switch: eight reads, and those inside a pulse
-OPERATIONAL, STOPPED = 5, 4
+OPERATIONAL = 5
 
 
 class Look(NamedTuple):
@@ -72,11 +72,6 @@ class Traffic:
         self.ordered = {}
         states = {name: look.state() for name, look in self.look.items()}
         self._kept = {name for name, state in states.items() if state == OPERATIONAL} if a.clear else set()
-
-    def stopped(self, board: str) -> bool:
-        """Returns whether a board is stopped: the loss of one executor may stop it in the boot of the next one."""
-        look = self.look.get(board)
-        return look is not None and look.state() == STOPPED
 
     @property
     def _runs(self) -> bool:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
 from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, State
+from drivers.canopen.wire.cia301 import Command, Frame, State
 from drivers.simulation import dictionary
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import Channel, World, one_board
@@ -107,6 +108,88 @@ def test_the_error_mode_is_read_before_another_one_is_written():
     assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
 
 
+def held(*frames: tuple[int, bytes], after: float = 0.2, **options: object) -> World:
+    """An arm whose two actuators are extended; then another program sends frames, and the same master boots again."""
+    world = World(one_board(), **{"variants": BOARD, "on_loss": "contract", **options}).up()
+    world.commit(1, 1)
+    world.run(0.3)
+    for cob_id, data in frames:
+        world.say(cob_id, data)
+        world.run(0.02)
+    world.run(after)
+    assert boot(world) == []
+    world.run(0.5)
+    return world
+
+
+def test_what_a_running_master_has_commanded_stays_on_after_a_command_of_another_program():
+    world = held((0, bytes([Command.PRE_OPERATIONAL, 0])), (0, bytes([Command.PRE_OPERATIONAL, 5])))
+    assert (outputs(world), world.positions(), world.switches()) == (0b11, [1.0, 1.0], [1, 1])
+    assert world.master.warnings() == ()
+
+
+@pytest.mark.parametrize("board", [0, 5])
+@pytest.mark.parametrize("commands", [[Command.STOP], [Command.STOP, Command.START]])
+def test_a_board_that_was_stopped_meanwhile_is_written_off(board, commands):
+    world = held(*((0, bytes([command, board])) for command in [*commands, Command.PRE_OPERATIONAL]), after=0.0)
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_outputs_that_another_program_has_written_meanwhile_are_written_off():
+    written = bytes.fromhex("2f00620101000000")
+    world = held((0, bytes([Command.PRE_OPERATIONAL, 5])), (0x605, written))
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_outputs_that_are_off_outside_operational_are_written_off():
+    variants = {"can0/5": VARIANTS["off-in-preoperational"]}
+    world = held((0, bytes([Command.PRE_OPERATIONAL, 5])), variants=variants, error_state="off")
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_a_master_that_stood_still_meanwhile_writes_off():
+    world = World(one_board(), variants=BOARD, on_loss="contract").up()
+    world.commit(1, 1)
+    world.run(0.3)
+    world.say(0, bytes([Command.PRE_OPERATIONAL, 5]))
+    world.run(0.2)
+    world.stall(1.0)
+    world.say(0, bytes([Command.PRE_OPERATIONAL, 5]))
+    assert boot(world) == []
+    world.run(0.5)
+    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+
+
+def test_a_board_that_takes_no_write_in_two_steps_gets_one():
+    channels = [Channel("5.left", "can0", 5, 0, None, on_loss="contract"), Channel("5.right", "can0", 5, 1, None)]
+    for abort in ("", "01000405"):  # no answer, or abort 05040001h
+        world = World(channels, variants=BOARD).up()
+        world.commit(1, 1)
+        world.run(0.3)
+        lose_master(world)
+        world.lost = refusing(world, bytes.fromhex(abort))
+        assert boot(world) == []
+        assert (outputs(world), world.measured()) == (0b10, [0, 1])
+        asked = [data for cob_id, data in world.frames(sdo=True) if cob_id == 0x605 and data[3:11] == "00 62 01"]
+        assert [data[:2] for data in asked if data[:2] != "40"][:3] == ["21", "21", "2f"]
+
+
+def refusing(world: World, abort: bytes) -> Callable[[str, Frame], bool]:
+    """Lets the board refuse the first two writes of its outputs, which are in two steps; the third one is in one."""
+    refused = 0
+
+    def lost(bus: str, frame: Frame) -> bool:
+        nonlocal refused
+        if refused == 2 or frame.data[:4] != bytes.fromhex("60006201"):
+            return False
+        refused += 1
+        if abort:
+            world.say(0x585, b"\x80" + frame.data[1:4] + abort)
+        return True
+
+    return lost
+
+
 @pytest.mark.parametrize(("error_state", "left"), [("off", 0), ("device", 0), ("hold", 0b11)])
 def test_without_an_error_mode_the_arms_file_tells(error_state, left):
     name = "no-error-mode" if error_state == "hold" else "no-error-mode-off"
@@ -145,7 +228,8 @@ def test_outputs_are_not_written_while_the_board_is_operational():
     world.new_master()
     world.frames(sdo=True)
     assert boot(world) == []
-    written = [data for cob_id, data in world.frames(sdo=True) if cob_id == 0x605 and data.startswith("2f 00 62")]
+    requests = [data for cob_id, data in world.frames(sdo=True) if cob_id == 0x605]
+    written = [data for data in requests if data[0] == "2" and data[3:8] == "00 62"]
     assert (written, outputs(world), world.measured()) == ([], 0b11, [1, 1])
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.wire.cia301 import State
+from drivers.canopen.wire import cia301
+from drivers.canopen.wire.cia301 import Command, State
 from drivers.simulation.variants import VARIANTS, StandingError
 from tests.drivers.canopen.boot.test_pins import BOARD, boot, extended
 from tests.drivers.canopen.world import World, one_board
@@ -69,3 +70,40 @@ def test_an_operational_board_is_operational_again_and_its_outputs_hold():
     assert "1029h" in sentence
     assert (board.state, world.positions()) == (State.OPERATIONAL, [1.0, 1.0])
     assert values(world) == before
+
+
+def stop_after(world: World, answers: int) -> list[str]:
+    """Boots; another program stops the board after a number of SDO answers. Returns the sentences of the refusal."""
+    left = answers
+
+    def stop(bus: str, frame: cia301.Frame) -> bool:
+        nonlocal left
+        answer = frame.id == cia301.SDO_ANSWER + 5
+        left -= answer
+        if answer and left == 0:
+            world.after(0.0, lambda: world.say(0, bytes([Command.STOP, 5])))
+        return False
+
+    world.lost = stop
+    sentences = boot(world)
+    assert left <= 0
+    return sentences
+
+
+@pytest.mark.parametrize("answers", [4, 20, 30, 36])
+def test_a_board_that_is_stopped_in_its_boot_is_booted_again(answers):
+    world = extended(on_loss="hold")
+    assert stop_after(world, answers) == []
+    assert (world.master.ready, world.measured()) == (True, [1, 1])
+
+
+@pytest.mark.parametrize("answers", [40, 43, 46])
+def test_a_board_that_was_stopped_in_its_boot_gets_its_objects_back(answers):
+    variant = replace(VARIANTS["sync-period"], deaf=frozenset({0x1029}))
+    world = World(one_board(), variants={"can0/5": variant}, on_loss="contract")
+    world.run(0.05)
+    before = values(world)
+    [sentence] = stop_after(world, answers)
+    assert "1029h" in sentence
+    assert values(world) == before
+    assert world.boards.board("can0/5").state is State.PRE_OPERATIONAL

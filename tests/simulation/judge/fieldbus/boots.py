@@ -38,6 +38,13 @@ class Seen:
         self.orders: list[int] = []
         self.log: list[tuple[str, int, int]] = []  # "read" or "write" or "order", index, sub-index
         self.changed = False  # whether a write had another value than the board
+        self.staged: tuple[int, int] | None = None  # object of a write whose second step is missing
+
+    def wrote(self, index: int, sub: int, value: int, present: int) -> None:
+        """A value is written in place of the present one."""
+        self.writes.append((index, sub, value))
+        self.log.append(("write", index, sub))
+        self.changed |= present != value
 
 
 class Boots:
@@ -97,15 +104,22 @@ class Boots:
     def _transfer(self, name: str, data: bytes) -> None:
         require(name in self.seen and len(data) == 8, f"SDO {data.hex()} to {name}")
         seen, index, sub = self.seen[name], int.from_bytes(data[1:3], "little"), data[3]
-        if data[0] == 0x40:
+        if data[0] & 0xE0 == 0:  # a segment: the second step of a write
+            require(seen.staged is not None and data[0] == 0x0D, f"SDO {data.hex()} to {name} without its first step")
+            index, sub = seen.staged or (0, 0)
+            seen.staged = None
+            seen.wrote(index, sub, data[1], self._looks[name].number(index, sub))
+            return
+        seen.staged = None
+        if data == b"\x21" + data[1:4] + b"\1\0\0\0":
+            seen.staged = index, sub
+        elif data[0] == 0x40:
             seen.reads[index, sub] += 1
             seen.log.append(("read", index, sub))
         elif data[0] & 0xE3 == 0x23:
             size = 4 - (data[0] >> 2 & 3)
             value = int.from_bytes(data[4 : 4 + size], "little")
-            seen.writes.append((index, sub, value))
-            seen.log.append(("write", index, sub))
-            seen.changed |= self._looks[name].number(index, sub) != value
+            seen.wrote(index, sub, value, self._looks[name].number(index, sub))
         else:
             require(data[0] in (0x60, 0x70, 0x80), f"SDO {data.hex()} to {name}")
 
