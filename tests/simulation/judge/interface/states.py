@@ -14,6 +14,7 @@ from tests.simulation.judge.verdict import require
 EVERY = 0.1  # [s], awake, longest time between two states: 20 times a second, and the outbox
 STAMPED_WITHIN = 0.03  # [s] between a state and its publication
 CHECKED_WITHIN = 0.5  # [s], awake, from obstacles or an arm that moved to the warning `in-obstacle`
+CHECKED_AGAIN = 1.0  # [s] from a check that fails to the next one
 TOLD_WITHIN = 1.5  # [s], awake, from the end of a goal to a state that no longer names it
 OWN = {"degraded", "unknown-state", "in-obstacle", "executor-lost", "internal-error"}  # faults of the planner
 SHELL = {"clock-set", "network-lost", "ledger-unwritten"}
@@ -214,8 +215,9 @@ class States:
     def _find_standing(self) -> None:
         """Compares the warning `in-obstacle` with obstacles and measured states that have not changed for a while."""
         a, snapshot, latest = self._a, self._a.snapshot, self.latest
-        kinds = ("cubes", "measured", "still", "task failed", "slow search")
+        kinds = ("cubes", "measured", "still", "slow search")
         changed = any(a.lately(kind, CHECKED_WITHIN) for kind in kinds)
+        changed = changed or a.lately("task failed", CHECKED_WITHIN + CHECKED_AGAIN)
         if snapshot is None or latest is None or changed or a.scene_building or a.waiting("obstacles"):
             return
         everything = (1 << len(a.modules.labels)) - 1
