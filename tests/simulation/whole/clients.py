@@ -49,6 +49,8 @@ DESCRIPTIONS = (
 CLIENTS = 4  # the last one attaches the same bytes to each of its requests
 ATTENDED = 0.4  # share of the goals and jogs whose end the clients wait for
 ATTENDED_FOR = 2.0  # [s], longest
+STREAMS_AT_REST = 0.05  # share of the acts that begin a stream, if the arm is ready
+UNDISTURBED = 0.7  # share of the streams that nobody disturbs
 STANDING = 0.3  # share of the streams whose target stands still
 PAUSE = 0.4  # [s] after a stream that nobody disturbs
 LONG_AGO = 9.0  # [s]
@@ -77,7 +79,7 @@ class Clients:
         self._client = 0  # that acts now
         self._sent: list[Sent] = []  # the last goals and other requests
         self._goals = deque[Sent](maxlen=40)
-        self._streams_until = 0.0
+        self._streams_until = self._alone_until = 0.0
         self._attended: Sent | None = None  # goal or jog for whose end the clients wait
         self._rate = random.choice([5.0, 20.0, 40.0])
         self._crowd = random.choice([0.0, 0.4, 0.8])  # share of the motions to which obstacles come
@@ -128,21 +130,31 @@ class Clients:
             self._make_ready()
             self._agenda.after(0.2, self._act)
             return
-        waits = self._wait()
-        acts = ASIDE if waits else ACTS
-        act, state = self._random.choices(list(acts), list(acts.values()))[0], self._daemon.state
-        if not waits and state is not None and state["mode"] in ("fault", "stopped") and self._random.random() < 0.3:
-            act = "reset"
+        act = self._draw()
         self._client = self._random.randrange(CLIENTS)
         self._do(act)
         if act in ("goal", "jog") and self._random.random() < ATTENDED:
             self._attended = self._sent[-1]
-        alone = act == "stream" and self._random.random() < 0.5  # nobody disturbs the stream
-        pause = self._streams_until + PAUSE - self._agenda.now if alone else 0.0
-        self._agenda.after(pause + self._random.expovariate(self._rate), self._act)
+        elif act == "stream" and self._random.random() < UNDISTURBED:
+            self._alone_until = self._streams_until + PAUSE
+        self._agenda.after(self._random.expovariate(self._rate), self._act)
+
+    def _draw(self) -> str:
+        """Returns what to do next."""
+        random, state = self._random, self._daemon.state
+        mode = "" if state is None else state["mode"]
+        if self._wait():
+            return random.choices(list(ASIDE), list(ASIDE.values()))[0]
+        if mode in ("fault", "stopped") and random.random() < 0.3:
+            return "reset"
+        if mode == "ready" and random.random() < STREAMS_AT_REST:
+            return "stream"
+        return random.choices(list(ACTS), list(ACTS.values()))[0]
 
     def _wait(self) -> bool:
-        """Returns whether the clients wait for the end of a motion: it is not refused, and has no result."""
+        """Returns whether the clients wait for the end of a stream, or of a motion that was not refused."""
+        if self._agenda.now < self._alone_until:
+            return True
         sent = self._attended
         if sent is None or self._agenda.now > sent.at + ATTENDED_FOR:
             return False
