@@ -82,8 +82,10 @@ class PlannerWitness:
                 self._judge.at(self._agenda.now)
                 self._judge.link.gives_up(reason)
             case Hurry(number):
+                self._judge.at(self._agenda.now)
                 self._judge.searches.hurries(number)
             case Abandon(number):
+                self._judge.at(self._agenda.now)
                 self._judge.searches.abandons(number)
             case Log(level, text, fields):
                 self._note(("planner logs", text))

@@ -80,7 +80,7 @@ class InterfaceAccount:
             self._still_from = self._still_until = self.now
         self.process, self.began_at, self.began_awake = process, self.now, self.awake
         self.requests = []
-        self.heard = deque([Heard(self.now, self.awake, None)], maxlen=400)
+        self.heard = deque([Heard(self.now, self.awake, None)], maxlen=1_000)  # a standstill of 20 s has 400
         self.cubes: tuple[Cube, ...] = ()
         self.cubes_number, self.cubes_at = 0, self.now
         self.quits = False
@@ -248,7 +248,7 @@ class InterfaceAccount:
 
     def known_cubes(self, request: Request | None) -> set[Cube]:
         """Returns all obstacles that may be in force, or were since a request came."""
-        cubes = set(self.cubes)
+        cubes = {*self.cubes, *(() if request is None else request.among)}
         for other in self.requests:
             pending = other.answer is None or (request is not None and other.answered_at >= request.at)
             if other.key == "obstacles" and pending:

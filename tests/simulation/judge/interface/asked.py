@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from controller.program import Stage
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Payload, Request
+from tests.simulation.judge.interface.messages import well_formed
+from tests.simulation.judge.interface.modules import JudgedModules
 
 
 def barring(request: Request) -> bool:
@@ -24,6 +26,18 @@ def patience(request: Request) -> float:
 def lined(request: Request) -> bool:
     """Returns whether the tip shall follow straight lines."""
     return bool(request.body.get("path_tolerance"))
+
+
+def posed(request: Request) -> bool:
+    """Returns whether a waypoint is a configuration, or has an orientation."""
+    return any("configuration" in waypoint or "orientation" in waypoint for waypoint in request.body["waypoints"])
+
+
+def decodable(request: Request, modules: JudgedModules) -> bool:
+    """Returns whether the gateway can decode a request; it also refuses configurations on straight lines."""
+    if not well_formed(request, modules):
+        return False
+    return not lined(request) or not any("configuration" in waypoint for waypoint in request.body["waypoints"])
 
 
 def ends_at(request: Request) -> float:

@@ -43,6 +43,7 @@ class Request:
     original: Request | None = None
     doubtful: bool = False  # whether it may count as a repetition or as new
     cubes: tuple[Cube, ...] = ()  # of obstacles
+    among: tuple[Cube, ...] = ()  # that were in force when it came
     regions: list[Any] = field(default_factory=list)
     shown: int = 0  # number of obstacles in the state before
     expected: str = ""  # reason of the refusal of a request on poses; "": it is carried out

@@ -44,8 +44,8 @@ class Gateway:
         self._instant, self._arrived, self._pauses = -1.0, Counter[str](), 0
         self._malformed: dict[str, deque[float]] = {}
         self._explained: dict[str, deque[float]] = {}
-        self._changes: deque[tuple[float, int]] = deque([(self._a.awake, 0)], maxlen=50)
-        self._lists: deque[tuple[float, dict[str, Any]]] = deque([(self._a.now, dict(self.poses))], maxlen=50)
+        self._changes: deque[tuple[float, int]] = deque([(self._a.awake, 0)], maxlen=400)
+        self._lists: deque[tuple[float, dict[str, Any]]] = deque([(self._a.now, dict(self.poses))], maxlen=400)
 
     # --- arrivals
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import msgspec
@@ -125,6 +124,7 @@ class InterfaceJudge:
         fields = sent.client, key, sent.name, sent.query, sent.payload, sent.attachment  # type: ignore[attr-defined]
         body = body_of(sent.payload)  # type: ignore[attr-defined]
         request = Request(a.numbers, a.process, *fields, body, sent.at, a.now, a.awake)  # type: ignore[attr-defined]
+        request.among = a.cubes
         if key in self.mailboxes:
             self.mailboxes[key].arrives(request)
         if key == "setpoint":
@@ -133,7 +133,7 @@ class InterfaceJudge:
             self.motion.setpoint(request)
             self.streams.arrives(request.payload)
         elif key == "measured_tip":
-            self._tip(request)
+            self.streams.tip_arrives(request)
         else:
             if key == "obstacles" and well_formed(request, a.modules):
                 request.cubes, request.shown = cubes_of(request), a.shown_obstacles
@@ -142,19 +142,6 @@ class InterfaceJudge:
             self.gateway.arrives(request)
             self.requests.arrives(request)
         return request
-
-    def _tip(self, request: Request) -> None:
-        """Records a measured tip, and whether it surely counts."""
-        a, snapshot = self.account, self.account.snapshot
-        if "*" in request.name or a.bias is None:
-            return
-        a.tip_at, age = a.now, a.wall() - float(request.body.get("stamp", 0.0))
-        rests = snapshot is not None and not snapshot.moving and snapshot.mode == "ready" and a.clear()
-        standing = rests and not a.had("moved", a.now - 0.3) and not a.lately("still", 1.0) and not a.slow
-        if standing and not a.building and 0.0 <= age < 0.1 and not a.had("clock", a.now - 10.0):
-            a.good_tip_at = a.now
-        elif a.now - a.good_tip_at < 0.1:  # it may have displaced the good one
-            a.good_tip_at = -math.inf
 
     def replies(self, request: object, data: bytes) -> None:
         """A reply leaves the process."""
@@ -343,6 +330,7 @@ class InterfaceJudge:
     def scene_built(self, right: bool) -> None:
         """A worker has built a scene, or has failed."""
         self.account.scenes -= 1
+        self.account.note("scene")
         self.account.note("cubes" if right else "task failed")
 
 

@@ -78,6 +78,11 @@ class Offers:
             return
         at = mine[0].at
         changing = any(r.key in EPOCHS and r.at <= at and r.answered_at > at - 0.3 for r in a.requests)
+        before = [h for h in a.heard if h.at <= at]
+        if before and before[-1].snapshot is None:  # the epoch of the next executor
+            later = [h.snapshot.epoch for h in a.heard if h.at > at and h.snapshot is not None]
+            require(program.epoch in later[:1] or changing, f"{text} has epoch {program.epoch}, not {later[:1]}")
+            return
         near = [h for h in a.heard if abs(h.at - at) < 0.1 or h.at <= at]
         epochs = {h.snapshot.epoch for h in near[-8:] if h.snapshot is not None and h.at > at - 0.2}
         if len(epochs) == 1 and not changing:

@@ -167,7 +167,8 @@ class Requests:
         require(ran is not None, f"{text}, but the executor has accepted no such program")
         assert ran is not None
         self._begins_in_order(request, ran, text)
-        waited = 0.0 if a.had("disk", ran.at - WRITTEN_WITHIN) else a.awake - ran.awake
+        behind = a.had("disk", ran.at - WRITTEN_WITHIN) or a.reconnecting  # the answer waits behind results
+        waited = 0.0 if behind else a.awake - ran.awake
         require(waited <= WRITTEN_WITHIN, f"{text} comes {waited:g} s after the executor has accepted it")
         words = (JOG_WORDS if jog else WORDS).fullmatch(answer["message"])
         require(words is not None, f"{text} has other words")

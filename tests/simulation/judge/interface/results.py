@@ -7,9 +7,8 @@ from typing import Any
 
 from controller.program import Ended, Settled, unpack
 from tests.simulation.judge.interface.account import RECONNECTED, InterfaceAccount
-from tests.simulation.judge.interface.asked import barring, lined, wanted
+from tests.simulation.judge.interface.asked import barring, decodable, lined, wanted
 from tests.simulation.judge.interface.facts import Payload, Ran, Request
-from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.interface.modules import turn
 from tests.simulation.judge.interface.refusals import judge_refusal
 from tests.simulation.judge.interface.words import Words
@@ -165,7 +164,7 @@ class Results:
         puts = [r for r in a.requests if not r.query and r.answer is None]
         if payload["id"] is None:
             motions = ("goal", "jog")
-            puts = [r for r in puts if r.key not in motions or "*" in r.name or not well_formed(r, a.modules)]
+            puts = [r for r in puts if r.key not in motions or "*" in r.name or not decodable(r, a.modules)]
         else:
             named = [r for r in puts if r.key == "goal" and r.goal == payload["id"]]
             puts = named or [r for r in puts if r.key in ("goal", "jog") and r.goal is None]

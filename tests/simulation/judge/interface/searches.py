@@ -189,7 +189,8 @@ class Searches:
         before, self._prepared = self._prepared, search
         if goal is None:
             same = before is not None and before.goal is None and basis(before) == basis(search)
-            interrupted = before is not None and a.had("motion asked", before.at - 0.1)
+            kinds = ("motion asked", "scene")  # a scene that fails leaves the same obstacles, with another number
+            interrupted = before is not None and any(a.had(kind, before.at - 0.1) for kind in kinds)
             require(not same or interrupted, f"{text} was prepared before, and nothing has changed")
             return
         require(len(goal["waypoints"]) == 1 and not search.cubes, f"{text} rehearses {goal} among {search.cubes}")

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 from controller.program import Setpoint, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
-from tests.simulation.judge.interface.facts import Payload
+from tests.simulation.judge.interface.facts import Payload, Request
 from tests.simulation.judge.interface.messages import body_of
 from tests.simulation.judge.interface.refusals import REASONS
+from tests.simulation.judge.interface.tasks import start_of
 from tests.simulation.judge.verdict import require
 
 PAUSE = 0.25  # [s] without a set-point, after which a stream has ended
@@ -149,6 +150,20 @@ class Streams:
         require(tolerance in wanted, f"a set-point is followed within {tolerance}, asked for are {wanted}")
 
     # --- measured tips
+
+    def tip_arrives(self, request: Request) -> None:
+        """Records a measured tip, and whether it surely counts."""
+        a, snapshot = self._a, self._a.snapshot
+        if "*" in request.name or a.bias is None:
+            return
+        a.tip_at, age = a.now, a.wall() - float(request.body.get("stamp", 0.0))
+        rests = snapshot is not None and not snapshot.moving and snapshot.mode == "ready" and a.clear()
+        standing = rests and not a.had("moved", a.now - 0.3) and not a.lately("still", 1.0) and not a.slow
+        known = snapshot is not None and unpack(start_of(snapshot, len(a.modules.labels))[2]) in a.modules.tips
+        if standing and known and not a.building and 0.0 <= age < 0.1 and not a.had("clock", a.now - 10.0):
+            a.good_tip_at = a.now
+        elif a.now - a.good_tip_at < 0.1:  # it may have displaced the good one
+            a.good_tip_at = -math.inf
 
     def tip(self, payload: bytes, now: float) -> None:
         """The planner's core has taken a measured tip."""
