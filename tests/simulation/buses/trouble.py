@@ -31,7 +31,7 @@ KINDS = {
 
 
 DAEMON_KINDS = {
-    **{"planner is restarted": 0.6, "both are killed": 0.6, "planner is slow": 0.8, "planner dies": 1.0},
+    **{"planner is restarted": 2.0, "both are killed": 1.0, "planner is slow": 0.8, "planner dies": 3.0},
     **{
         "searches are late": 1.0,
         "searches fail": 0.8,

@@ -34,6 +34,8 @@ BURSTS = (
     ("goal", "cancel", "goal"),
     ("jog", "stop", "reset"),
     ("stop", "jog", "reset", "jog"),
+    ("stop", "reset", "stop"),
+    ("cancel", "reset", "cancel", "goal"),
     ("degrade", "goal"),
     ("obstacles", "goal", "obstacles"),
 )
@@ -47,9 +49,11 @@ DESCRIPTIONS = (
     b'{"with": "x"}',
 )
 CLIENTS = 4  # the last one attaches the same bytes to each of its requests
-ATTENDED = 0.4  # share of the goals and jogs whose end the clients wait for
+ATTENDED = 0.5  # share of the goals and jogs whose end the clients wait for
 ATTENDED_FOR = 2.0  # [s], longest
-STREAMS_AT_REST = 0.05  # share of the acts that begin a stream, if the arm is ready
+AT_REST = {"stream": 8, "degrade": 3, "goal": 20, "any": 69}  # if the arm is ready
+OUT_OF_CONFIGURATION = {"degrade": 1, "jog": 2, "any": 4}  # if it is in no configuration
+RUSH = ("plan", "plan", "plan", "goal", "jog", "obstacles", "degrade", "reset", "arm")
 UNDISTURBED = 0.7  # share of the streams that nobody disturbs
 STANDING = 0.3  # share of the streams whose target stands still
 PAUSE = 0.4  # [s] after a stream that nobody disturbs
@@ -144,12 +148,23 @@ class Clients:
         random, state = self._random, self._daemon.state
         mode = "" if state is None else state["mode"]
         if self._wait():
-            return random.choices(list(ASIDE), list(ASIDE.values()))[0]
+            return self._one_of(ASIDE)
         if mode in ("fault", "stopped") and random.random() < 0.3:
             return "reset"
-        if mode == "ready" and random.random() < STREAMS_AT_REST:
-            return "stream"
-        return random.choices(list(ACTS), list(ACTS.values()))[0]
+        act = "any"
+        if state is not None and mode == "ready":
+            odd = any(fault["code"] == "unknown-state" for fault in state["faults"])
+            act = self._one_of(OUT_OF_CONFIGURATION if odd else AT_REST)
+        return self._one_of(ACTS) if act == "any" else act
+
+    def _one_of(self, acts: dict[str, float]) -> str:
+        return self._random.choices(list(acts), list(acts.values()))[0]
+
+    def rush(self) -> None:
+        """Sends some requests in one instant: their answers are not known when the process ends."""
+        for act in self._random.sample(RUSH, 5):
+            self._client = self._random.randrange(CLIENTS)
+            self._do(act)
 
     def _wait(self) -> bool:
         """Returns whether the clients wait for the end of a stream, or of a motion that was not refused."""

@@ -14,6 +14,7 @@ from controller.planning.core.events import (
     Event,
     FromExecutor,
     Hurry,
+    Record,
     SetpointArrived,
     Start,
     TipArrived,
@@ -87,6 +88,9 @@ class PlannerWitness:
             case Abandon(number):
                 self._judge.at(self._agenda.now)
                 self._judge.searches.abandons(number)
+            case Record(_, _, accepted, ended) if accepted is not None and ended is not None:
+                self._judge.at(self._agenda.now)
+                self._judge.results.records(accepted.goal)
             case Log(level, text, fields):
                 self._note(("planner logs", text))
                 self._judge.at(self._agenda.now)

@@ -35,6 +35,7 @@ class InterfaceAccount:
         silent_after: time without a message of the executor, after which it counts as lost [s].
         bias: tip bias that the daemon tells; None: no tracker.
         shown_obstacles: number in the last state.
+        losses: times of the ends of connections to the executor [s]; `alone_since`: awake time of the last end.
         scenes: number of scenes that workers build.
         slow: whether rounds of the planner's loop take long.
         congested: whether peers read slowly.
@@ -88,6 +89,8 @@ class InterfaceAccount:
         self.scenes = self.shown_obstacles = 0
         self.switched_at = [-math.inf] * len(self.modules.labels)
         self.setpoints = 0
+        self.losses = deque[float](maxlen=50)
+        self.alone_since = self.awake
         self.counts_at_start: int | None = None
         self._tables, self._needed, self._failed = self.declared, self.declared, False
 
@@ -153,6 +156,17 @@ class InterfaceAccount:
                 if changed >> k & 1:
                     self.switched_at[k] = snapshot.at
         self.heard.append(Heard(self.now, self.awake, snapshot))
+
+    def loses(self) -> None:
+        """The connection to the executor has ended."""
+        self.note("link")
+        self.losses.append(self.now)
+        self.alone_since = min(self.alone_since, self.awake)
+        self.hears(None)
+
+    def lost_between(self, first: float, last: float) -> bool:
+        """Returns whether the executor was lost between two times [s]."""
+        return any(first < at < last for at in self.losses)
 
     def truths(self, delay: float = DELAY) -> Iterator[Heard]:
         """Yields the snapshots that held at some time in the last seconds that the process was awake, newest first."""

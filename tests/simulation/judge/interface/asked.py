@@ -9,7 +9,7 @@ from controller.program import Stage
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Payload, Request
 from tests.simulation.judge.interface.messages import well_formed
-from tests.simulation.judge.interface.modules import JudgedModules
+from tests.simulation.judge.interface.modules import Cube, JudgedModules
 
 
 def barring(request: Request) -> bool:
@@ -68,3 +68,9 @@ def places_of(stages: Sequence[Stage], request: Request) -> dict[int, int]:
     times = [float(waypoint.get("t", 0.0)) for waypoint in request.body["waypoints"]]
     delay = settled.get(0, math.nan) - times[0]
     return {k: mark for k, t in enumerate(times) for mark, at in settled.items() if abs(at - delay - t) < 1e-6}
+
+
+def cubes_of(request: Request) -> tuple[Cube, ...]:
+    """Returns the obstacles of a request; the centre of each disc has mask and value."""
+    centres = [region["disc"]["centre"] for region in request.body["regions"]]
+    return tuple(Cube(round(mask), round(value)) for mask, value in centres)

@@ -10,6 +10,7 @@ from controller.program import Snapshot, unpack
 from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
 from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience, posed, wanted
 from tests.simulation.judge.interface.facts import Heard, Request
+from tests.simulation.judge.interface.locks import leaves_states
 from tests.simulation.judge.interface.messages import well_formed
 
 EPOCH_IN_FLIGHT = 0.1  # [s] from a new epoch of the executor to the planner, which may still be reading
@@ -262,15 +263,7 @@ def _interlock(a: InterfaceAccount, request: Request) -> bool:
 def _without_state(a: InterfaceAccount, request: Request) -> bool:
     """No configuration has the locked actuators in their states."""
     k, state = a.modules.labels.index(request.body["actuator"]), request.body["state"]
-
-    def none(snapshot: Snapshot) -> bool:
-        mask = unpack(snapshot.locked) | 1 << k
-        states = unpack(snapshot.measured) & ~(1 << k) | state << k
-        fits = any(not (code ^ states) & mask for code in a.modules.tips)
-        held = unpack(snapshot.measured) & ~(1 << k) | (state << k if not unpack(snapshot.sensed) >> k & 1 else 0)
-        return not fits or held not in a.modules.tips or unpack(snapshot.measured) not in a.modules.tips
-
-    return _any(a, request, none)
+    return _any(a, request, lambda snapshot: not leaves_states(a.modules, snapshot, k, state))
 
 
 def _unknown_goal(a: InterfaceAccount, request: Request) -> bool:
@@ -278,7 +271,11 @@ def _unknown_goal(a: InterfaceAccount, request: Request) -> bool:
 
 
 def _not_named(a: InterfaceAccount, request: Request) -> bool:
-    return "*" in request.name
+    """A wildcard may not reach this key, or this cancel of one goal; or does not end in the name of the key."""
+    if request.key in ("plan", "arm", "result"):
+        return False
+    each_arm = request.key == "stop" or (request.key == "cancel" and request.goal is None)
+    return "*" in request.name and not (each_arm and request.name.endswith(f"/{request.key}"))
 
 
 def _plan_canceled(a: InterfaceAccount, request: Request) -> bool:

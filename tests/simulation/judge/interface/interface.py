@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import msgspec
@@ -24,7 +25,7 @@ from controller.program import (
     unpack,
 )
 from tests.simulation.judge.interface.account import InterfaceAccount
-from tests.simulation.judge.interface.asked import lined, places_of
+from tests.simulation.judge.interface.asked import cubes_of, lined, places_of
 from tests.simulation.judge.interface.diagnostics import JudgedDiagnostics
 from tests.simulation.judge.interface.facts import Ran, Request
 from tests.simulation.judge.interface.gateway import Gateway
@@ -35,7 +36,7 @@ from tests.simulation.judge.interface.messages import body_of, well_formed
 from tests.simulation.judge.interface.modules import JudgedModules
 from tests.simulation.judge.interface.motion import Motion
 from tests.simulation.judge.interface.offers import Offers
-from tests.simulation.judge.interface.requests import Requests, cubes_of
+from tests.simulation.judge.interface.requests import Requests
 from tests.simulation.judge.interface.results import Results, unanswered
 from tests.simulation.judge.interface.searches import Searches
 from tests.simulation.judge.interface.states import States
@@ -276,7 +277,7 @@ class InterfaceJudge:
             case Diagnostics():
                 self.diagnostics.hears(message)
             case Welcome():
-                self._met = a.instance
+                self._met, a.alone_since = a.instance, math.inf
                 if a.counts_at_start is None:
                     a.counts_at_start = sum(map(max, a.ledger_counts, message.counts or a.ledger_counts))
             case Begun() if (ran := self._heard_of(message.program)) is not None:
@@ -305,8 +306,7 @@ class InterfaceJudge:
 
     def disconnected(self) -> None:
         """The process's connection to the executor has ended."""
-        self.account.note("link")
-        self.account.hears(None)
+        self.account.loses()
         self.diagnostics.hears(None)
         self.link.ends()
 

@@ -6,11 +6,12 @@ import re
 from collections.abc import Callable
 
 from controller.program import Program, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
+from tests.simulation.judge.interface.answers import judge_homing, judge_jog
 from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience
 from tests.simulation.judge.interface.facts import Payload, Ran, Request
+from tests.simulation.judge.interface.locks import leaves_states
 from tests.simulation.judge.interface.messages import well_formed
-from tests.simulation.judge.interface.modules import Cube
 from tests.simulation.judge.interface.plans import judge_plan
 from tests.simulation.judge.interface.refusals import judge_refusal
 from tests.simulation.judge.verdict import require
@@ -22,6 +23,7 @@ ANSWERED_WITHIN = {  # [s], awake, from the arrival to the answer
     "obstacles": 6.0,  # 5 s for the checks, see the page
     "plan": 75.0,  # five plans of 10 s, one after the other, with the worker's delays
 }
+ALONE = 0.2  # [s], awake, from the loss of the executor, or a later request, to its refusal
 WRITTEN_WITHIN = 1.0  # [s] from the acceptance to the answer: the ledger is written between them
 LATE = 1.2  # [s]: a process that stood still for less than 1 s does not know it; and the network
 SOON = 2.5  # [s], awake, from the arrival of a goal to its answer if nothing stands in its way
@@ -178,9 +180,9 @@ class Requests:
         require(planned is None or told == planned, f"{text}; the program has {planned} switches")
         require(jog or int(words[1]) == len(request.body["waypoints"]), f"{text} has another number of waypoints")
         if jog:
-            self._judge_jog(request, ran, text)
+            judge_jog(a, request, ran, text)
         else:
-            self._judge_homing(request, words[3], text)
+            judge_homing(a, request, words[3], text)
 
     def _begins_in_order(self, request: Request, ran: Ran, text: str) -> None:
         """Judges when a goal or jog has begun, and after what."""
@@ -198,21 +200,14 @@ class Requests:
         if request.body.get("stamp") and not a.had("clock", request.at - 1.0):
             over = a.wall() - (a.now - ran.at) - ends_at(request)
             require(over <= STAMPED_WITHIN, f"{text}; it begins {over:g} s after its end")
+        lost = a.lost_between(request.at, ran.at)
+        require(not lost, f"{text}; it has begun after the executor was lost")
         late = ran.at - request.sent_at
         require(late <= patience(request) + LATE, f"{text}; it has begun {late:g} s after it was sent")
 
     def _fits(self, ran: Ran, request: Request, jog: bool) -> bool:
         mine = ran.request is None and ran.jog == jog and ran.instance and ran.process == request.process
         return bool(mine) and ran.at >= request.at and not ran.given_up
-
-    def _judge_jog(self, request: Request, ran: Ran, text: str) -> None:
-        """Compares the last stage of a jog with its request; the others stay where they are."""
-        labels, last = self._a.modules.labels, unpack(ran.program.stages[-1].states)
-        for label, state in request.body["actuators"].items():
-            require(last >> labels.index(label) & 1 == (state == "extended"), f"{text} ends in {last:b}")
-        mask = sum(1 << labels.index(label) for label in request.body["actuators"])
-        others = (last ^ unpack(ran.program.start)) & ~mask
-        require(not others, f"{text} switches {others:b} too")
 
     def _bars(self, request: Request, answer: Payload, text: str) -> None:
         a = self._a
@@ -235,19 +230,6 @@ class Requests:
                 require(not runs or not a.clear(), f"{text}; {ran.goal} still runs {ENDS_WITHIN} s later")
 
         self._later(ENDS_WITHIN, ended)
-
-    def _judge_homing(self, request: Request, named: str | None, text: str) -> None:
-        """Judges whether the answer says that a homing is not checked among obstacles."""
-        a = self._a
-        heard = a.truths(a.now - request.at + 0.1)
-        known = [unpack(h.snapshot.known) for h in heard if h.snapshot is not None]
-        if named is not None:
-            unknown = {label for mask in known for k, label in enumerate(a.modules.labels) if not mask >> k & 1}
-            require(set(named.split(", ")) <= unknown, f"{text}; unknown were {unknown}")
-            require(a.cubes or a.had("cubes", request.at - 0.1), f"{text}, and there is no obstacle")
-        elif a.cubes and known and not a.had("cubes", request.at - 0.1):
-            all_ = (1 << len(a.modules.labels)) - 1
-            require(all_ in known, f"{text} does not say that its homing is not checked")
 
     def _shown(self, ran: Ran) -> bool:
         """Returns whether the newest snapshot shows a program: the result of one that has ended may still wait."""
@@ -276,6 +258,9 @@ class Requests:
         a = self._a
         k = a.modules.labels.index(request.body["actuator"])
         state = request.body["state"]
+        moments = [h.snapshot for h in a.truths(a.awake - request.awake + DELAY) if h.snapshot is not None]
+        fits = state is None or not moments or any(leaves_states(a.modules, s, k, state) for s in moments)
+        require(fits, f"{request} is accepted, and leaves a module without state")
 
         def told() -> None:
             newer = [r for r in a.requests if r.key == "degrade" and r.number > request.number]
@@ -317,6 +302,7 @@ class Requests:
             if request.answer is not None or not request.query:
                 continue
             waited = a.awake - request.awake
+            self._judge_alone(request)
             if a.reconnecting:  # answers wait behind results
                 continue
             longest = ANSWERED_WITHIN.get(request.key, patience(request) + LATE + WRITTEN_WITHIN)
@@ -327,6 +313,15 @@ class Requests:
                 require(waited <= SOON, f"{request} has no answer after {waited:g} s, and nothing stands in its way")
         if len(a.requests) > 400:
             a.requests = [r for r in a.requests if r.answer is None or r.at > a.now - REMEMBERED]
+
+    def _judge_alone(self, request: Request) -> None:
+        """Finds a request that waits for an executor, though none is connected: it is refused at once."""
+        a = self._a
+        if a.slow or a.congested or a.reconnecting or a.lately("congested", 0.5) or a.lately("still", 0.5):
+            return
+        waited = a.awake - max(request.awake, a.alone_since + ALONE)
+        executors = ANSWERED_WITHIN.get(request.key) == EXECUTOR_ANSWERS
+        require(not executors or waited <= ALONE, f"{request} waits for {waited:g} s, and no executor is connected")
 
     def _free(self, request: Request) -> bool:
         """Returns whether nothing stands in the way of a goal or jog."""
@@ -343,9 +338,3 @@ def switches_of(program: Program) -> int:
         switches += (unpack(stage.states) ^ before).bit_count()
         before = unpack(stage.states)
     return switches
-
-
-def cubes_of(request: Request) -> tuple[Cube, ...]:
-    """Returns the obstacles of a request; the centre of each disc has mask and value."""
-    centres = [region["disc"]["centre"] for region in request.body["regions"]]
-    return tuple(Cube(round(mask), round(value)) for mask, value in centres)

@@ -16,6 +16,7 @@ from tests.simulation.judge.verdict import require
 
 TOLD_WITHIN = 1.5  # [s], awake, from the executor's report to the publication: deviations, ledger and outbox
 RECONNECTS_WITHIN = 6.0  # [s], awake, added to the results of an earlier process, and after the process stood still
+RECORDED_WITHIN = 0.06  # [s], awake, from a publication to its record: it counts as sent after 0.05 s
 CODES = {"canceled": -1, "replaced": -1, "aborted": -4, "lost": -4}
 EPSILON = 1e-9
 PROOFS = ("optimal", "bound", "unknown")
@@ -182,6 +183,15 @@ class Results:
                 request.answer, request.answered_at = fields, a.now
                 return
         raise failed
+
+    def records(self, goal: str) -> None:
+        """Judges when the planner has a published result recorded: as soon as it has surely left the process."""
+        a = self._a
+        mine = [ran for ran in a.ran(goal) if ran.results and not ran.recorded and ran.process == a.process]
+        held_up = a.slow or a.congested or a.lately("congested", 1.0) or a.lately("still", 0.5) or a.quits
+        if len(mine) == 1 and not held_up:
+            waited = a.awake - mine[0].told_awake
+            require(waited <= RECORDED_WITHIN, f"the result of {goal} is recorded {waited:g} s after it was published")
 
     # --- status
 

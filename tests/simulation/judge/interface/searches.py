@@ -21,6 +21,7 @@ LONGEST_PLAN = 10.0  # [s]
 PREPARED = 0.15  # [s] without requests until the next search is surely prepared
 WAITED = 0.2  # [s], awake, after which a goal without an answer surely waits
 REHEARSED = 2.0  # [s] after a goal, in which it is planned again without effect
+REHEARSED_EVERY = 0.03  # [s], awake, longest time from a rehearsal to the next one
 MOST_PREPARED = 60  # in a second
 
 
@@ -43,6 +44,7 @@ class Searches:
         """Forgets the last process."""
         self._running: dict[int, Search] = {}
         self._prepared: Search | None = None  # the last one
+        self._prepared_awake = -math.inf  # end of the last one
         self._improving: Search | None = None  # the last task that improves
         self._searched: tuple[Payload, float] | None = None  # the last goal whose search has ended, and when
         self._planned: tuple[Search, float] | None = None  # the last plan, until something is done with it
@@ -126,6 +128,8 @@ class Searches:
         self.least = min(self.least, len(self._running))
         if search is not None and search.kind == "goal" and search.goal is not None:
             self._searched = search.goal, self._a.now
+        if search is not None and search.kind == "prepare":
+            self._prepared_awake = self._a.awake
         if search is not None and search.kind == "goal" and planned and not search.abandoned:
             self._planned = search, self._a.awake
 
@@ -237,6 +241,9 @@ class Searches:
         if soon and len(last.body["waypoints"]) == 1:
             rehearsed = self._prepared.goal is not None and asks(last, self._prepared.goal)
             require(rehearsed, f"nothing is asked for, and {last} is not rehearsed")
+            goes_on = any(search.kind == "prepare" for search in self._running.values())
+            idle = 0.0 if goes_on else a.awake - self._prepared_awake
+            require(idle <= REHEARSED_EVERY, f"nothing is asked for, and {last} was rehearsed {idle:g} s ago")
 
     def _find_late(self, waiting: list[Request]) -> None:
         """Finds a goal that is neither searched nor refused, a plan that is not offered, and a goal without time."""

@@ -125,6 +125,8 @@ class Streams:
         text = f"{message}"
         if not a.process:
             return
+        lost = a.lost_between(self._now.begun, a.now)
+        require(not lost, f"{text}, of a stream that began before the executor was lost")
         until = message.until - PAUSE
         known = any(abs(at - until) < 1e-6 for at in self._times) or a.had("still", a.now - 1.0)
         late = a.had("executor still", a.now - 5.0) or a.slow
