@@ -149,6 +149,10 @@ class Actuation:
         except Busy:
             return  # the next tick tries again; a board without its master switches its outputs off itself
 
+    def retell_overdue(self) -> None:
+        """Reports overdue pulses again; a boot begins, which may fail before the next period."""
+        self._told = 0
+
     def find_overdue(self, now: float) -> list[ArmFault]:
         """Returns a fault for each pulse that has not ended in time, once until the next boot has ended.
 
