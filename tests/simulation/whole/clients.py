@@ -226,8 +226,7 @@ class Clients:
                 back = random.choice([0, 0, 0, 1, 2])
                 self.ask("cancel", {"id": f"g{max(self.wishes.numbers - back, 0)}"})
             case "degrade":
-                label = random.choice([*self._labels, self._labels[0], "9.9"])
-                self.ask("degrade", {"actuator": label, "state": random.choice([None, None, 0, 1])})
+                self.ask("degrade", self.wishes.lock())
             case "obstacles":
                 self.ask("obstacles", {"regions": self.wishes.regions()})
             case "stream":

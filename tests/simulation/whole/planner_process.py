@@ -267,6 +267,7 @@ class PlannerProcess:
         """Ends the process at once."""
         if self.alive:
             self.alive = False
+            self.searcher.end()
             self._daemon.zenoh.close()
             self.link.close()
             self._daemon.planner_ended()

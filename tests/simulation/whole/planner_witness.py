@@ -31,7 +31,7 @@ from controller.planning.core.tasks import (
     Tables,
     Task,
 )
-from controller.program import Alive, Snapshot
+from controller.program import Alive, Setpoint, Snapshot
 from tests.simulation.agenda import Agenda
 from tests.simulation.judge.interface.interface import InterfaceJudge
 from tests.simulation.judge.verdict import Violation
@@ -69,6 +69,8 @@ class PlannerWitness:
             case ToExecutor(message):
                 self._judge.at(self._agenda.now)
                 self._judge.link.sends(message)
+                if isinstance(message, Setpoint):
+                    self._judge.streams.sends(message)
                 if not isinstance(message, Alive):
                     self._note(("planner sends", message))
             case Start(number, task):
@@ -113,8 +115,7 @@ class PlannerWitness:
                 self._note(("worker answers", number, answer))
             case SetpointArrived(payload, arrival, sender):
                 self._judge.at(self._agenda.now)
-                self._judge.mailboxes["setpoint"].taken(payload, sender, arrival.at)
-                self._judge.streams.setpoint(payload, arrival.at, sender, now)
+                self._judge.takes_setpoint(payload, sender, arrival.at, now)
             case TipArrived(payload, arrival, sender):
                 self._judge.at(self._agenda.now)
                 self._judge.mailboxes["measured_tip"].taken(payload, sender, arrival.at)

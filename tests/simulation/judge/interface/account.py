@@ -42,6 +42,7 @@ class InterfaceAccount:
         lead: time of one stage [s]; `travel` and `rest` are the times of one actuator, of the arm's file.
         inrush: whether few actuators may switch at once, so that a stage waits for the one before.
         switched_at: time of the snapshot that showed the last switch of each actuator [s].
+        made: snapshot and switching times when the planner sent its last program.
         offset: of the tracker's tips from the computed ones; `clamp` and `hold` are of the arm's file.
         tip_at: time of the last measured tip, of whatever age [s]; `good_tip_at` of the last one that surely counts.
 
@@ -79,6 +80,9 @@ class InterfaceAccount:
         if not process:  # what stood still has ended
             self._still = self.now - self.awake
             self._still_from = self._still_until = self.now
+        elif self.now < self._still_until:  # it begins in a standstill, of which it does not know the first part
+            self._still += self.now - self._still_from
+            self._still_from = self.now
         self.process, self.began_at, self.began_awake = process, self.now, self.awake
         self.requests = []
         self.heard = deque([Heard(self.now, self.awake, None)], maxlen=1_000)  # a standstill of 20 s has 400
@@ -88,6 +92,7 @@ class InterfaceAccount:
         self.tip_at = self.good_tip_at = -math.inf
         self.scenes = self.shown_obstacles = 0
         self.switched_at = [-math.inf] * len(self.modules.labels)
+        self.made: tuple[Snapshot | None, list[float]] = None, self.switched_at
         self.setpoints = 0
         self.losses = deque[float](maxlen=50)
         self.alone_since = self.awake

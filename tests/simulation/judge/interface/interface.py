@@ -131,7 +131,6 @@ class InterfaceJudge:
         if key == "setpoint":
             a.setpoints += 1
             a.note("setpoint")
-            self.motion.setpoint(request)
             self.streams.arrives(request.payload)
         elif key == "measured_tip":
             self.streams.tip_arrives(request)
@@ -143,6 +142,12 @@ class InterfaceJudge:
             self.gateway.arrives(request)
             self.requests.arrives(request)
         return request
+
+    def takes_setpoint(self, payload: bytes, sender: str, at: float, now: float) -> None:
+        """The planner's core takes a set-point that has arrived at a time [s]; malformed and late ones do not count."""
+        first = self.mailboxes["setpoint"].taken(payload, sender, at)
+        if self.streams.setpoint(payload, at, sender, now):
+            self.motion.setpoint(sender, first)
 
     def replies(self, request: object, data: bytes) -> None:
         """A reply leaves the process."""
@@ -193,9 +198,11 @@ class InterfaceJudge:
 
     def executor_gets(self, message: object) -> None:
         """The executor takes a message of a client."""
+        a = self.account
         match message:
             case Program():
                 self._asked = message
+                a.note("offered")
                 self.offers.gets(message)
                 self.searches.offered(message.name.partition(" ")[2])
             case Replacement() if (ran := self._of(message.program)) is not None:
@@ -286,7 +293,7 @@ class InterfaceJudge:
             case Settled() if (ran := self._heard_of(message.program)) is not None:
                 ran.settled[message.mark] = message, a.awake
             case Ended() if (ran := self._heard_of(message.program)) is not None:
-                ran.seen = ran.seen or a.snapshot is not None
+                ran.seen, ran.heard_by = ran.seen or a.snapshot is not None, a.process
                 ran.heard_at, ran.heard_awake = min(ran.heard_at, a.now), min(ran.heard_awake, a.awake)
 
     def _compare(self, before: Snapshot | None, snapshot: Snapshot) -> None:
@@ -320,7 +327,7 @@ class InterfaceJudge:
         """The ledger has written the result of a goal."""
         for ran in self.account.ran(goal):
             if ran.results and ran.results[0]["status"] == status:
-                ran.recorded = True
+                ran.recorded_at = min(ran.recorded_at, self.account.now)
 
     def scene_begun(self) -> None:
         """A worker begins to build a scene."""

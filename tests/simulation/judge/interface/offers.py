@@ -138,16 +138,16 @@ class Offers:
 
     def _ready(self, program: Program) -> float:
         """Returns when the first stage may begin: the one before has ended, and its actuators have rested [s]."""
-        a, snapshot = self._a, self._a.snapshot
+        a, (snapshot, switched_at) = self._a, self._a.made
         if snapshot is None:
             return -math.inf
         commanded = unpack(start_of(snapshot, len(a.modules.labels))[1])
         differ = (commanded ^ unpack(program.stages[0].states)) & ~unpack(snapshot.locked)
         ready = -math.inf
         if differ and (a.inrush or program.strict):
-            ready = max(a.switched_at) + a.travel
+            ready = max(switched_at) + a.travel
         if differ and a.rest > 0:
-            mine = [at for k, at in enumerate(a.switched_at) if differ >> k & 1]
+            mine = [at for k, at in enumerate(switched_at) if differ >> k & 1]
             ready = max(ready, max(mine) + a.travel + a.rest)
         return ready
 

@@ -278,7 +278,7 @@ class Requests:
     def _judge_result(self, request: Request, answer: Payload) -> None:
         a, result = self._a, answer.get("result")
         newest = a.ran(request.goal or "")[-1:]  # an older goal of this id no longer counts
-        told = [r for ran in newest if ran.recorded for r in ran.results]
+        told = [r for ran in newest if ran.recorded_at < request.at for r in ran.results]
         every = [r for ran in a.ran(request.goal or "") for r in ran.results]
         if result is None:
             require(not told or a.disk_failed, f"{request} is answered by {answer}; {told} were told")

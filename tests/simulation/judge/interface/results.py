@@ -133,6 +133,9 @@ class Results:
         ran.results.append(payload)
         ran.told_awake = a.awake
         ended = ran.ended if ran.heard_at <= a.now and payload["status"] != "lost" else None
+        if payload.get("repeated") and ended is not None and ran.heard_by != a.process:
+            self._judge_mark(ended, payload, text)
+            return
         if payload["status"] != "lost" and not (payload["status"] == "aborted" and ended is None):
             require(ended is not None, f"{text}, but the executor has told no end")
         self._judge_status(ran, ended, payload, text)
@@ -150,6 +153,14 @@ class Results:
             self._judge_feedback_complete(ran, text)
         if not ran.jog and (payload["status"] != "lost" or ran.process == a.process):
             self._judge_proof(ran, payload, text)
+
+    def _judge_mark(self, ended: Ended, payload: Payload, text: str) -> None:
+        """Judges a result of which only the mark of an earlier process tells: where the arm was is not known."""
+        unknown = [payload[name] for name in ("configuration", "position", "error")]
+        require(unknown == [None] * 3, f"{text} tells where the arm was")
+        require(payload["switches"] == ended.switches, f"{text}; the executor told {ended.switches}")
+        done = payload["status"] == "succeeded" or payload["code"] == -5
+        require(done == (ended.status == "done") or payload["status"] == "aborted", f"{text}; it was {ended.status}")
 
     def _of(self, payload: Payload, text: str) -> Ran:
         """Returns the program of a result: the newest one that has ended or is lost, and has none."""
@@ -219,7 +230,8 @@ class Results:
             require(cancels or ran.process != a.process, f"{text}; no cancel came after it")
         elif status == "replaced":
             others = [o for o in a.programs.values() if o.at >= ran.at and o is not ran and o.instance == ran.instance]
-            require(others or a.had("setpoint", ran.at - 0.5), f"{text}; nothing has replaced it")
+            died = a.had("offered", ran.ended_at) and a.had("executor ended", ran.ended_at)  # before it accepted
+            require(others or died or a.had("setpoint", ran.at - 0.5), f"{text}; nothing has replaced it")
         elif status == "aborted":
             stops = [r for r in later if barring(r) or r.key == "obstacles"]
             kinds = ("fault", "epoch", "link", "executor ended", "planner ended", "quit", "halted", "touched", "cubes")

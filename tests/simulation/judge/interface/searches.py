@@ -14,7 +14,10 @@ from tests.simulation.judge.verdict import require
 AT_ONCE = 0.005  # [s], awake, from what makes a search possible to its begin, if nothing stands in its way
 READ_WITHIN, HELD_UP = 0.003, 0.5  # [s], awake, from the arrival of a snapshot to the core, also if rounds are slow
 ANSWERED = 0.03  # [s] from a decision to the answer that leaves
-BARS, BARS_FOR = ("stop", "cancel", "reset"), 0.1  # a goal waits for their answers and a snapshot after them [s]
+BARS, BARS_FOR = (
+    ("stop", "cancel", "reset", "degrade"),
+    0.1,
+)  # a goal waits for their answers and a snapshot after them [s]
 STALE = 0.03  # [s], awake, for which a search from elsewhere, or of a goal that is answered, may go on
 HURRIED = 0.03  # [s], awake, from a second goal to the word that the search of the first one must end
 LONGEST_PLAN = 10.0  # [s]

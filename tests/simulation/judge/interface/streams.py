@@ -67,18 +67,20 @@ class Streams:
         self._times = deque[float](maxlen=200)  # of set-points of the present stream
         self._tolerances = deque[float](maxlen=60)  # of the last set-points
         self._sent_at = self._opened_at = -math.inf  # awake
+        self._sent: tuple[Setpoint, float] | None = None  # the last command, and its time [s]
         self._target: tuple[float, ...] = ()
         self._stands_since = math.inf
         self._tolerance = 0.0
 
     # --- set-points
 
-    def setpoint(self, payload: bytes, arrived_at: float, sender: str, now: float) -> None:
-        """The planner's core has taken a set-point."""
+    def setpoint(self, payload: bytes, arrived_at: float, sender: str, now: float) -> bool:
+        """The planner's core has taken a set-point; returns whether it is neither malformed nor late."""
         a, counts = self._a, self._now
         counts.at, counts.received = a.awake, counts.received + 1
         position, stamp, tolerance = fields_of(payload)
-        if not position or now - arrived_at > OLDEST:
+        counts_for_sender = bool(position) and now - arrived_at <= OLDEST
+        if not counts_for_sender:
             self._refuse("" if not position else "stale")
         elif now - counts.heard > PAUSE:
             counts.streams, counts.sender, counts.taken = counts.streams + 1, sender, 1
@@ -92,6 +94,8 @@ class Streams:
             counts.taken += 1
             self._take(position, stamp, tolerance, now)
         self._past.append(replace(counts))
+        self._judge_sent()
+        return counts_for_sender
 
     def _refuse(self, reason: str) -> None:
         self._now.surely, self._now.perhaps, self._now.reason = self._now.surely + 1, self._now.perhaps + 1, reason
@@ -119,14 +123,24 @@ class Streams:
         noted = any(a.had(kind, since) for kind in ("epoch", "link", "fault", "still", "tables", "halted"))
         return not asked and runs and not noted and a.clear() and not a.slow and now - self._now.heard <= PAUSE
 
+    def sends(self, message: Setpoint) -> None:
+        """The planner sends a command for a stream, which may begin in the same step."""
+        self._judge_sent()
+        self._sent = message, self._a.now
+
+    def _judge_sent(self) -> None:
+        """Judges the last command: the loss of an executor ends a stream."""
+        sent, self._sent = self._sent, None
+        if sent is not None:
+            lost = self._a.lost_between(self._now.begun, sent[1])
+            require(not lost, f"{sent[0]}, of a stream that began before the executor was lost")
+
     def follows(self, message: Setpoint) -> None:
         """The executor gets a command for a stream."""
         a, awake = self._a, self._a.awake
         text = f"{message}"
         if not a.process:
             return
-        lost = a.lost_between(self._now.begun, a.now)
-        require(not lost, f"{text}, of a stream that began before the executor was lost")
         until = message.until - PAUSE
         known = any(abs(at - until) < 1e-6 for at in self._times) or a.had("still", a.now - 1.0)
         late = a.had("executor still", a.now - 5.0) or a.slow
@@ -249,6 +263,7 @@ class Streams:
 
     def tick(self) -> None:
         """Finds an open stream without commands, and a target at which the arm does not arrive."""
+        self._judge_sent()
         a, now = self._a, self._a.now
         if not a.process or now - self._now.heard > 0.1 or self._now.perhaps or not self._open(now):
             self._opened_at = math.inf
