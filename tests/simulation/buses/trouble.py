@@ -203,8 +203,8 @@ class Trouble:
             case "planner stands still":
                 daemon.stall(random.choice([5.0, 12.0, LONGEST_STANDSTILL]))
             case "searches err":
-                daemon.search.errs = True
-                self._later(4.0, lambda: setattr(daemon.search, "errs", False))
+                daemon.search.errs = 0.5
+                self._later(4.0, lambda: setattr(daemon.search, "errs", 0.0))
             case "network is lost":
                 daemon.lose_network(True)
                 self._later(3.0, lambda: daemon.lose_network(False))

@@ -53,6 +53,7 @@ ATTENDED = 0.5  # share of the goals and jogs whose end the clients wait for
 ATTENDED_FOR = 2.0  # [s], longest
 AT_REST = {"stream": 8, "degrade": 3, "goal": 20, "any": 69}  # if the arm is ready
 OUT_OF_CONFIGURATION = {"degrade": 1, "jog": 2, "any": 4}  # if it is in no configuration
+WITHOUT_EXECUTOR = {"stop": 2, "cancel": 2, "reset": 1, "degrade": 1}
 RUSH = ("plan", "plan", "plan", "goal", "jog", "obstacles", "degrade", "reset", "arm")
 UNDISTURBED = 0.7  # share of the streams that nobody disturbs
 STANDING = 0.3  # share of the streams whose target stands still
@@ -149,12 +150,14 @@ class Clients:
         mode = "" if state is None else state["mode"]
         if self._wait():
             return self._one_of(ASIDE)
+        codes = set() if state is None else {fault["code"] for fault in state["faults"]}
+        if "executor-lost" in codes and random.random() < 0.3:
+            return self._one_of(WITHOUT_EXECUTOR)
         if mode in ("fault", "stopped") and random.random() < 0.3:
             return "reset"
         act = "any"
-        if state is not None and mode == "ready":
-            odd = any(fault["code"] == "unknown-state" for fault in state["faults"])
-            act = self._one_of(OUT_OF_CONFIGURATION if odd else AT_REST)
+        if mode == "ready":
+            act = self._one_of(OUT_OF_CONFIGURATION if "unknown-state" in codes else AT_REST)
         return self._one_of(ACTS) if act == "any" else act
 
     def _one_of(self, acts: dict[str, float]) -> str:

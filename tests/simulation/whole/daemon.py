@@ -99,6 +99,7 @@ class Daemon:
         self._counted = deque[tuple[float, tuple[int, ...]]](maxlen=10)
         self._executor, self._random, self._note = executor, drawn("daemon"), note
         self.together, self.wanted = self._random.random() < 0.3, False
+        self._errs = self._random.choice([0.0, 0.0, 0.3])
         self.awake_since, self.slow, self.congestion, self._offset = 0.0, 0.0, 0.0, UNIX
         self.judge = judge(self)
         self.witness = PlannerWitness(self.judge, agenda, self.mood, note)
@@ -294,7 +295,7 @@ class Daemon:
     def mend(self) -> None:
         """Ends all faults; a halt continues to its end."""
         self.mood.mend()
-        self.search.errs, self.storage.marked = False, nothing
+        self.search.errs, self.storage.marked = 0.0, nothing
         self.hold_up()
         self.lose_network(False)
         self.storage.full, self.storage.fills_at = False, None
@@ -307,6 +308,7 @@ class Daemon:
     def be_calm(self, calm: bool) -> None:
         """Makes the clients calm."""
         self.clients.calm, self.wanted = calm, False
+        self.search.errs = 0.0 if calm else self._errs
 
     # --- as the planner of a world
 
