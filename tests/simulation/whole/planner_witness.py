@@ -14,6 +14,7 @@ from controller.planning.core.events import (
     Event,
     FromExecutor,
     Hurry,
+    LinkDown,
     Record,
     SetpointArrived,
     Start,
@@ -108,6 +109,9 @@ class PlannerWitness:
             case FromExecutor(message):
                 if not isinstance(message, Snapshot):
                     self._note(("planner hears", message))
+            case LinkDown():
+                self._judge.at(self._agenda.now)
+                self._judge.account.notices_loss()
             case Answered(number, answer, _):
                 if isinstance(answer, Deviations | Improved):
                     self._judge.at(self._agenda.now)
@@ -122,6 +126,7 @@ class PlannerWitness:
                 self._judge.streams.tip(payload, now)
             case _:
                 pass
+        self._judge.searches.steps += 1
 
     def flush(self) -> None:
         """Does nothing: each step is noted at once."""

@@ -35,7 +35,8 @@ class InterfaceAccount:
         silent_after: time without a message of the executor, after which it counts as lost [s].
         bias: tip bias that the daemon tells; None: no tracker.
         shown_obstacles: number in the last state.
-        losses: times of the ends of connections to the executor [s]; `alone_since`: awake time of the last end.
+        losses: times at which the core heard of the ends of connections to the executor [s].
+        met: whether it has met an executor since; `alone_since`: awake time of the last end, infinite while connected.
         scenes: number of scenes that workers build.
         slow: whether rounds of the planner's loop take long.
         congested: whether peers read slowly.
@@ -94,7 +95,7 @@ class InterfaceAccount:
         self.switched_at = [-math.inf] * len(self.modules.labels)
         self.made: tuple[Snapshot | None, list[float]] = None, self.switched_at
         self.setpoints = 0
-        self.losses = deque[float](maxlen=50)
+        self.losses, self.met = deque[float](maxlen=50), False
         self.alone_since = self.awake
         self.counts_at_start: int | None = None
         self._tables, self._needed, self._failed = self.declared, self.declared, False
@@ -165,9 +166,14 @@ class InterfaceAccount:
     def loses(self) -> None:
         """The connection to the executor has ended."""
         self.note("link")
-        self.losses.append(self.now)
         self.alone_since = min(self.alone_since, self.awake)
         self.hears(None)
+
+    def notices_loss(self) -> None:
+        """The planner's core hears that there is no connection, perhaps for another reason than before."""
+        if self.met:
+            self.losses.append(self.now)
+        self.met = False
 
     def lost_between(self, first: float, last: float) -> bool:
         """Returns whether the executor was lost between two times [s]."""

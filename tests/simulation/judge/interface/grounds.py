@@ -246,6 +246,11 @@ def _locked(a: InterfaceAccount, request: Request) -> bool:
     )
 
 
+def _no_configuration(a: InterfaceAccount, request: Request) -> bool:
+    """The arm is in no configuration, or in none with the locks of the tables, which follow at rest."""
+    return _unknown_state(a, request) or _locked(a, request) or any(state != 255 for state in a.tables)
+
+
 def _lock_contradicts(a: InterfaceAccount, request: Request) -> bool:
     k, state = a.modules.labels.index(request.body["actuator"]), request.body["state"]
     return _any(a, request, lambda s: bool(unpack(s.sensed) >> k & 1) and unpack(s.measured) >> k & 1 != state)
@@ -295,7 +300,7 @@ GROUNDS: dict[str, Callable[[InterfaceAccount, Request], bool]] = {
     **dict.fromkeys(("executor-lost", "no-executor"), _lost),
     **dict.fromkeys(("actuator-locked", "locked-configuration", "program-locked"), _locked),
     "too-far-ahead": _far_ahead,
-    "no-configuration": lambda a, request: _unknown_state(a, request) or _locked(a, request),
+    "no-configuration": _no_configuration,
     "overtaken": _overtaken,
     "arm-starting": _starting,
     "arm-in-fault": _in_fault,

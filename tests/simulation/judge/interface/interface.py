@@ -284,7 +284,7 @@ class InterfaceJudge:
             case Diagnostics():
                 self.diagnostics.hears(message)
             case Welcome():
-                self._met, a.alone_since = a.instance, math.inf
+                self._met, a.alone_since, a.met = a.instance, math.inf, True
                 if a.counts_at_start is None:
                     a.counts_at_start = sum(map(max, a.ledger_counts, message.counts or a.ledger_counts))
             case Begun() if (ran := self._heard_of(message.program)) is not None:

@@ -165,9 +165,10 @@ class Requests:
         require(request.goal is None or goal == request.goal, f"{text} has the id {goal}")
         jog = request.key == "jog"
         require(goal.startswith("jog-") or not jog, f"{text}: the id of a jog begins with jog-")
-        ran = next((ran for ran in a.ran(goal) if self._fits(ran, request, jog)), None)
-        require(ran is not None, f"{text}, but the executor has accepted no such program")
-        assert ran is not None
+        mine = [ran for ran in a.ran(goal) if self._fits(ran, request, jog)]
+        require(mine, f"{text}, but the executor has accepted no such program")
+        told_by = (ran for ran in mine if f", {switches_of(ran.program)} switch" in answer["message"])
+        ran = next(told_by, mine[0])  # puts of the same id have no answers
         self._begins_in_order(request, ran, text)
         behind = a.had("disk", ran.at - WRITTEN_WITHIN) or a.reconnecting  # the answer waits behind results
         waited = 0.0 if behind else a.awake - ran.awake

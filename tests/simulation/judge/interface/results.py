@@ -12,7 +12,7 @@ from tests.simulation.judge.interface.facts import Payload, Ran, Request
 from tests.simulation.judge.interface.modules import turn
 from tests.simulation.judge.interface.refusals import judge_refusal
 from tests.simulation.judge.interface.words import Words
-from tests.simulation.judge.verdict import require
+from tests.simulation.judge.verdict import Violation, require
 
 TOLD_WITHIN = 1.5  # [s], awake, from the executor's report to the publication: deviations, ledger and outbox
 RECONNECTS_WITHIN = 6.0  # [s], awake, added to the results of an earlier process, and after the process stood still
@@ -182,13 +182,14 @@ class Results:
             puts = named or [r for r in puts if r.key in ("goal", "jog") and r.goal is None]
         fields = {name: value for name, value in payload.items() if name != "status"}
         require(puts, f"result {payload}, but no put waits")
+        failed: BaseException
         for request in puts:
             if request.original is not None and request.original.answer == fields:
                 request.answer, request.answered_at = fields, a.now
                 return
             try:
                 judge_refusal(a, request, fields)
-            except Exception as error:
+            except (Exception, Violation) as error:
                 failed = error
             else:
                 request.answer, request.answered_at = fields, a.now

@@ -33,6 +33,7 @@ class Searches:
 
     Attributes:
         prepares: whether the next search is prepared while no request waits.
+        steps: number of steps of the planner's core.
         least, most: number of tasks since `count`.
 
     Args:
@@ -40,7 +41,7 @@ class Searches:
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
-        self._a, self.prepares = account, False
+        self._a, self.prepares, self.steps = account, False, 0
         self.begin()
 
     def begin(self) -> None:
@@ -108,12 +109,12 @@ class Searches:
         search = self._running.get(number)
         require(search is None or not search.abandoned, f"the task {number} is abandoned again")
         if search is not None:
-            search.abandoned, search.abandoned_at = True, self._a.now
+            search.abandoned, search.abandoned_in = True, self.steps
 
     def improves(self, number: int, deviations: tuple[float | None, ...] | None) -> None:
         """A worker tells the deviations of a running plan, or a better plan: None."""
         search = self._improving
-        if search is None or search.number != number or search.ran is None or search.abandoned_at < self._a.now:
+        if search is None or search.number != number or search.ran is None or search.abandoned_in < self.steps:
             return  # the answer that lets a goal end abandons its task
         if deviations is None:
             search.ran.replaced = True
