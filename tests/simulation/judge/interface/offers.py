@@ -8,6 +8,7 @@ from controller.program import Program, Stage, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.asked import patience, wanted
 from tests.simulation.judge.interface.facts import Request
+from tests.simulation.judge.interface.modules import Cube
 from tests.simulation.judge.interface.tasks import start_of
 from tests.simulation.judge.verdict import require
 
@@ -39,6 +40,7 @@ class Offers:
         self._judge_until(program, mine, text)
         self._judge_start(program, text)
         self._judge_epoch(program, [r for r in mine if abs(program.until - r.at - patience(r)) < EXACT], text)
+        self._judge_clear(program, text)
         if kind == "jog":
             self._judge_jog(program, mine, text)
         else:
@@ -88,6 +90,21 @@ class Offers:
         if len(epochs) == 1 and not changing:
             (epoch,) = epochs
             require(program.epoch == epoch, f"{text} has epoch {program.epoch}; it was {epoch} when it was asked for")
+
+    def _judge_clear(self, program: Program, text: str) -> None:
+        """No stage touches an obstacle that is surely in force, from where the outputs have the arm."""
+        a, (snapshot, _) = self._a, self._a.made
+        if snapshot is None or not self._sure([snapshot]) or a.building:
+            return
+        cubes = (
+            set[Cube].intersection(*a.in_force()) if not a.scene_building and not a.had("cubes", a.now - 0.1) else ()
+        )
+        locked, before = unpack(snapshot.locked), unpack(start_of(snapshot, len(a.modules.labels))[1])
+        for stage in program.stages if cubes else ():
+            after = unpack(stage.states) & ~locked | before & locked
+            touched = [cube for cube in cubes if cube.touched(before, after)]
+            require(not touched, f"{text} goes from {before:b} to {after:b}, which touches {touched}")
+            before = after
 
     def _sure(self, snapshots: list[object]) -> bool:
         """Returns whether the planner knows the configuration of the arm."""

@@ -88,6 +88,8 @@ class Searches:
                 self._improving = search
             case "prepare":
                 self._judge_prepared(search, text)
+            case "stages":
+                require(search.cubes, f"{text} looks for collisions, and there is no obstacle")
             case "standing":
                 require(self._heard(search.states[0]), f"{text} is for {search.states[0].hex()}")
         if search.kind == "plan" and search.goal is not None:

@@ -19,6 +19,7 @@ OLDEST, AHEAD = 0.2, 0.02  # [s], age and lead of a set-point
 TIP_OLDEST = 1.0  # [s], age of a measured tip
 TOLD_WITHIN = 0.1  # [s], awake, from a count to its publication
 SENT_WITHIN = 0.1  # [s], awake, longest time between two commands for an open stream
+NOTED_EVERY = 0.95  # [s], shortest time between two commands with other reasons: a second, and the next command
 DWELLED = 1.0  # [s] for which a target must stand still until the arm is there
 ENDING = ("goal", "jog", "stop", "cancel", "reset", "degrade")
 
@@ -68,6 +69,7 @@ class Streams:
         self._tolerances = deque[float](maxlen=60)  # of the last set-points
         self._sent_at = self._opened_at = -math.inf  # awake
         self._sent: tuple[Setpoint, float] | None = None  # the last command, and its time [s]
+        self._reason: tuple[int, str, float] = -1, "", -math.inf  # of the last command, and when it changed [s]
         self._target: tuple[float, ...] = ()
         self._stands_since = math.inf
         self._tolerance = 0.0
@@ -126,6 +128,13 @@ class Streams:
     def sends(self, message: Setpoint) -> None:
         """The planner sends a command for a stream, which may begin in the same step."""
         self._judge_sent()
+        stream, reason, at = self._reason
+        if message.stream != stream:
+            self._reason = message.stream, message.reason, -math.inf
+        elif message.reason != reason:
+            soon = self._a.now - at
+            require(soon >= NOTED_EVERY, f"{message} has another reason {soon:g} s after {reason!r}")
+            self._reason = stream, message.reason, self._a.now
         self._sent = message, self._a.now
 
     def _judge_sent(self) -> None:
