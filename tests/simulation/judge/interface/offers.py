@@ -96,9 +96,8 @@ class Offers:
         a, (snapshot, _) = self._a, self._a.made
         if snapshot is None or not self._sure([snapshot]) or a.building:
             return
-        cubes = (
-            set[Cube].intersection(*a.in_force()) if not a.scene_building and not a.had("cubes", a.now - 0.1) else ()
-        )
+        changing = a.scene_building or a.had("cubes", a.now - 0.1)
+        cubes = set[Cube]() if changing else set[Cube].intersection(*a.in_force())
         locked, before = unpack(snapshot.locked), unpack(start_of(snapshot, len(a.modules.labels))[1])
         for stage in program.stages if cubes else ():
             after = unpack(stage.states) & ~locked | before & locked
