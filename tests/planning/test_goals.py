@@ -295,6 +295,14 @@ def test_closing_ends_the_running_goal_with_a_result(desk: Desk) -> None:
     assert (result["status"], result["message"]) == ("aborted", "the daemon is shutting down")
 
 
+def test_the_last_state_tells_no_fault_that_the_log_does_not(desk: Desk) -> None:
+    desk.drop("the executor died")
+    desk.quit()
+    assert desk.core.ended
+    assert [fault["code"] for fault in desk.published["state"]["faults"]] == ["executor-lost"]
+    assert any(line.startswith("executor-lost: the executor died") for line in desk.logs)
+
+
 def test_the_numbers_of_a_proof_are_pythons(desk: Desk) -> None:
     desk.held.add(PlanGoal)
     desk.goal(A)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from controller.planning.core.tasks import BuildScene, CheckStages, PlanGoal
+from controller.planning.core.tasks import BuildScene, CheckStages, CheckStanding, PlanGoal
 from controller.program import (
     Begun,
     Cancel,
@@ -233,3 +233,17 @@ def test_obstacles_are_confirmed_only_when_they_are_built(desk: Desk) -> None:
     desk.failing.add(BuildScene)
     desk.release(BuildScene)
     assert not desk.inbox.next("obstacles")["accepted"]
+
+
+def test_a_failed_check_of_where_the_arm_stands_is_made_again(desk: Desk) -> None:
+    def codes_told() -> list[str]:
+        return [fault["code"] for fault in desk.state()["faults"]]
+
+    desk.failing = {CheckStanding}
+    obstacles(desk, ([0.0, 0.0], 5.0))
+    assert codes_told() == []
+    desk.failing = set()
+    desk.pass_time(0.8)
+    assert codes_told() == []
+    desk.pass_time(0.3)
+    assert codes_told() == ["in-obstacle"]

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from tests.simulation import events
 from tests.simulation.fieldbus.world import BoardWorld
+from tests.simulation.judge.verdict import Violation
 from tests.simulation.whole.planner_process import LOGS
 from tests.simulation.world import World
 
@@ -80,7 +81,7 @@ def run(seed: int, kind: str, most: int, told: bool, counts: Counter[str], faile
     world, name = world_of(seed, kind), f"{seed} {kind}"
     try:
         world.run(most)
-    except Exception as error:
+    except (Exception, Violation) as error:
         failed.append(name)
         if told:
             print(world.story())

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Payload = dict[str, Any]
 OWED_WITHIN = 12.0  # [s]: results of an earlier process wait until clients have reconnected
 MOST_TRIES = 6  # goals, until one is accepted; some cannot be reached
+MOST_HUNG = 12  # goals that wait for a hung worker in vain, until the planner starts again
 TRIED_AGAIN = 0.3  # [s]: what arrives within a second after a standstill may be refused as too late
 MOST_PROGRAMS = 30  # programs, one each 0.1 s, until one is accepted: the last switch may still be read back
 RESTARTED_WITHIN = 10.0  # [s] until a planner or an executor that was killed has started again
@@ -46,7 +47,8 @@ def run_a_program(world: World) -> None:
 def run_a_goal(world: World, daemon: Daemon) -> None:
     """Makes a client send goals until one was accepted; its result is published."""
     answer: Payload | None = None
-    for _ in range(MOST_TRIES):
+    hung = world.trouble.made["a search hangs"] > 0
+    for _ in range(MOST_TRIES + hung * MOST_HUNG):
         answer = send_goal(world, daemon)
         if answer is not None and answer["accepted"]:
             break

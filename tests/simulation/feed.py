@@ -90,6 +90,8 @@ class Feed(Witness):
         """Tells a line of the log."""
         self._judge.log.logs(level, text)
         self._judge.endings.logs(text)
+        if text.startswith("starting:"):
+            self._judge.pulses.boots()
 
     def notifies(self, text: str) -> None:
         """Tells a message for systemd."""

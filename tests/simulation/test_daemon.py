@@ -9,11 +9,13 @@ from typing import Any
 import msgspec
 import pytest
 
+from controller.gateway.arrivals import RepeatedGoals
 from controller.gateway.claim import Claim
 from controller.gateway.outbox import Outbox
 from controller.motion.decoding.goal import BEGIN_WITHIN
 from controller.motion.stages.feed import Feed
-from controller.planning.core import goals, offers, parts
+from controller.motion.tracking.tracking import GoalTracker
+from controller.planning.core import goals, offers, parts, results
 from controller.planning.core.arm import ArmState, ExecutorView
 from controller.planning.core.events import PublishResult, Reply, Request, ToExecutor
 from controller.planning.core.goals import Goals
@@ -23,7 +25,7 @@ from controller.planning.core.programs import Programs
 from controller.planning.core.requests import ExecutorRequests, Queries
 from controller.planning.core.results import Results
 from controller.planning.core.stream import Stream
-from controller.program import Acknowledge, Alive, Reset
+from controller.program import Acknowledge, Alive, Clearance, Reset
 from tests.simulation.judge.verdict import Violation
 from tests.simulation.network import SimulatedLink
 from tests.simulation.whole.planner_storage import Storage
@@ -71,6 +73,8 @@ _answered_job = Jobs.answered
 _send = SimulatedLink.send
 _advance = Goals.advance
 _status = Stream.status
+_outcome_of = results.outcome_of
+_measure = GoalTracker.measure
 
 
 def _answer_twice(self: Programs, entry: int) -> None:
@@ -151,6 +155,23 @@ def _advance_with_snapshots(self: Goals) -> None:
         _advance(self)
 
 
+def _succeed_anywhere(manipulator: Any, ended: Any, measured: Any, context: Any) -> Any:
+    outcome = _outcome_of(manipulator, ended, measured, context)
+    if ended.status != "done" or context.target is None:
+        return outcome
+    return outcome._replace(
+        status="succeeded", code=0, message="reached", sentence=f"holding; goal {context.id} was reached"
+    )
+
+
+def _always_clear(self: ObstacleOwner, question: Any) -> None:
+    self._act(ToExecutor(Clearance(question.question, None)))
+
+
+def _take_late_stamps(self: GoalTracker, position: Any, stamp: float | None, arrival: float) -> bool:
+    return _measure(self, position, None if stamp is None or stamp < arrival else stamp, arrival)
+
+
 def _count_no_refusal(self: Stream) -> Any:
     return {**_status(self), "refused": 0}
 
@@ -183,6 +204,10 @@ DEFECTS: dict[str, list[Patch]] = {
     "two daemons serve an arm": [(Claim, "confirm", lambda self, timeout=0.0: None)],
     "goals are refused for no reason": [(goals, "MOST_WAITING", 1)],  # type: ignore[list-item]
     "the executor's answers are not awaited": [(goals, "EXECUTOR_TIMEOUT", 0.0005)],  # type: ignore[list-item]
+    "goals succeed wherever the tip is": [(results, "outcome_of", _succeed_anywhere)],
+    "each stage is clear": [(ObstacleOwner, "ask", _always_clear)],
+    "late stamps are taken": [(GoalTracker, "measure", _take_late_stamps)],
+    "payloads are never forgotten": [(RepeatedGoals, "_forget_payload", lambda self, goal: None)],
     "lost connections are not noticed": [(ExecutorView, "lost", lambda self, reason: None)],
 }
 
@@ -200,6 +225,10 @@ FOUND = {  # words of the violation
     "the planner resets a stopped arm": "without a later reset|the mode is|reset|is of an epoch that was not told",
     "goals are refused for no reason": "busy",
     "the executor's answers are not awaited": "executor-silent",
+    "goals succeed wherever the tip is": "the last waypoint is",
+    "each stage is clear": "Clearance",
+    "late stamps are taken": "'refused'",
+    "payloads are never forgotten": "repeats|does not hold|no such program",
     "lost connections are not noticed": "no connection to the executor|no explanation|state",
 }
 
@@ -207,10 +236,11 @@ FOUND = {  # words of the violation
 FIRST = {  # seed that finds the defect soonest; other seeds follow if it no longer does
     "queries are not answered": 4,
     "results are not published": 1,
-    "each plan counts as optimal": 27,
+    "each plan counts as optimal": 38,
     "a stop bars no goals": 3,
     "the planner resets a stopped arm": 9,
     "the executor's answers are not awaited": 5,
+    "late stamps are taken": 1,
     "lost connections are not noticed": 2,
 }
 
@@ -229,6 +259,8 @@ SLOW = {
     "goals are refused for no reason",
     "results are published again by the next process",
     "results that a kill may have lost are not repeated",
+    "payloads are never forgotten",
+    "each stage is clear",
 }
 
 

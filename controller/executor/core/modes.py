@@ -194,6 +194,7 @@ class Modes:
         actuation = self._motion.actuation
         if self._waits and not actuation.pulsing(now) and not actuation.under_way:
             self._waits = False
+            actuation.retell_overdue()
             self._master.boot(now)
 
     def _booted(self, now: float) -> None:

@@ -156,6 +156,10 @@ class Actuation:
             possible = self._master.outputs | self._master.doubtful
             self._master.commit(self._kinds.without(possible, over) & ~doubtful, now, release=True)
 
+    def retell_overdue(self) -> None:
+        """Reports overdue pulses again; a boot begins, which may fail before the next period."""
+        self._told = 0
+
     def find_overdue(self, now: float) -> list[ArmFault]:
         """Returns a fault for each pulse that has not ended in time, once until the next boot has ended.
 

@@ -285,7 +285,7 @@ class Core:
         if self._quit_at is not None and (over or self._moment.now >= self._quit_at):
             if not self.ended:
                 self._obstacles.answer([], at_once=True)
-                self._act(events.Publish("state", self._status.state()))
+                self._status.publish_state()
             self.ended = True
 
     def _act(self, action: events.Action) -> None:

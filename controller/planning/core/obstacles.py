@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -16,6 +17,7 @@ from controller.program import Clearance, Question
 from controller.refusals.reasons import Reason
 from controller.refusals.refusal import Refusal
 
+CHECKED_AGAIN = 1.0  # [s] after a check of where the arm stands that has failed
 LONGEST = 5.0  # [s] for which the answer to new obstacles waits for the checks of what is in flight
 
 
@@ -55,6 +57,7 @@ class ObstacleOwner:
         self._questions: list[Question] = []
         self._standing_seen: tuple[int, bytes, bytes] | None = None  # what the last check depends on
         self._standing_job: int | None = None
+        self._standing_from = -math.inf  # time of the next check [s]
 
     @property
     def scene(self) -> VersionedScene | None:
@@ -144,7 +147,7 @@ class ObstacleOwner:
     def check_standing(self) -> None:
         """Checks whether the arm collides where it stands, if this may have changed. Call at the end of each step."""
         scene, state = self.scene, self._view.state
-        if scene is None or state is None or self._standing_job is not None:
+        if scene is None or state is None or self._standing_job is not None or self._moment.now < self._standing_from:
             return
         depends = scene.generation, state.snapshot.measured, state.snapshot.known
         if depends == self._standing_seen:
@@ -157,8 +160,11 @@ class ObstacleOwner:
         self._standing_job = self._jobs.start(task, self._standing_answered)
 
     def _standing_answered(self, answer: Answer) -> None:
-        self._standing_job = None
-        self.standing = answer.collision if isinstance(answer, Checked) else None
+        self._standing_job = self.standing = None
+        if isinstance(answer, Checked):
+            self.standing = answer.collision
+        else:
+            self._standing_seen, self._standing_from = None, self._moment.now + CHECKED_AGAIN
 
 
 def same_content(first: Any, second: Any) -> bool:

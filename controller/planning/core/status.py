@@ -53,21 +53,26 @@ class Status:
     # --- publication
 
     def report(self) -> None:
-        """Publishes what is due, and tells systemd and the log."""
+        """Publishes what is due, and feeds systemd's watchdog."""
         act, now = self._parts.act, self._moment.now
         if now >= self._state_due():
-            self.changed, self._published = False, now
-            payload = self.state()
-            act(Publish("state", payload))
-            self._log_faults()
-            simulated = " (simulated)" if payload["simulated"] else ""
-            if (status := f"STATUS={payload['mode']}{simulated}: {payload['reason']}") != self._status:
-                self._status = status
-                act(Notify(status))
+            self.publish_state()
         if now >= self._diagnosed + DIAGNOSTICS_EVERY:
             self._diagnosed = now
             act(Publish("diagnostics", self.diagnostics()))
             act(Notify("WATCHDOG=1"))
+
+    def publish_state(self) -> None:
+        """Publishes `state`, and tells systemd and the log what it shows."""
+        act = self._parts.act
+        self.changed, self._published = False, self._moment.now
+        payload = self.state()
+        act(Publish("state", payload))
+        self._log_faults()
+        simulated = " (simulated)" if payload["simulated"] else ""
+        if (status := f"STATUS={payload['mode']}{simulated}: {payload['reason']}") != self._status:
+            self._status = status
+            act(Notify(status))
 
     @property
     def due(self) -> float:

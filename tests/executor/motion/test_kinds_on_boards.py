@@ -58,6 +58,18 @@ def test_a_pulse_ends_though_its_board_is_not_heard_any_more() -> None:
     assert world.boards.coils()[0] == (0, 0)
 
 
+def test_an_overdue_pulse_is_told_again_after_a_boot_that_fails_at_once() -> None:
+    world = ready(sensed=0, channel=KINDS["pulses"])
+    world.run(1, 0b000001)
+    world.go(0.02)
+    world.buses["can0"].go_down()
+    world.go(0.25)
+    for request in (1, 2):
+        world.send(Reset(request, world.epoch))
+        world.go(0.2)
+        assert "pulse-overdue" in {fault.code for fault in world.last(Snapshot).faults}
+
+
 @pytest.mark.parametrize("missing", [False, True])
 def test_a_pulse_ends_as_soon_as_its_bus_carries_frames_again(missing: bool) -> None:
     world = ready(sensed=0, channel=KINDS["pulses"])

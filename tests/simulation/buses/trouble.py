@@ -31,7 +31,7 @@ KINDS = {
 
 
 DAEMON_KINDS = {
-    **{"planner is restarted": 0.6, "both are killed": 0.6, "planner is slow": 0.8, "planner dies": 1.0},
+    **{"planner is restarted": 2.0, "both are killed": 1.0, "planner is slow": 0.8, "planner dies": 3.0},
     **{
         "searches are late": 1.0,
         "searches fail": 0.8,
@@ -203,8 +203,8 @@ class Trouble:
             case "planner stands still":
                 daemon.stall(random.choice([5.0, 12.0, LONGEST_STANDSTILL]))
             case "searches err":
-                daemon.search.errs = True
-                self._later(4.0, lambda: setattr(daemon.search, "errs", False))
+                daemon.search.errs = 0.5
+                self._later(4.0, lambda: setattr(daemon.search, "errs", 0.0))
             case "network is lost":
                 daemon.lose_network(True)
                 self._later(3.0, lambda: daemon.lose_network(False))

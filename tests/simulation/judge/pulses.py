@@ -77,6 +77,11 @@ class Pulses:
         """The process has ended."""
         self._died_at = self._a.now
 
+    def boots(self) -> None:
+        """A boot begins, which may fail at once: what is overdue is told anew."""
+        for away in self._away.values():
+            away.ticks = 0
+
     def ticks(self) -> None:
         """A period begins: pulses may be overdue. Boots look for them when they have ended."""
         a = self._a

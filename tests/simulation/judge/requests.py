@@ -227,7 +227,8 @@ class Requests:
         reasons = set[str]()
         if asked.actuator >= a.arm.count:
             reasons.add("no-such-actuator")
-        if a.mode == "executing" or a.committing:
+        over = a.commit is not None and a.commit.given_up and not a.commit.awaited  # its SYNC may not follow any more
+        if a.mode == "executing" or (a.committing and not over):
             reasons.add("lock-while-moving")
         elif asked.state >= 0 and tells and level != asked.state and not self._lock_moving and a.mode == "ready":
             reasons.add("end-stop-contradicts")

@@ -1,8 +1,8 @@
 """The judge's verdict: an exception with the sentence that is violated."""
 
 
-class Violation(AssertionError):
-    """The daemon did or told what it must not, or not what it must."""
+class Violation(BaseException):
+    """The daemon did or told what it must not, or not what it must. The daemon catches each `Exception`."""
 
 
 def require(holds: object, text: str) -> None:

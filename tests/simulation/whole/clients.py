@@ -34,6 +34,8 @@ BURSTS = (
     ("goal", "cancel", "goal"),
     ("jog", "stop", "reset"),
     ("stop", "jog", "reset", "jog"),
+    ("stop", "reset", "stop"),
+    ("cancel", "reset", "cancel", "goal"),
     ("degrade", "goal"),
     ("obstacles", "goal", "obstacles"),
 )
@@ -47,8 +49,13 @@ DESCRIPTIONS = (
     b'{"with": "x"}',
 )
 CLIENTS = 4  # the last one attaches the same bytes to each of its requests
-ATTENDED = 0.4  # share of the goals and jogs whose end the clients wait for
+ATTENDED = 0.5  # share of the goals and jogs whose end the clients wait for
 ATTENDED_FOR = 2.0  # [s], longest
+AT_REST = {"stream": 8, "degrade": 3, "goal": 20, "any": 69}  # if the arm is ready
+OUT_OF_CONFIGURATION = {"degrade": 1, "jog": 2, "any": 4}  # if it is in no configuration
+WITHOUT_EXECUTOR = {"stop": 2, "cancel": 2, "reset": 1, "degrade": 1}
+RUSH = ("plan", "plan", "plan", "goal", "jog", "obstacles", "degrade", "reset", "arm")
+UNDISTURBED = 0.7  # share of the streams that nobody disturbs
 STANDING = 0.3  # share of the streams whose target stands still
 PAUSE = 0.4  # [s] after a stream that nobody disturbs
 LONG_AGO = 9.0  # [s]
@@ -77,7 +84,7 @@ class Clients:
         self._client = 0  # that acts now
         self._sent: list[Sent] = []  # the last goals and other requests
         self._goals = deque[Sent](maxlen=40)
-        self._streams_until = 0.0
+        self._streams_until = self._alone_until = 0.0
         self._attended: Sent | None = None  # goal or jog for whose end the clients wait
         self._rate = random.choice([5.0, 20.0, 40.0])
         self._crowd = random.choice([0.0, 0.4, 0.8])  # share of the motions to which obstacles come
@@ -128,21 +135,44 @@ class Clients:
             self._make_ready()
             self._agenda.after(0.2, self._act)
             return
-        waits = self._wait()
-        acts = ASIDE if waits else ACTS
-        act, state = self._random.choices(list(acts), list(acts.values()))[0], self._daemon.state
-        if not waits and state is not None and state["mode"] in ("fault", "stopped") and self._random.random() < 0.3:
-            act = "reset"
+        act = self._draw()
         self._client = self._random.randrange(CLIENTS)
         self._do(act)
         if act in ("goal", "jog") and self._random.random() < ATTENDED:
             self._attended = self._sent[-1]
-        alone = act == "stream" and self._random.random() < 0.5  # nobody disturbs the stream
-        pause = self._streams_until + PAUSE - self._agenda.now if alone else 0.0
-        self._agenda.after(pause + self._random.expovariate(self._rate), self._act)
+        elif act == "stream" and self._random.random() < UNDISTURBED:
+            self._alone_until = self._streams_until + PAUSE
+        self._agenda.after(self._random.expovariate(self._rate), self._act)
+
+    def _draw(self) -> str:
+        """Returns what to do next."""
+        random, state = self._random, self._daemon.state
+        mode = "" if state is None else state["mode"]
+        if self._wait():
+            return self._one_of(ASIDE)
+        codes = set() if state is None else {fault["code"] for fault in state["faults"]}
+        if "executor-lost" in codes and random.random() < 0.3:
+            return self._one_of(WITHOUT_EXECUTOR)
+        if mode in ("fault", "stopped") and random.random() < 0.3:
+            return "reset"
+        act = "any"
+        if mode == "ready":
+            act = self._one_of(OUT_OF_CONFIGURATION if "unknown-state" in codes else AT_REST)
+        return self._one_of(ACTS) if act == "any" else act
+
+    def _one_of(self, acts: dict[str, float]) -> str:
+        return self._random.choices(list(acts), list(acts.values()))[0]
+
+    def rush(self) -> None:
+        """Sends some requests in one instant: their answers are not known when the process ends."""
+        for act in self._random.sample(RUSH, 5):
+            self._client = self._random.randrange(CLIENTS)
+            self._do(act)
 
     def _wait(self) -> bool:
-        """Returns whether the clients wait for the end of a motion: it is not refused, and has no result."""
+        """Returns whether the clients wait for the end of a stream, or of a motion that was not refused."""
+        if self._agenda.now < self._alone_until:
+            return True
         sent = self._attended
         if sent is None or self._agenda.now > sent.at + ATTENDED_FOR:
             return False
@@ -199,8 +229,7 @@ class Clients:
                 back = random.choice([0, 0, 0, 1, 2])
                 self.ask("cancel", {"id": f"g{max(self.wishes.numbers - back, 0)}"})
             case "degrade":
-                label = random.choice([*self._labels, self._labels[0], "9.9"])
-                self.ask("degrade", {"actuator": label, "state": random.choice([None, None, 0, 1])})
+                self.ask("degrade", self.wishes.lock())
             case "obstacles":
                 self.ask("obstacles", {"regions": self.wishes.regions()})
             case "stream":

@@ -28,11 +28,11 @@ from tests.simulation.whole.clients import Clients
 from tests.simulation.whole.configurations import Configurations
 from tests.simulation.whole.exact_search import ExactSearch
 from tests.simulation.whole.planner_process import UNIX, PlannerProcess
-from tests.simulation.whole.planner_storage import Storage
+from tests.simulation.whole.planner_storage import Storage, nothing
 from tests.simulation.whole.planner_witness import PlannerWitness
 from tests.simulation.whole.saved_poses import SavedPoses
 from tests.simulation.whole.searcher import Mood
-from tests.simulation.whole.zenoh_model import Sent, ZenohModel
+from tests.simulation.whole.zenoh_model import LATENCY, TRANSMITTED, Sent, ZenohModel
 
 OFFSET = 4e-4  # of measured tips from computed ones; less than the tolerance
 COUNTED_WITHIN = 0.5  # [s] from the executor's counts to the ledger
@@ -99,6 +99,7 @@ class Daemon:
         self._counted = deque[tuple[float, tuple[int, ...]]](maxlen=10)
         self._executor, self._random, self._note = executor, drawn("daemon"), note
         self.together, self.wanted = self._random.random() < 0.3, False
+        self._errs = self._random.choice([0.0, 0.0, 0.3])
         self.awake_since, self.slow, self.congestion, self._offset = 0.0, 0.0, 0.0, UNIX
         self.judge = judge(self)
         self.witness = PlannerWitness(self.judge, agenda, self.mood, note)
@@ -178,6 +179,11 @@ class Daemon:
         self.judge.at(self.agenda.now)
         return self.judge.arrives(sent, key)
 
+    def unserved(self, sent: Sent) -> None:
+        """Takes a message on a key that the process has not declared."""
+        self.judge.at(self.agenda.now)
+        self.judge.gateway.unserved(sent.name)
+
     def replies(self, request: object, data: bytes) -> None:
         """Takes a reply that leaves the process."""
         assert isinstance(request, Request)
@@ -233,14 +239,25 @@ class Daemon:
             self.stall(self._random.uniform(0.0, self.slow))
 
     def die(self) -> None:
-        """Kills the process soon, perhaps in the middle of a step."""
-        if self.process is not None:
+        """Kills the process soon, perhaps in the middle of a step, or while its next result leaves."""
+        if self.process is not None and self._random.random() < 0.5:
             self.process.kill_after(self._random.choice([0, 1, 2, 3, 5, 10, 30]))
+        elif self.process is not None:
+            self.storage.marked = self._die_with_result
+
+    def _die_with_result(self) -> None:
+        process, self.storage.marked = self.process, nothing
+        if process is not None:
+            self.agenda.after(self._random.uniform(0.0, 1.5 * TRANSMITTED), process.kill)
 
     def end_in_order(self) -> None:
-        """Asks the process to end."""
-        if self.process is not None:
-            self.process.quit()
+        """Asks the process to end, perhaps while requests arrive."""
+        if self.process is None:
+            return
+        if not self.clients.calm and self._random.random() < 0.7:
+            self.clients.rush()
+        process = self.process
+        self.agenda.after(self._random.uniform(0.0, 3 * LATENCY), process.quit)
 
     def _search_errs(self) -> None:
         self.judge.at(self.agenda.now)
@@ -278,7 +295,7 @@ class Daemon:
     def mend(self) -> None:
         """Ends all faults; a halt continues to its end."""
         self.mood.mend()
-        self.search.errs = False
+        self.search.errs, self.storage.marked = 0.0, nothing
         self.hold_up()
         self.lose_network(False)
         self.storage.full, self.storage.fills_at = False, None
@@ -291,6 +308,7 @@ class Daemon:
     def be_calm(self, calm: bool) -> None:
         """Makes the clients calm."""
         self.clients.calm, self.wanted = calm, False
+        self.search.errs = 0.0 if calm else self._errs
 
     # --- as the planner of a world
 

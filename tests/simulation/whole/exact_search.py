@@ -65,7 +65,7 @@ class ExactSearch:
     """Answers tasks; each answer is a function of its task and of drawn choices among equal plans.
 
     Attributes:
-        errs: whether plans may miss a waypoint; `erred` is called then.
+        errs: share of the plans that miss a waypoint; `erred` is called then.
 
     Args:
         arm: the arm.
@@ -75,7 +75,7 @@ class ExactSearch:
 
     def __init__(self, arm: Arm, space: Configurations, random: Random) -> None:
         self._arm, self._space, self._random = arm, space, random
-        self.errs = False
+        self.errs = 0.0
         self.erred: Callable[[], None] = lambda: None
         self._size, self._pace = len(arm.manipulator.actuators), pace_of(arm.settings)
 
@@ -84,7 +84,7 @@ class ExactSearch:
         try:
             match task:
                 case PlanGoal():
-                    yield self._plan(task, errs=self.errs and self._random.random() < 0.5)
+                    yield self._plan(task, errs=self._random.random() < self.errs)
                 case DescribePlan():
                     planned = self._plan(task.goal)
                     yield Described(described(task, planned))

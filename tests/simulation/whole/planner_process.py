@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from random import Random
 from typing import TYPE_CHECKING
 
@@ -85,6 +85,10 @@ class KillableLoop(Loop):
     def _carry_out(self, action: Action) -> None:
         self.before(action)
         self._act(action)
+
+    def _record(self, event: Event, now: float, wall: float, actions: Sequence[Action] | None) -> None:
+        assert self._recorder is not None
+        self._recorder(event, now, wall, actions)  # what the judge raises ends the run
 
     def due(self, retry_at: float) -> float:
         """Returns when the loop must run again without an event [s]."""
@@ -267,6 +271,7 @@ class PlannerProcess:
         """Ends the process at once."""
         if self.alive:
             self.alive = False
+            self.searcher.end()
             self._daemon.zenoh.close()
             self.link.close()
             self._daemon.planner_ended()

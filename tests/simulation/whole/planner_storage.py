@@ -19,6 +19,10 @@ from controller.planning.core.events import (
 from tests.simulation.agenda import Agenda
 
 
+def nothing() -> None:
+    """Does nothing."""
+
+
 @dataclass
 class Row:
     """A goal in the ledger."""
@@ -35,6 +39,7 @@ class Storage:
         counts: of switches.
         published: marks of published results, by program.
         full: whether the disk is full.
+        marked: is called after each mark.
         fills_at: number of further records after which the disk is full; None: it does not become full.
     """
 
@@ -44,6 +49,7 @@ class Storage:
         self.counts = (0,) * actuators
         self.published: dict[Identity, ResultEntry] = {}
         self.full = False
+        self.marked: Callable[[], None] = nothing
 
     def write(self, record: Record) -> None:
         """Writes a record."""
@@ -54,6 +60,7 @@ class Storage:
         """Marks a result as published."""
         fields = payload["status"], payload["code"], payload["message"], payload["switches"]
         self.published[identity] = ResultEntry(0.0, *fields)
+        self.marked()
 
     def find(self, goal: str) -> Payload | None:
         """Returns the newest row of a goal, as the ledger's file has it."""

@@ -14,6 +14,8 @@ from controller.planning.core.events import (
     Event,
     FromExecutor,
     Hurry,
+    LinkDown,
+    Record,
     SetpointArrived,
     Start,
     TipArrived,
@@ -30,7 +32,7 @@ from controller.planning.core.tasks import (
     Tables,
     Task,
 )
-from controller.program import Alive, Snapshot
+from controller.program import Alive, Setpoint, Snapshot
 from tests.simulation.agenda import Agenda
 from tests.simulation.judge.interface.interface import InterfaceJudge
 from tests.simulation.judge.verdict import Violation
@@ -68,6 +70,8 @@ class PlannerWitness:
             case ToExecutor(message):
                 self._judge.at(self._agenda.now)
                 self._judge.link.sends(message)
+                if isinstance(message, Setpoint):
+                    self._judge.streams.sends(message)
                 if not isinstance(message, Alive):
                     self._note(("planner sends", message))
             case Start(number, task):
@@ -82,9 +86,14 @@ class PlannerWitness:
                 self._judge.at(self._agenda.now)
                 self._judge.link.gives_up(reason)
             case Hurry(number):
+                self._judge.at(self._agenda.now)
                 self._judge.searches.hurries(number)
             case Abandon(number):
+                self._judge.at(self._agenda.now)
                 self._judge.searches.abandons(number)
+            case Record(_, _, accepted, ended) if accepted is not None and ended is not None:
+                self._judge.at(self._agenda.now)
+                self._judge.results.records(accepted.goal)
             case Log(level, text, fields):
                 self._note(("planner logs", text))
                 self._judge.at(self._agenda.now)
@@ -100,6 +109,9 @@ class PlannerWitness:
             case FromExecutor(message):
                 if not isinstance(message, Snapshot):
                     self._note(("planner hears", message))
+            case LinkDown():
+                self._judge.at(self._agenda.now)
+                self._judge.account.notices_loss()
             case Answered(number, answer, _):
                 if isinstance(answer, Deviations | Improved):
                     self._judge.at(self._agenda.now)
@@ -107,14 +119,14 @@ class PlannerWitness:
                 self._note(("worker answers", number, answer))
             case SetpointArrived(payload, arrival, sender):
                 self._judge.at(self._agenda.now)
-                self._judge.mailboxes["setpoint"].taken(payload, sender, arrival.at)
-                self._judge.streams.setpoint(payload, arrival.at, sender, now)
+                self._judge.takes_setpoint(payload, sender, arrival.at, now)
             case TipArrived(payload, arrival, sender):
                 self._judge.at(self._agenda.now)
                 self._judge.mailboxes["measured_tip"].taken(payload, sender, arrival.at)
                 self._judge.streams.tip(payload, now)
             case _:
                 pass
+        self._judge.searches.steps += 1
 
     def flush(self) -> None:
         """Does nothing: each step is noted at once."""

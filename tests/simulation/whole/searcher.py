@@ -67,6 +67,11 @@ class Searcher:
         """Number of tasks that were not answered."""
         return sum(map(len, self._lanes.values()))
 
+    def end(self) -> None:
+        """Ends the workers with their process: nobody sees their answers."""
+        for lane in self._lanes.values():
+            lane.clear()
+
     def start(self, number: int, task: Task) -> None:
         """Starts a task, as soon as its thread is free."""
         lane = self._lanes[self._lane_of[type(task)]]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from controller.motion.decoding.goal import GoalMessage
 from controller.program import unpack
+from tests.simulation.judge.interface.locks import leaves_states
 from tests.simulation.whole.configurations import first_touched
 
 if TYPE_CHECKING:
@@ -119,6 +120,17 @@ class Wishes:
     def some_states(self) -> dict[str, str]:
         count = self._random.choice([1, 1, 2, len(self._labels)])
         return {label: self._random.choice(STATES) for label in self._random.sample(self._labels, count)}
+
+    def lock(self) -> dict[str, Any]:
+        """Returns a lock; some leave a module without state."""
+        random, snapshot = self._random, self._daemon.snapshot
+        label, state = random.choice([*self._labels, self._labels[0], "9.9"]), random.choice([None, None, 0, 1])
+        if snapshot is not None and random.random() < 0.3:
+            every = [(k, value) for k in range(len(self._labels)) for value in (0, 1)]
+            modules = self._daemon.judge.account.modules
+            bad = [(self._labels[k], value) for k, value in every if not leaves_states(modules, snapshot, k, value)]
+            label, state = random.choice(bad or [(label, state)])
+        return {"actuator": label, "state": state}
 
     def regions(self) -> list[dict[str, Any]]:
         """Returns obstacles, each a cube of states; most do not touch the arm at rest."""

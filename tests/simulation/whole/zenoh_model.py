@@ -55,6 +55,9 @@ class Observer(Protocol):
     def arrives(self, sent: Sent, key: str) -> object:
         """A message arrives on a declared key; returns what identifies it to `replies`."""
 
+    def unserved(self, sent: Sent) -> None:
+        """A message comes to a process that has declared no such key."""
+
     def replies(self, request: object, data: bytes) -> None:
         """A reply leaves the process."""
 
@@ -163,8 +166,11 @@ class SimulatedSession:
 
     def receive(self, sent: Sent) -> None:
         """Hands a message that arrives to each key that it names."""
-        for declared in list(self.declared):
-            if declared.query == sent.query and matches(sent.name, declared.name):
+        declared_keys = [d for d in self.declared if d.query == sent.query and matches(sent.name, d.name)]
+        if not declared_keys:
+            self.network.observer.unserved(sent)
+        for declared in declared_keys:
+            if declared in self.declared:
                 request = self.network.observer.arrives(sent, declared.name.rpartition("/")[2])
                 it = SimulatedQuery(sent, self, request) if sent.query else SimulatedSample(sent)
                 self.network.arriving = request

@@ -35,12 +35,15 @@ class InterfaceAccount:
         silent_after: time without a message of the executor, after which it counts as lost [s].
         bias: tip bias that the daemon tells; None: no tracker.
         shown_obstacles: number in the last state.
+        losses: times at which the core heard of the ends of connections to the executor [s].
+        met: whether it has met an executor since; `alone_since`: awake time of the last end, infinite while connected.
         scenes: number of scenes that workers build.
         slow: whether rounds of the planner's loop take long.
         congested: whether peers read slowly.
         lead: time of one stage [s]; `travel` and `rest` are the times of one actuator, of the arm's file.
         inrush: whether few actuators may switch at once, so that a stage waits for the one before.
         switched_at: time of the snapshot that showed the last switch of each actuator [s].
+        made: snapshot and switching times when the planner sent its last program.
         offset: of the tracker's tips from the computed ones; `clamp` and `hold` are of the arm's file.
         tip_at: time of the last measured tip, of whatever age [s]; `good_tip_at` of the last one that surely counts.
 
@@ -78,16 +81,22 @@ class InterfaceAccount:
         if not process:  # what stood still has ended
             self._still = self.now - self.awake
             self._still_from = self._still_until = self.now
+        elif self.now < self._still_until:  # it begins in a standstill, of which it does not know the first part
+            self._still += self.now - self._still_from
+            self._still_from = self.now
         self.process, self.began_at, self.began_awake = process, self.now, self.awake
         self.requests = []
-        self.heard = deque([Heard(self.now, self.awake, None)], maxlen=400)
+        self.heard = deque([Heard(self.now, self.awake, None)], maxlen=1_000)  # a standstill of 20 s has 400
         self.cubes: tuple[Cube, ...] = ()
         self.cubes_number, self.cubes_at = 0, self.now
         self.quits = False
         self.tip_at = self.good_tip_at = -math.inf
         self.scenes = self.shown_obstacles = 0
         self.switched_at = [-math.inf] * len(self.modules.labels)
+        self.made: tuple[Snapshot | None, list[float]] = None, self.switched_at
         self.setpoints = 0
+        self.losses, self.met = deque[float](maxlen=50), False
+        self.alone_since = self.awake
         self.counts_at_start: int | None = None
         self._tables, self._needed, self._failed = self.declared, self.declared, False
 
@@ -153,6 +162,22 @@ class InterfaceAccount:
                 if changed >> k & 1:
                     self.switched_at[k] = snapshot.at
         self.heard.append(Heard(self.now, self.awake, snapshot))
+
+    def loses(self) -> None:
+        """The connection to the executor has ended."""
+        self.note("link")
+        self.alone_since = min(self.alone_since, self.awake)
+        self.hears(None)
+
+    def notices_loss(self) -> None:
+        """The planner's core hears that there is no connection, perhaps for another reason than before."""
+        if self.met:
+            self.losses.append(self.now)
+        self.met = False
+
+    def lost_between(self, first: float, last: float) -> bool:
+        """Returns whether the executor was lost between two times [s]."""
+        return any(first < at < last for at in self.losses)
 
     def truths(self, delay: float = DELAY) -> Iterator[Heard]:
         """Yields the snapshots that held at some time in the last seconds that the process was awake, newest first."""
@@ -248,7 +273,7 @@ class InterfaceAccount:
 
     def known_cubes(self, request: Request | None) -> set[Cube]:
         """Returns all obstacles that may be in force, or were since a request came."""
-        cubes = set(self.cubes)
+        cubes = {*self.cubes, *(() if request is None else request.among)}
         for other in self.requests:
             pending = other.answer is None or (request is not None and other.answered_at >= request.at)
             if other.key == "obstacles" and pending:

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from controller.program import Stage
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Payload, Request
+from tests.simulation.judge.interface.messages import well_formed
+from tests.simulation.judge.interface.modules import Cube, JudgedModules
 
 
 def barring(request: Request) -> bool:
@@ -24,6 +26,18 @@ def patience(request: Request) -> float:
 def lined(request: Request) -> bool:
     """Returns whether the tip shall follow straight lines."""
     return bool(request.body.get("path_tolerance"))
+
+
+def posed(request: Request) -> bool:
+    """Returns whether a waypoint is a configuration, or has an orientation."""
+    return any("configuration" in waypoint or "orientation" in waypoint for waypoint in request.body["waypoints"])
+
+
+def decodable(request: Request, modules: JudgedModules) -> bool:
+    """Returns whether the gateway can decode a request; it also refuses configurations on straight lines."""
+    if not well_formed(request, modules):
+        return False
+    return not lined(request) or not any("configuration" in waypoint for waypoint in request.body["waypoints"])
 
 
 def ends_at(request: Request) -> float:
@@ -54,3 +68,9 @@ def places_of(stages: Sequence[Stage], request: Request) -> dict[int, int]:
     times = [float(waypoint.get("t", 0.0)) for waypoint in request.body["waypoints"]]
     delay = settled.get(0, math.nan) - times[0]
     return {k: mark for k, t in enumerate(times) for mark, at in settled.items() if abs(at - delay - t) < 1e-6}
+
+
+def cubes_of(request: Request) -> tuple[Cube, ...]:
+    """Returns the obstacles of a request; the centre of each disc has mask and value."""
+    centres = [region["disc"]["centre"] for region in request.body["regions"]]
+    return tuple(Cube(round(mask), round(value)) for mask, value in centres)

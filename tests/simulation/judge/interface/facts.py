@@ -43,6 +43,7 @@ class Request:
     original: Request | None = None
     doubtful: bool = False  # whether it may count as a repetition or as new
     cubes: tuple[Cube, ...] = ()  # of obstacles
+    among: tuple[Cube, ...] = ()  # that were in force when it came
     regions: list[Any] = field(default_factory=list)
     shown: int = 0  # number of obstacles in the state before
     expected: str = ""  # reason of the refusal of a request on poses; "": it is carried out
@@ -77,7 +78,8 @@ class Ran:
         settled: marks that were told, with the awake times at which the planner got them.
         heard_at: time at which the planner heard of its end.
         seen: whether the planner had a snapshot when it heard of its end.
-        recorded: whether the ledger has its result.
+        heard_by: number of the last process of the planner that heard of its end.
+        recorded_at: time at which the ledger had its result [s].
         given_up: whether the planner has refused it and canceled it.
         told_awake: awake time of the publication of its result [s].
         planned: switches that its answer told.
@@ -109,7 +111,8 @@ class Ran:
     heard_awake: float = math.inf
     accepted_awake: float = math.inf
     seen: bool = False
-    recorded: bool = False
+    heard_by: int = 0
+    recorded_at: float = math.inf
     switches: int = 0
     request: Request | None = None
     feedback: list[Payload] = field(default_factory=list)
@@ -120,6 +123,11 @@ class Ran:
     replaced: bool = False
     deviations: tuple[float | None, ...] = ()
     places: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def recorded(self) -> bool:
+        """Whether the ledger has its result."""
+        return self.recorded_at < math.inf
 
     def mark(self, waypoint: int) -> int:
         """Returns the mark of a waypoint: points between waypoints have marks, too, if straight lines are followed."""

@@ -12,6 +12,8 @@ from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.verdict import require
 
 ANY_NAME = ("stop", "cancel", "plan", "arm", "result")  # keys of requests that a wildcard may reach
+SERVED = {"goal", "jog", "plan", "stop", "cancel", "reset", "degrade", "obstacles", "fault", "poses", "arm", "result"}
+SERVED |= {"setpoint"}
 NOTED_WITHIN = 1.5  # [s], awake, from an answer to its note
 MOST_NOTES = 45  # refusals in one second; of more, some have no note
 FLOOD, PAUSE, EVERY = 20, 0.002, 10  # refusals in a second without a pause, its length [s], requests for each further
@@ -44,8 +46,8 @@ class Gateway:
         self._instant, self._arrived, self._pauses = -1.0, Counter[str](), 0
         self._malformed: dict[str, deque[float]] = {}
         self._explained: dict[str, deque[float]] = {}
-        self._changes: deque[tuple[float, int]] = deque([(self._a.awake, 0)], maxlen=50)
-        self._lists: deque[tuple[float, dict[str, Any]]] = deque([(self._a.now, dict(self.poses))], maxlen=50)
+        self._changes: deque[tuple[float, int]] = deque([(self._a.awake, 0)], maxlen=400)
+        self._lists: deque[tuple[float, dict[str, Any]]] = deque([(self._a.now, dict(self.poses))], maxlen=400)
 
     # --- arrivals
 
@@ -64,6 +66,11 @@ class Gateway:
             self._expect(request)
         if key == "arm":
             request.regions = self._sent_regions()
+
+    def unserved(self, name: str) -> None:
+        """A message comes to a process that has declared no such key."""
+        served = SERVED | ({"measured_tip"} if self._a.bias is not None else set())
+        require(self._a.quits or name.rpartition("/")[2] not in served, f"the process does not serve {name}")
 
     def paused(self, seconds: float) -> None:
         """A thread of the gateway pauses because of a flood."""

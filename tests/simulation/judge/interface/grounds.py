@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 from controller.program import Snapshot, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount
-from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience, wanted
-from tests.simulation.judge.interface.facts import Request
+from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
+from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience, posed, wanted
+from tests.simulation.judge.interface.facts import Heard, Request
+from tests.simulation.judge.interface.locks import leaves_states
 from tests.simulation.judge.interface.messages import well_formed
 
 EPOCH_IN_FLIGHT = 0.1  # [s] from a new epoch of the executor to the planner, which may still be reading
@@ -25,19 +26,25 @@ COLLISIONS = ("no-clear-path", "no-way", "goal-in-obstacle", "plan-collides")
 # --- what the snapshots tell
 
 
-def _any(a: InterfaceAccount, holds: Callable[[Snapshot], bool]) -> bool:
-    return any(heard.snapshot is not None and holds(heard.snapshot) for heard in a.truths())
+def _any(a: InterfaceAccount, request: Request, holds: Callable[[Snapshot], bool]) -> bool:
+    return any(heard.snapshot is not None and holds(heard.snapshot) for heard in _decided_by(a, request))
+
+
+def _decided_by(a: InterfaceAccount, request: Request) -> Iterator[Heard]:
+    """Returns the snapshots by which a request was decided: the last ones, unless its answer waits for slow peers."""
+    held_up = a.congested or a.lately("congested", 0.5) or a.reconnecting
+    return a.truths(a.awake - request.awake + DELAY if held_up else DELAY)
 
 
 def _mode(*modes: str) -> Callable[[InterfaceAccount, Request], bool]:
     def holds(a: InterfaceAccount, request: Request) -> bool:
-        return _any(a, lambda snapshot: snapshot.mode in modes)
+        return _any(a, request, lambda snapshot: snapshot.mode in modes)
 
     return holds
 
 
 def _disconnected(a: InterfaceAccount, request: Request) -> bool:
-    return any(heard.snapshot is None for heard in a.truths())
+    return any(heard.snapshot is None for heard in _decided_by(a, request))
 
 
 def _starting(a: InterfaceAccount, request: Request) -> bool:
@@ -55,12 +62,12 @@ def known(snapshot: Snapshot) -> int:
 
 def _not_known(a: InterfaceAccount, request: Request) -> bool:
     everything = (1 << len(a.modules.labels)) - 1
-    return _any(a, lambda snapshot: known(snapshot) | unpack(snapshot.homing) != everything)
+    return _any(a, request, lambda snapshot: known(snapshot) | unpack(snapshot.homing) != everything)
 
 
 def _unknown_state(a: InterfaceAccount, request: Request) -> bool:
     """What is measured, or where the outputs are not measured commanded, is no configuration."""
-    return _any(a, lambda snapshot: _planned_from(snapshot) not in a.modules.tips)
+    return _any(a, request, lambda snapshot: _planned_from(snapshot) not in a.modules.tips)
 
 
 def _planned_from(snapshot: Snapshot) -> int:
@@ -169,8 +176,7 @@ def _too_fast(a: InterfaceAccount, request: Request) -> bool:
 
 
 def _line_with_pose(a: InterfaceAccount, request: Request) -> bool:
-    posed = any("configuration" in w or "orientation" in w for w in request.body["waypoints"])
-    return lined(request) and posed
+    return lined(request) and posed(request)
 
 
 def _malformed(a: InterfaceAccount, request: Request) -> bool:
@@ -240,13 +246,18 @@ def _locked(a: InterfaceAccount, request: Request) -> bool:
     )
 
 
+def _no_configuration(a: InterfaceAccount, request: Request) -> bool:
+    """The arm is in no configuration, or in none with the locks of the tables, which follow at rest."""
+    return _unknown_state(a, request) or _locked(a, request) or any(state != 255 for state in a.tables)
+
+
 def _lock_contradicts(a: InterfaceAccount, request: Request) -> bool:
     k, state = a.modules.labels.index(request.body["actuator"]), request.body["state"]
-    return _any(a, lambda s: bool(unpack(s.sensed) >> k & 1) and unpack(s.measured) >> k & 1 != state)
+    return _any(a, request, lambda s: bool(unpack(s.sensed) >> k & 1) and unpack(s.measured) >> k & 1 != state)
 
 
 def _lock_moving(a: InterfaceAccount, request: Request) -> bool:
-    return _any(a, lambda s: s.moving or s.mode != "ready") or a.had("switched", a.now - 1.0)
+    return _any(a, request, lambda s: s.moving or s.mode != "ready") or a.had("switched", a.now - 1.0)
 
 
 def _interlock(a: InterfaceAccount, request: Request) -> bool:
@@ -257,15 +268,7 @@ def _interlock(a: InterfaceAccount, request: Request) -> bool:
 def _without_state(a: InterfaceAccount, request: Request) -> bool:
     """No configuration has the locked actuators in their states."""
     k, state = a.modules.labels.index(request.body["actuator"]), request.body["state"]
-
-    def none(snapshot: Snapshot) -> bool:
-        mask = unpack(snapshot.locked) | 1 << k
-        states = unpack(snapshot.measured) & ~(1 << k) | state << k
-        fits = any(not (code ^ states) & mask for code in a.modules.tips)
-        held = unpack(snapshot.measured) & ~(1 << k) | (state << k if not unpack(snapshot.sensed) >> k & 1 else 0)
-        return not fits or held not in a.modules.tips or unpack(snapshot.measured) not in a.modules.tips
-
-    return _any(a, none)
+    return _any(a, request, lambda snapshot: not leaves_states(a.modules, snapshot, k, state))
 
 
 def _unknown_goal(a: InterfaceAccount, request: Request) -> bool:
@@ -273,7 +276,11 @@ def _unknown_goal(a: InterfaceAccount, request: Request) -> bool:
 
 
 def _not_named(a: InterfaceAccount, request: Request) -> bool:
-    return "*" in request.name
+    """A wildcard may not reach this key, or this cancel of one goal; or does not end in the name of the key."""
+    if request.key in ("plan", "arm", "result"):
+        return False
+    each_arm = request.key == "stop" or (request.key == "cancel" and request.goal is None)
+    return "*" in request.name and not (each_arm and request.name.endswith(f"/{request.key}"))
 
 
 def _plan_canceled(a: InterfaceAccount, request: Request) -> bool:
@@ -293,7 +300,7 @@ GROUNDS: dict[str, Callable[[InterfaceAccount, Request], bool]] = {
     **dict.fromkeys(("executor-lost", "no-executor"), _lost),
     **dict.fromkeys(("actuator-locked", "locked-configuration", "program-locked"), _locked),
     "too-far-ahead": _far_ahead,
-    "no-configuration": lambda a, request: _unknown_state(a, request) or _locked(a, request),
+    "no-configuration": _no_configuration,
     "overtaken": _overtaken,
     "arm-starting": _starting,
     "arm-in-fault": _in_fault,

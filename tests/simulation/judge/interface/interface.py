@@ -25,7 +25,7 @@ from controller.program import (
     unpack,
 )
 from tests.simulation.judge.interface.account import InterfaceAccount
-from tests.simulation.judge.interface.asked import lined, places_of
+from tests.simulation.judge.interface.asked import cubes_of, lined, places_of
 from tests.simulation.judge.interface.diagnostics import JudgedDiagnostics
 from tests.simulation.judge.interface.facts import Ran, Request
 from tests.simulation.judge.interface.gateway import Gateway
@@ -36,7 +36,7 @@ from tests.simulation.judge.interface.messages import body_of, well_formed
 from tests.simulation.judge.interface.modules import JudgedModules
 from tests.simulation.judge.interface.motion import Motion
 from tests.simulation.judge.interface.offers import Offers
-from tests.simulation.judge.interface.requests import Requests, cubes_of
+from tests.simulation.judge.interface.requests import Requests
 from tests.simulation.judge.interface.results import Results, unanswered
 from tests.simulation.judge.interface.searches import Searches
 from tests.simulation.judge.interface.states import States
@@ -125,15 +125,15 @@ class InterfaceJudge:
         fields = sent.client, key, sent.name, sent.query, sent.payload, sent.attachment  # type: ignore[attr-defined]
         body = body_of(sent.payload)  # type: ignore[attr-defined]
         request = Request(a.numbers, a.process, *fields, body, sent.at, a.now, a.awake)  # type: ignore[attr-defined]
+        request.among = a.cubes
         if key in self.mailboxes:
             self.mailboxes[key].arrives(request)
         if key == "setpoint":
             a.setpoints += 1
             a.note("setpoint")
-            self.motion.setpoint(request)
             self.streams.arrives(request.payload)
         elif key == "measured_tip":
-            self._tip(request)
+            self.streams.tip_arrives(request)
         else:
             if key == "obstacles" and well_formed(request, a.modules):
                 request.cubes, request.shown = cubes_of(request), a.shown_obstacles
@@ -143,18 +143,11 @@ class InterfaceJudge:
             self.requests.arrives(request)
         return request
 
-    def _tip(self, request: Request) -> None:
-        """Records a measured tip, and whether it surely counts."""
-        a, snapshot = self.account, self.account.snapshot
-        if "*" in request.name or a.bias is None:
-            return
-        a.tip_at, age = a.now, a.wall() - float(request.body.get("stamp", 0.0))
-        rests = snapshot is not None and not snapshot.moving and snapshot.mode == "ready" and a.clear()
-        standing = rests and not a.had("moved", a.now - 0.3) and not a.lately("still", 1.0) and not a.slow
-        if standing and not a.building and 0.0 <= age < 0.1 and not a.had("clock", a.now - 10.0):
-            a.good_tip_at = a.now
-        elif a.now - a.good_tip_at < 0.1:  # it may have displaced the good one
-            a.good_tip_at = -math.inf
+    def takes_setpoint(self, payload: bytes, sender: str, at: float, now: float) -> None:
+        """The planner's core takes a set-point that has arrived at a time [s]; malformed and late ones do not count."""
+        first = self.mailboxes["setpoint"].taken(payload, sender, at)
+        if self.streams.setpoint(payload, at, sender, now):
+            self.motion.setpoint(sender, first)
 
     def replies(self, request: object, data: bytes) -> None:
         """A reply leaves the process."""
@@ -205,9 +198,11 @@ class InterfaceJudge:
 
     def executor_gets(self, message: object) -> None:
         """The executor takes a message of a client."""
+        a = self.account
         match message:
             case Program():
                 self._asked = message
+                a.note("offered")
                 self.offers.gets(message)
                 self.searches.offered(message.name.partition(" ")[2])
             case Replacement() if (ran := self._of(message.program)) is not None:
@@ -289,7 +284,7 @@ class InterfaceJudge:
             case Diagnostics():
                 self.diagnostics.hears(message)
             case Welcome():
-                self._met = a.instance
+                self._met, a.alone_since, a.met = a.instance, math.inf, True
                 if a.counts_at_start is None:
                     a.counts_at_start = sum(map(max, a.ledger_counts, message.counts or a.ledger_counts))
             case Begun() if (ran := self._heard_of(message.program)) is not None:
@@ -298,7 +293,7 @@ class InterfaceJudge:
             case Settled() if (ran := self._heard_of(message.program)) is not None:
                 ran.settled[message.mark] = message, a.awake
             case Ended() if (ran := self._heard_of(message.program)) is not None:
-                ran.seen = ran.seen or a.snapshot is not None
+                ran.seen, ran.heard_by = ran.seen or a.snapshot is not None, a.process
                 ran.heard_at, ran.heard_awake = min(ran.heard_at, a.now), min(ran.heard_awake, a.awake)
 
     def _compare(self, before: Snapshot | None, snapshot: Snapshot) -> None:
@@ -318,8 +313,7 @@ class InterfaceJudge:
 
     def disconnected(self) -> None:
         """The process's connection to the executor has ended."""
-        self.account.note("link")
-        self.account.hears(None)
+        self.account.loses()
         self.diagnostics.hears(None)
         self.link.ends()
 
@@ -333,7 +327,7 @@ class InterfaceJudge:
         """The ledger has written the result of a goal."""
         for ran in self.account.ran(goal):
             if ran.results and ran.results[0]["status"] == status:
-                ran.recorded = True
+                ran.recorded_at = min(ran.recorded_at, self.account.now)
 
     def scene_begun(self) -> None:
         """A worker begins to build a scene."""
@@ -343,6 +337,7 @@ class InterfaceJudge:
     def scene_built(self, right: bool) -> None:
         """A worker has built a scene, or has failed."""
         self.account.scenes -= 1
+        self.account.note("scene")
         self.account.note("cubes" if right else "task failed")
 
 

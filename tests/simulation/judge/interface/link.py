@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from controller.program import Alive, Cancel, Clearance, Counts, Lock, Question, Reset, unpack
+from controller.program import Alive, Cancel, Clearance, Counts, Lock, Program, Question, Reset, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Request
 from tests.simulation.judge.verdict import require
@@ -53,6 +53,8 @@ class Link:
             require(known, f"the planner first sends {message}, its ledger counts {a.ledger_counts}")
             self._counted = True
         match message:
+            case Program():
+                a.made = a.snapshot, list(a.switched_at)
             case Alive():
                 apart = a.awake - self._alive_at
                 soon = apart >= ALIVE_LEAST or self._first or a.lately("still", 0.3) or a.slow

@@ -56,14 +56,19 @@ class Mailboxes:
         first, awake = (request.number, self._a.awake) if before is None else (before.first, before.awake)
         self._waiting[sender] = Waiting(request.payload, first, awake, self._a.now)
 
-    def taken(self, payload: bytes, sender: str, at: float) -> None:
-        """The planner's core takes a sample that has arrived at a time [s]."""
+    def taken(self, payload: bytes, sender: str, at: float) -> int:
+        """The planner's core takes a sample that has arrived at a time [s].
+
+        Returns:
+            number of the first sample that it has displaced, or its own.
+        """
         a, waiting = self._a, self._waiting.pop(sender, None)
         text = f"{self._key} of {sender!r}, {payload.decode(errors='replace')[:80]}"
         require(waiting is not None, f"{text} did not come, or came before")
         assert waiting is not None
         require(waiting.payload == payload, f"{text} is not the latest one")
         require(abs(waiting.at - at) < 1e-9 or a.had("still", a.now - 10.0), f"{text} came at {waiting.at}, not {at}")
+        return waiting.first
 
     def tick(self) -> None:
         """Finds samples that nobody reads."""

@@ -29,8 +29,8 @@ class Motion:
         """Forgets the last process."""
         self.stop: Request | None = None
         self._cancels: list[Request] = []  # and stops that were answered, the newest last
-        self._last: dict[bytes, float] = {}  # time of the last set-point of each sender [s]
-        self._chains: dict[bytes, int] = {}  # number of the first one of its stream
+        self._last: dict[str, float] = {}  # time of the last set-point of each sender [s]
+        self._chains: dict[str, int] = {}  # number of the first one of its stream
 
     def executor_begins(self) -> None:
         """A new process of the executor knows of no stop."""
@@ -77,11 +77,11 @@ class Motion:
 
     # --- set-points
 
-    def setpoint(self, request: Request) -> None:
-        """Records a set-point that arrives."""
-        sender, now = request.attachment, self._a.now
+    def setpoint(self, sender: str, number: int) -> None:
+        """Records a set-point that counts, and the number of the first one that it has displaced."""
+        now = self._a.now
         if now - self._last.get(sender, -1e12) > PAUSE - 0.01:
-            self._chains[sender] = request.number
+            self._chains[sender] = number
         self._last[sender] = now
 
     def follows(self, message: Setpoint) -> None:

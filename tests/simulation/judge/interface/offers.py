@@ -8,6 +8,7 @@ from controller.program import Program, Stage, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.asked import patience, wanted
 from tests.simulation.judge.interface.facts import Request
+from tests.simulation.judge.interface.modules import Cube
 from tests.simulation.judge.interface.tasks import start_of
 from tests.simulation.judge.verdict import require
 
@@ -39,6 +40,7 @@ class Offers:
         self._judge_until(program, mine, text)
         self._judge_start(program, text)
         self._judge_epoch(program, [r for r in mine if abs(program.until - r.at - patience(r)) < EXACT], text)
+        self._judge_clear(program, text)
         if kind == "jog":
             self._judge_jog(program, mine, text)
         else:
@@ -78,11 +80,30 @@ class Offers:
             return
         at = mine[0].at
         changing = any(r.key in EPOCHS and r.at <= at and r.answered_at > at - 0.3 for r in a.requests)
+        before = [h for h in a.heard if h.at <= at]
+        if before and before[-1].snapshot is None:  # the epoch of the next executor
+            later = [h.snapshot.epoch for h in a.heard if h.at > at and h.snapshot is not None]
+            require(program.epoch in later[:1] or changing, f"{text} has epoch {program.epoch}, not {later[:1]}")
+            return
         near = [h for h in a.heard if abs(h.at - at) < 0.1 or h.at <= at]
         epochs = {h.snapshot.epoch for h in near[-8:] if h.snapshot is not None and h.at > at - 0.2}
         if len(epochs) == 1 and not changing:
             (epoch,) = epochs
             require(program.epoch == epoch, f"{text} has epoch {program.epoch}; it was {epoch} when it was asked for")
+
+    def _judge_clear(self, program: Program, text: str) -> None:
+        """No stage touches an obstacle that is surely in force, from where the outputs have the arm."""
+        a, (snapshot, _) = self._a, self._a.made
+        if snapshot is None or not self._sure([snapshot]) or a.building:
+            return
+        changing = a.scene_building or a.had("cubes", a.now - 0.1)
+        cubes = set[Cube]() if changing else set[Cube].intersection(*a.in_force())
+        locked, before = unpack(snapshot.locked), unpack(start_of(snapshot, len(a.modules.labels))[1])
+        for stage in program.stages if cubes else ():
+            after = unpack(stage.states) & ~locked | before & locked
+            touched = [cube for cube in cubes if cube.touched(before, after)]
+            require(not touched, f"{text} goes from {before:b} to {after:b}, which touches {touched}")
+            before = after
 
     def _sure(self, snapshots: list[object]) -> bool:
         """Returns whether the planner knows the configuration of the arm."""
@@ -133,16 +154,16 @@ class Offers:
 
     def _ready(self, program: Program) -> float:
         """Returns when the first stage may begin: the one before has ended, and its actuators have rested [s]."""
-        a, snapshot = self._a, self._a.snapshot
+        a, (snapshot, switched_at) = self._a, self._a.made
         if snapshot is None:
             return -math.inf
         commanded = unpack(start_of(snapshot, len(a.modules.labels))[1])
         differ = (commanded ^ unpack(program.stages[0].states)) & ~unpack(snapshot.locked)
         ready = -math.inf
         if differ and (a.inrush or program.strict):
-            ready = max(a.switched_at) + a.travel
+            ready = max(switched_at) + a.travel
         if differ and a.rest > 0:
-            mine = [at for k, at in enumerate(a.switched_at) if differ >> k & 1]
+            mine = [at for k, at in enumerate(switched_at) if differ >> k & 1]
             ready = max(ready, max(mine) + a.travel + a.rest)
         return ready
 

@@ -6,11 +6,12 @@ import re
 from collections.abc import Callable
 
 from controller.program import Program, unpack
-from tests.simulation.judge.interface.account import InterfaceAccount
+from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
+from tests.simulation.judge.interface.answers import judge_homing, judge_jog
 from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience
 from tests.simulation.judge.interface.facts import Payload, Ran, Request
+from tests.simulation.judge.interface.locks import leaves_states
 from tests.simulation.judge.interface.messages import well_formed
-from tests.simulation.judge.interface.modules import Cube
 from tests.simulation.judge.interface.plans import judge_plan
 from tests.simulation.judge.interface.refusals import judge_refusal
 from tests.simulation.judge.verdict import require
@@ -22,6 +23,7 @@ ANSWERED_WITHIN = {  # [s], awake, from the arrival to the answer
     "obstacles": 6.0,  # 5 s for the checks, see the page
     "plan": 75.0,  # five plans of 10 s, one after the other, with the worker's delays
 }
+ALONE = 0.2  # [s], awake, from the loss of the executor, or a later request, to its refusal
 WRITTEN_WITHIN = 1.0  # [s] from the acceptance to the answer: the ledger is written between them
 LATE = 1.2  # [s]: a process that stood still for less than 1 s does not know it; and the network
 SOON = 2.5  # [s], awake, from the arrival of a goal to its answer if nothing stands in its way
@@ -163,11 +165,13 @@ class Requests:
         require(request.goal is None or goal == request.goal, f"{text} has the id {goal}")
         jog = request.key == "jog"
         require(goal.startswith("jog-") or not jog, f"{text}: the id of a jog begins with jog-")
-        ran = next((ran for ran in a.ran(goal) if self._fits(ran, request, jog)), None)
-        require(ran is not None, f"{text}, but the executor has accepted no such program")
-        assert ran is not None
+        mine = [ran for ran in a.ran(goal) if self._fits(ran, request, jog)]
+        require(mine, f"{text}, but the executor has accepted no such program")
+        told_by = (ran for ran in mine if f", {switches_of(ran.program)} switch" in answer["message"])
+        ran = next(told_by, mine[0])  # puts of the same id have no answers
         self._begins_in_order(request, ran, text)
-        waited = 0.0 if a.had("disk", ran.at - WRITTEN_WITHIN) else a.awake - ran.awake
+        behind = a.had("disk", ran.at - WRITTEN_WITHIN) or a.reconnecting  # the answer waits behind results
+        waited = 0.0 if behind else a.awake - ran.awake
         require(waited <= WRITTEN_WITHIN, f"{text} comes {waited:g} s after the executor has accepted it")
         words = (JOG_WORDS if jog else WORDS).fullmatch(answer["message"])
         require(words is not None, f"{text} has other words")
@@ -177,9 +181,9 @@ class Requests:
         require(planned is None or told == planned, f"{text}; the program has {planned} switches")
         require(jog or int(words[1]) == len(request.body["waypoints"]), f"{text} has another number of waypoints")
         if jog:
-            self._judge_jog(request, ran, text)
+            judge_jog(a, request, ran, text)
         else:
-            self._judge_homing(request, words[3], text)
+            judge_homing(a, request, words[3], text)
 
     def _begins_in_order(self, request: Request, ran: Ran, text: str) -> None:
         """Judges when a goal or jog has begun, and after what."""
@@ -197,21 +201,14 @@ class Requests:
         if request.body.get("stamp") and not a.had("clock", request.at - 1.0):
             over = a.wall() - (a.now - ran.at) - ends_at(request)
             require(over <= STAMPED_WITHIN, f"{text}; it begins {over:g} s after its end")
+        lost = a.lost_between(request.at, ran.at)
+        require(not lost, f"{text}; it has begun after the executor was lost")
         late = ran.at - request.sent_at
         require(late <= patience(request) + LATE, f"{text}; it has begun {late:g} s after it was sent")
 
     def _fits(self, ran: Ran, request: Request, jog: bool) -> bool:
         mine = ran.request is None and ran.jog == jog and ran.instance and ran.process == request.process
         return bool(mine) and ran.at >= request.at and not ran.given_up
-
-    def _judge_jog(self, request: Request, ran: Ran, text: str) -> None:
-        """Compares the last stage of a jog with its request; the others stay where they are."""
-        labels, last = self._a.modules.labels, unpack(ran.program.stages[-1].states)
-        for label, state in request.body["actuators"].items():
-            require(last >> labels.index(label) & 1 == (state == "extended"), f"{text} ends in {last:b}")
-        mask = sum(1 << labels.index(label) for label in request.body["actuators"])
-        others = (last ^ unpack(ran.program.start)) & ~mask
-        require(not others, f"{text} switches {others:b} too")
 
     def _bars(self, request: Request, answer: Payload, text: str) -> None:
         a = self._a
@@ -234,19 +231,6 @@ class Requests:
                 require(not runs or not a.clear(), f"{text}; {ran.goal} still runs {ENDS_WITHIN} s later")
 
         self._later(ENDS_WITHIN, ended)
-
-    def _judge_homing(self, request: Request, named: str | None, text: str) -> None:
-        """Judges whether the answer says that a homing is not checked among obstacles."""
-        a = self._a
-        heard = a.truths(a.now - request.at + 0.1)
-        known = [unpack(h.snapshot.known) for h in heard if h.snapshot is not None]
-        if named is not None:
-            unknown = {label for mask in known for k, label in enumerate(a.modules.labels) if not mask >> k & 1}
-            require(set(named.split(", ")) <= unknown, f"{text}; unknown were {unknown}")
-            require(a.cubes or a.had("cubes", request.at - 0.1), f"{text}, and there is no obstacle")
-        elif a.cubes and known and not a.had("cubes", request.at - 0.1):
-            all_ = (1 << len(a.modules.labels)) - 1
-            require(all_ in known, f"{text} does not say that its homing is not checked")
 
     def _shown(self, ran: Ran) -> bool:
         """Returns whether the newest snapshot shows a program: the result of one that has ended may still wait."""
@@ -275,6 +259,9 @@ class Requests:
         a = self._a
         k = a.modules.labels.index(request.body["actuator"])
         state = request.body["state"]
+        moments = [h.snapshot for h in a.truths(a.awake - request.awake + DELAY) if h.snapshot is not None]
+        fits = state is None or not moments or any(leaves_states(a.modules, s, k, state) for s in moments)
+        require(fits, f"{request} is accepted, and leaves a module without state")
 
         def told() -> None:
             newer = [r for r in a.requests if r.key == "degrade" and r.number > request.number]
@@ -292,7 +279,7 @@ class Requests:
     def _judge_result(self, request: Request, answer: Payload) -> None:
         a, result = self._a, answer.get("result")
         newest = a.ran(request.goal or "")[-1:]  # an older goal of this id no longer counts
-        told = [r for ran in newest if ran.recorded for r in ran.results]
+        told = [r for ran in newest if ran.recorded_at < request.at for r in ran.results]
         every = [r for ran in a.ran(request.goal or "") for r in ran.results]
         if result is None:
             require(not told or a.disk_failed, f"{request} is answered by {answer}; {told} were told")
@@ -316,6 +303,7 @@ class Requests:
             if request.answer is not None or not request.query:
                 continue
             waited = a.awake - request.awake
+            self._judge_alone(request)
             if a.reconnecting:  # answers wait behind results
                 continue
             longest = ANSWERED_WITHIN.get(request.key, patience(request) + LATE + WRITTEN_WITHIN)
@@ -326,6 +314,15 @@ class Requests:
                 require(waited <= SOON, f"{request} has no answer after {waited:g} s, and nothing stands in its way")
         if len(a.requests) > 400:
             a.requests = [r for r in a.requests if r.answer is None or r.at > a.now - REMEMBERED]
+
+    def _judge_alone(self, request: Request) -> None:
+        """Finds a request that waits for an executor, though none is connected: it is refused at once."""
+        a = self._a
+        if a.slow or a.congested or a.reconnecting or a.lately("congested", 0.5) or a.lately("still", 0.5):
+            return
+        waited = a.awake - max(request.awake, a.alone_since + ALONE)
+        executors = ANSWERED_WITHIN.get(request.key) == EXECUTOR_ANSWERS
+        require(not executors or waited <= ALONE, f"{request} waits for {waited:g} s, and no executor is connected")
 
     def _free(self, request: Request) -> bool:
         """Returns whether nothing stands in the way of a goal or jog."""
@@ -342,9 +339,3 @@ def switches_of(program: Program) -> int:
         switches += (unpack(stage.states) ^ before).bit_count()
         before = unpack(stage.states)
     return switches
-
-
-def cubes_of(request: Request) -> tuple[Cube, ...]:
-    """Returns the obstacles of a request; the centre of each disc has mask and value."""
-    centres = [region["disc"]["centre"] for region in request.body["regions"]]
-    return tuple(Cube(round(mask), round(value)) for mask, value in centres)

@@ -7,16 +7,16 @@ from typing import Any
 
 from controller.program import Ended, Settled, unpack
 from tests.simulation.judge.interface.account import RECONNECTED, InterfaceAccount
-from tests.simulation.judge.interface.asked import barring, lined, wanted
+from tests.simulation.judge.interface.asked import barring, decodable, lined, wanted
 from tests.simulation.judge.interface.facts import Payload, Ran, Request
-from tests.simulation.judge.interface.messages import well_formed
 from tests.simulation.judge.interface.modules import turn
 from tests.simulation.judge.interface.refusals import judge_refusal
 from tests.simulation.judge.interface.words import Words
-from tests.simulation.judge.verdict import require
+from tests.simulation.judge.verdict import Violation, require
 
 TOLD_WITHIN = 1.5  # [s], awake, from the executor's report to the publication: deviations, ledger and outbox
 RECONNECTS_WITHIN = 6.0  # [s], awake, added to the results of an earlier process, and after the process stood still
+RECORDED_WITHIN = 0.06  # [s], awake, from a publication to its record: it counts as sent after 0.05 s
 CODES = {"canceled": -1, "replaced": -1, "aborted": -4, "lost": -4}
 EPSILON = 1e-9
 PROOFS = ("optimal", "bound", "unknown")
@@ -133,6 +133,9 @@ class Results:
         ran.results.append(payload)
         ran.told_awake = a.awake
         ended = ran.ended if ran.heard_at <= a.now and payload["status"] != "lost" else None
+        if payload.get("repeated") and ended is not None and ran.heard_by != a.process:
+            self._judge_mark(ended, payload, text)
+            return
         if payload["status"] != "lost" and not (payload["status"] == "aborted" and ended is None):
             require(ended is not None, f"{text}, but the executor has told no end")
         self._judge_status(ran, ended, payload, text)
@@ -151,6 +154,14 @@ class Results:
         if not ran.jog and (payload["status"] != "lost" or ran.process == a.process):
             self._judge_proof(ran, payload, text)
 
+    def _judge_mark(self, ended: Ended, payload: Payload, text: str) -> None:
+        """Judges a result of which only the mark of an earlier process tells: where the arm was is not known."""
+        unknown = [payload[name] for name in ("configuration", "position", "error")]
+        require(unknown == [None] * 3, f"{text} tells where the arm was")
+        require(payload["switches"] == ended.switches, f"{text}; the executor told {ended.switches}")
+        done = payload["status"] == "succeeded" or payload["code"] == -5
+        require(done == (ended.status == "done") or payload["status"] == "aborted", f"{text}; it was {ended.status}")
+
     def _of(self, payload: Payload, text: str) -> Ran:
         """Returns the program of a result: the newest one that has ended or is lost, and has none."""
         every = self._a.ran(str(payload["id"]))
@@ -165,24 +176,34 @@ class Results:
         puts = [r for r in a.requests if not r.query and r.answer is None]
         if payload["id"] is None:
             motions = ("goal", "jog")
-            puts = [r for r in puts if r.key not in motions or "*" in r.name or not well_formed(r, a.modules)]
+            puts = [r for r in puts if r.key not in motions or "*" in r.name or not decodable(r, a.modules)]
         else:
             named = [r for r in puts if r.key == "goal" and r.goal == payload["id"]]
             puts = named or [r for r in puts if r.key in ("goal", "jog") and r.goal is None]
         fields = {name: value for name, value in payload.items() if name != "status"}
         require(puts, f"result {payload}, but no put waits")
+        failed: BaseException
         for request in puts:
             if request.original is not None and request.original.answer == fields:
                 request.answer, request.answered_at = fields, a.now
                 return
             try:
                 judge_refusal(a, request, fields)
-            except Exception as error:
+            except (Exception, Violation) as error:
                 failed = error
             else:
                 request.answer, request.answered_at = fields, a.now
                 return
         raise failed
+
+    def records(self, goal: str) -> None:
+        """Judges when the planner has a published result recorded: as soon as it has surely left the process."""
+        a = self._a
+        mine = [ran for ran in a.ran(goal) if ran.results and not ran.recorded and ran.process == a.process]
+        held_up = a.slow or a.congested or a.lately("congested", 1.0) or a.lately("still", 0.5) or a.quits
+        if len(mine) == 1 and not held_up:
+            waited = a.awake - mine[0].told_awake
+            require(waited <= RECORDED_WITHIN, f"the result of {goal} is recorded {waited:g} s after it was published")
 
     # --- status
 
@@ -210,7 +231,8 @@ class Results:
             require(cancels or ran.process != a.process, f"{text}; no cancel came after it")
         elif status == "replaced":
             others = [o for o in a.programs.values() if o.at >= ran.at and o is not ran and o.instance == ran.instance]
-            require(others or a.had("setpoint", ran.at - 0.5), f"{text}; nothing has replaced it")
+            died = a.had("offered", ran.ended_at) and a.had("executor ended", ran.ended_at)  # before it accepted
+            require(others or died or a.had("setpoint", ran.at - 0.5), f"{text}; nothing has replaced it")
         elif status == "aborted":
             stops = [r for r in later if barring(r) or r.key == "obstacles"]
             kinds = ("fault", "epoch", "link", "executor ended", "planner ended", "quit", "halted", "touched", "cubes")

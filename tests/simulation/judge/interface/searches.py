@@ -14,13 +14,17 @@ from tests.simulation.judge.verdict import require
 AT_ONCE = 0.005  # [s], awake, from what makes a search possible to its begin, if nothing stands in its way
 READ_WITHIN, HELD_UP = 0.003, 0.5  # [s], awake, from the arrival of a snapshot to the core, also if rounds are slow
 ANSWERED = 0.03  # [s] from a decision to the answer that leaves
-BARS, BARS_FOR = ("stop", "cancel", "reset"), 0.1  # a goal waits for their answers and a snapshot after them [s]
+BARS, BARS_FOR = (
+    ("stop", "cancel", "reset", "degrade"),
+    0.1,
+)  # a goal waits for their answers and a snapshot after them [s]
 STALE = 0.03  # [s], awake, for which a search from elsewhere, or of a goal that is answered, may go on
 HURRIED = 0.03  # [s], awake, from a second goal to the word that the search of the first one must end
 LONGEST_PLAN = 10.0  # [s]
 PREPARED = 0.15  # [s] without requests until the next search is surely prepared
 WAITED = 0.2  # [s], awake, after which a goal without an answer surely waits
 REHEARSED = 2.0  # [s] after a goal, in which it is planned again without effect
+REHEARSED_EVERY = 0.03  # [s], awake, longest time from a rehearsal to the next one
 MOST_PREPARED = 60  # in a second
 
 
@@ -29,6 +33,7 @@ class Searches:
 
     Attributes:
         prepares: whether the next search is prepared while no request waits.
+        steps: number of steps of the planner's core.
         least, most: number of tasks since `count`.
 
     Args:
@@ -36,13 +41,14 @@ class Searches:
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
-        self._a, self.prepares = account, False
+        self._a, self.prepares, self.steps = account, False, 0
         self.begin()
 
     def begin(self) -> None:
         """Forgets the last process."""
         self._running: dict[int, Search] = {}
         self._prepared: Search | None = None  # the last one
+        self._prepared_awake = -math.inf  # end of the last one
         self._improving: Search | None = None  # the last task that improves
         self._searched: tuple[Payload, float] | None = None  # the last goal whose search has ended, and when
         self._planned: tuple[Search, float] | None = None  # the last plan, until something is done with it
@@ -82,6 +88,8 @@ class Searches:
                 self._improving = search
             case "prepare":
                 self._judge_prepared(search, text)
+            case "stages":
+                require(search.cubes, f"{text} looks for collisions, and there is no obstacle")
             case "standing":
                 require(self._heard(search.states[0]), f"{text} is for {search.states[0].hex()}")
         if search.kind == "plan" and search.goal is not None:
@@ -103,12 +111,12 @@ class Searches:
         search = self._running.get(number)
         require(search is None or not search.abandoned, f"the task {number} is abandoned again")
         if search is not None:
-            search.abandoned, search.abandoned_at = True, self._a.now
+            search.abandoned, search.abandoned_in = True, self.steps
 
     def improves(self, number: int, deviations: tuple[float | None, ...] | None) -> None:
         """A worker tells the deviations of a running plan, or a better plan: None."""
         search = self._improving
-        if search is None or search.number != number or search.ran is None or search.abandoned_at < self._a.now:
+        if search is None or search.number != number or search.ran is None or search.abandoned_in < self.steps:
             return  # the answer that lets a goal end abandons its task
         if deviations is None:
             search.ran.replaced = True
@@ -126,6 +134,8 @@ class Searches:
         self.least = min(self.least, len(self._running))
         if search is not None and search.kind == "goal" and search.goal is not None:
             self._searched = search.goal, self._a.now
+        if search is not None and search.kind == "prepare":
+            self._prepared_awake = self._a.awake
         if search is not None and search.kind == "goal" and planned and not search.abandoned:
             self._planned = search, self._a.awake
 
@@ -189,7 +199,8 @@ class Searches:
         before, self._prepared = self._prepared, search
         if goal is None:
             same = before is not None and before.goal is None and basis(before) == basis(search)
-            interrupted = before is not None and a.had("motion asked", before.at - 0.1)
+            kinds = ("motion asked", "scene")  # a scene that fails leaves the same obstacles, with another number
+            interrupted = before is not None and any(a.had(kind, before.at - 0.1) for kind in kinds)
             require(not same or interrupted, f"{text} was prepared before, and nothing has changed")
             return
         require(len(goal["waypoints"]) == 1 and not search.cubes, f"{text} rehearses {goal} among {search.cubes}")
@@ -236,6 +247,9 @@ class Searches:
         if soon and len(last.body["waypoints"]) == 1:
             rehearsed = self._prepared.goal is not None and asks(last, self._prepared.goal)
             require(rehearsed, f"nothing is asked for, and {last} is not rehearsed")
+            goes_on = any(search.kind == "prepare" for search in self._running.values())
+            idle = 0.0 if goes_on else a.awake - self._prepared_awake
+            require(idle <= REHEARSED_EVERY, f"nothing is asked for, and {last} was rehearsed {idle:g} s ago")
 
     def _find_late(self, waiting: list[Request]) -> None:
         """Finds a goal that is neither searched nor refused, a plan that is not offered, and a goal without time."""

@@ -11,9 +11,11 @@ from tests.simulation.judge.interface.modules import Cube, turn
 from tests.simulation.judge.interface.words import Words
 from tests.simulation.judge.verdict import require
 
+CHANGED_WITHIN = 0.045  # [s], awake, from a snapshot with another mode or other outputs to a state, without trouble
 EVERY = 0.1  # [s], awake, longest time between two states: 20 times a second, and the outbox
 STAMPED_WITHIN = 0.03  # [s] between a state and its publication
 CHECKED_WITHIN = 0.5  # [s], awake, from obstacles or an arm that moved to the warning `in-obstacle`
+CHECKED_AGAIN = 1.0  # [s] from a check that fails to the next one
 TOLD_WITHIN = 1.5  # [s], awake, from the end of a goal to a state that no longer names it
 OWN = {"degraded", "unknown-state", "in-obstacle", "executor-lost", "internal-error"}  # faults of the planner
 SHELL = {"clock-set", "network-lost", "ledger-unwritten"}
@@ -209,13 +211,27 @@ class States:
         if a.process and a.now - a.began_at > 0.5 and not a.quits:
             late = a.awake - self._told
             require(late <= EVERY, f"no state for {late:g} s")
+            self._judge_change()
         self._find_standing()
+
+    def _judge_change(self) -> None:
+        """Finds a change that no state tells."""
+        a = self._a
+        if len(a.heard) < 2 or not a.clear() or a.slow or a.congested or a.lately("still", 1.0):
+            return
+        (_, _, before), (_, awake, newest) = a.heard[-2], a.heard[-1]
+        if before is None or newest is None or (before.mode, before.outputs) == (newest.mode, newest.outputs):
+            return
+        waited = a.awake - awake
+        told = self._told >= awake or waited <= CHANGED_WITHIN or a.lately("congested", 1.0)
+        require(told, f"{newest} came {waited:g} s ago, and no state since")
 
     def _find_standing(self) -> None:
         """Compares the warning `in-obstacle` with obstacles and measured states that have not changed for a while."""
         a, snapshot, latest = self._a, self._a.snapshot, self.latest
-        kinds = ("cubes", "measured", "still", "task failed", "slow search")
+        kinds = ("cubes", "measured", "still", "slow search")
         changed = any(a.lately(kind, CHECKED_WITHIN) for kind in kinds)
+        changed = changed or a.lately("task failed", CHECKED_WITHIN + CHECKED_AGAIN)
         if snapshot is None or latest is None or changed or a.scene_building or a.waiting("obstacles"):
             return
         everything = (1 << len(a.modules.labels)) - 1

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 from controller.program import Setpoint, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
-from tests.simulation.judge.interface.facts import Payload
+from tests.simulation.judge.interface.facts import Payload, Request
 from tests.simulation.judge.interface.messages import body_of
 from tests.simulation.judge.interface.refusals import REASONS
+from tests.simulation.judge.interface.tasks import start_of
 from tests.simulation.judge.verdict import require
 
 PAUSE = 0.25  # [s] without a set-point, after which a stream has ended
@@ -18,6 +19,7 @@ OLDEST, AHEAD = 0.2, 0.02  # [s], age and lead of a set-point
 TIP_OLDEST = 1.0  # [s], age of a measured tip
 TOLD_WITHIN = 0.1  # [s], awake, from a count to its publication
 SENT_WITHIN = 0.1  # [s], awake, longest time between two commands for an open stream
+NOTED_EVERY = 0.95  # [s], shortest time between two commands with other reasons: a second, and the next command
 DWELLED = 1.0  # [s] for which a target must stand still until the arm is there
 ENDING = ("goal", "jog", "stop", "cancel", "reset", "degrade")
 
@@ -66,18 +68,21 @@ class Streams:
         self._times = deque[float](maxlen=200)  # of set-points of the present stream
         self._tolerances = deque[float](maxlen=60)  # of the last set-points
         self._sent_at = self._opened_at = -math.inf  # awake
+        self._sent: tuple[Setpoint, float] | None = None  # the last command, and its time [s]
+        self._reason: tuple[int, str, float] = -1, "", -math.inf  # of the last command, and when it changed [s]
         self._target: tuple[float, ...] = ()
         self._stands_since = math.inf
         self._tolerance = 0.0
 
     # --- set-points
 
-    def setpoint(self, payload: bytes, arrived_at: float, sender: str, now: float) -> None:
-        """The planner's core has taken a set-point."""
+    def setpoint(self, payload: bytes, arrived_at: float, sender: str, now: float) -> bool:
+        """The planner's core has taken a set-point; returns whether it is neither malformed nor late."""
         a, counts = self._a, self._now
         counts.at, counts.received = a.awake, counts.received + 1
         position, stamp, tolerance = fields_of(payload)
-        if not position or now - arrived_at > OLDEST:
+        counts_for_sender = bool(position) and now - arrived_at <= OLDEST
+        if not counts_for_sender:
             self._refuse("" if not position else "stale")
         elif now - counts.heard > PAUSE:
             counts.streams, counts.sender, counts.taken = counts.streams + 1, sender, 1
@@ -91,6 +96,8 @@ class Streams:
             counts.taken += 1
             self._take(position, stamp, tolerance, now)
         self._past.append(replace(counts))
+        self._judge_sent()
+        return counts_for_sender
 
     def _refuse(self, reason: str) -> None:
         self._now.surely, self._now.perhaps, self._now.reason = self._now.surely + 1, self._now.perhaps + 1, reason
@@ -117,6 +124,25 @@ class Streams:
         runs = a.snapshot is not None and a.snapshot.mode in ("ready", "executing")
         noted = any(a.had(kind, since) for kind in ("epoch", "link", "fault", "still", "tables", "halted"))
         return not asked and runs and not noted and a.clear() and not a.slow and now - self._now.heard <= PAUSE
+
+    def sends(self, message: Setpoint) -> None:
+        """The planner sends a command for a stream, which may begin in the same step."""
+        self._judge_sent()
+        stream, reason, at = self._reason
+        if message.stream != stream:
+            self._reason = message.stream, message.reason, -math.inf
+        elif message.reason != reason:
+            soon = self._a.now - at
+            require(soon >= NOTED_EVERY, f"{message} has another reason {soon:g} s after {reason!r}")
+            self._reason = stream, message.reason, self._a.now
+        self._sent = message, self._a.now
+
+    def _judge_sent(self) -> None:
+        """Judges the last command: the loss of an executor ends a stream."""
+        sent, self._sent = self._sent, None
+        if sent is not None:
+            lost = self._a.lost_between(self._now.begun, sent[1])
+            require(not lost, f"{sent[0]}, of a stream that began before the executor was lost")
 
     def follows(self, message: Setpoint) -> None:
         """The executor gets a command for a stream."""
@@ -149,6 +175,20 @@ class Streams:
         require(tolerance in wanted, f"a set-point is followed within {tolerance}, asked for are {wanted}")
 
     # --- measured tips
+
+    def tip_arrives(self, request: Request) -> None:
+        """Records a measured tip, and whether it surely counts."""
+        a, snapshot = self._a, self._a.snapshot
+        if "*" in request.name or a.bias is None:
+            return
+        a.tip_at, age = a.now, a.wall() - float(request.body.get("stamp", 0.0))
+        rests = snapshot is not None and not snapshot.moving and snapshot.mode == "ready" and a.clear()
+        standing = rests and not a.had("moved", a.now - 0.3) and not a.lately("still", 1.0) and not a.slow
+        known = snapshot is not None and unpack(start_of(snapshot, len(a.modules.labels))[2]) in a.modules.tips
+        if standing and known and not a.building and 0.0 <= age < 0.1 and not a.had("clock", a.now - 10.0):
+            a.good_tip_at = a.now
+        elif a.now - a.good_tip_at < 0.1:  # it may have displaced the good one
+            a.good_tip_at = -math.inf
 
     def tip(self, payload: bytes, now: float) -> None:
         """The planner's core has taken a measured tip."""
@@ -232,6 +272,7 @@ class Streams:
 
     def tick(self) -> None:
         """Finds an open stream without commands, and a target at which the arm does not arrive."""
+        self._judge_sent()
         a, now = self._a, self._a.now
         if not a.process or now - self._now.heard > 0.1 or self._now.perhaps or not self._open(now):
             self._opened_at = math.inf

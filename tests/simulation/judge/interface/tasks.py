@@ -40,7 +40,7 @@ class Search:
     awake: float = 0.0
     hurried: bool = False
     abandoned: bool = False
-    abandoned_at: float = math.inf
+    abandoned_in: float = math.inf  # step of the core
     stale_from: float = math.inf
     ran: Ran | None = None  # that is improved
 
