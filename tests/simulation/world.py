@@ -130,6 +130,7 @@ class World:
         self.calm()
         while True:
             if self.daemon is None:
+                self._let_strangers_stop(False)
                 for _ in range(SINGLE_FAULTS):
                     self.single_faults.happen()
             self.planner.be_calm(False)

@@ -18,7 +18,7 @@ class Commit:
 
     Attributes:
         at: time of the RPDOs [s].
-        before: states to which the boards drove the actuators.
+        before: states that the executor believed, see `Account.believed`.
         open: buses whose RPDOs were handed out, and not their SYNC yet.
         awaited: buses whose SYNC was handed out and was not heard to have left.
         mask: actuators with an output in its RPDOs.
@@ -158,6 +158,7 @@ class Account:
         mover: the last commit that switched an actuator.
         ticked: time of the last tick [s].
         asked_states: states in which locked actuators without an end-stop are locked, by the arm's file or a request.
+        homed_at: time of the last commit that may have homed actuators of unknown state [s].
         unknown: mask of the actuators with two outputs, both off since the process started or their board has, and
             with no end-stop that tells their state. Of those that are locked, the executor tells a guess as output.
     """
@@ -174,6 +175,7 @@ class Account:
         self.shown: Snapshot | None = None
         self.told = "starting"
         self.ready_at = math.inf
+        self.homed_at = -math.inf
         self.greatest = self.program_number = self.stream_number = 0
         self.run: Run | None = None
         self.stream: Stream | None = None
@@ -212,6 +214,13 @@ class Account:
     def switching(self) -> bool:
         """Whether boards have switched, and the executor has not heard of it."""
         return self.committing and self.commit is self.mover
+
+    @property
+    def believed(self) -> int:
+        """The driven states; a guess of those that nobody can know, which the executor tells as outputs."""
+        states = self.ground.states
+        unknown = self.homing | self.unknown & self.locked
+        return states if self.shown is None else merged(unknown, unpack(self.shown.outputs), states)
 
     @property
     def homing(self) -> int:

@@ -180,6 +180,8 @@ class Commands:
         if not changed:
             return
         commit.releases = False
+        if commit.homing & a.arm.paired:
+            a.homed_at = a.now
         commit.stages = [states for states in commit.stages if not (states ^ extends) & changed]
         if commit.stages:
             waits = commit.homing & a.homing & a.unknown

@@ -54,6 +54,7 @@ class Judge:
         self.messages = Messages(self)
         self._over = False  # whether the process was told to end at once
         self._ticks = False  # whether the event that is handled begins a period
+        self._found = 0  # mask of the actuators of unknown state that the last SYNC has energised; each is a switch
         self._asked_to_end: bool | None = None  # at a request to end, whether the arm contracts before
         self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
         self.traffic, self.log = Traffic(self.account, arm), Log(self.account, self.endings.lets_go)
@@ -164,7 +165,7 @@ class Judge:
         self.counts.hands_out(bus)
         if frame_id & 0x780 in RPDOS:
             if a.commit is None or a.commit.at != a.now:
-                a.commit = Commit(a.now, self.ground.states)
+                a.commit = Commit(a.now, a.believed)
                 self.programs.switches_for = a.run
             a.commit.open.add(bus)
             self.commands.commit(bus, frame_id, data)
@@ -188,7 +189,7 @@ class Judge:
         if cause == "SYNC":
             self.commands.switched(states, mask, commit)
             self.account.mover = self.account.commit
-            self.programs.switched(mask)
+            self.programs.switched(mask & ~self._found)
             self.travels.switched(mask)
             self.traffic.switched()
 
@@ -196,7 +197,9 @@ class Judge:
         """The actuators of mask `on` have one of two outputs on; those of `came` since this cause."""
         self.ground.energise(self.account.now, on, came)
         if cause == "SYNC":
-            self.travels.switched(came & self.account.unknown)
+            self._found = came & self.account.unknown
+            self.programs.switched(self._found)
+            self.travels.switched(self._found)
             self.account.unknown &= ~came
         self.pulses.energises(on, came, cause)
 

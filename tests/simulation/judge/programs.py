@@ -91,8 +91,7 @@ class Programs:
         self.end("replaced", "replaced")
         a.run = Run(asked, message, a.locked, a.locked_states, a.homing)
         a.run.held_at = a.run.taken_at = a.run.accepted_at = a.now
-        homed = a.commit.homing & a.arm.paired if a.commit is not None and a.now < a.commit.at + READ_BACK else 0
-        a.run.delayed = bool(a.run.homes or homed)
+        a.run.delayed = bool(a.run.homes) or a.now < a.homed_at + READ_BACK
         a.stream = None
         a.program_number = asked.program
         a.greatest = max(a.greatest, asked.program)
@@ -137,7 +136,7 @@ class Programs:
         k = message.stage
         require(run.taken < k < len(run.stages), f"stage {k} of program {run.number} comes after {run.taken}")
         commit = a.mover if a.mover is not None and a.mover.at >= run.taken_at else None
-        at, before = (a.now, a.ground.states) if commit is None else (commit.at, commit.before)
+        at, before = (a.now, a.believed) if commit is None else (commit.at, commit.before)
         states = run.stages[k].states
         if a.clear and not run.delayed:
             self._judge_begun(run, k, at, before)
@@ -195,8 +194,7 @@ class Programs:
             require(message.planned == run.planned, f"{text} tells planned as {message.planned}")
 
     def _judge_switches(self, run: Run, told: int, text: str) -> None:
-        most = run.switches + run.homes.bit_count()  # a pair of unknown state switches also where its valve stays
-        require(run.switches <= told <= most, f"{text} tells {told} switches, the bus had {run.switches}")
+        require(told == run.switches, f"{text} tells {told} switches, the bus had {run.switches}")
 
     def switched(self, mask: int) -> None:
         """Counts actuators that a SYNC switched."""

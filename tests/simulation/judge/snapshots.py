@@ -153,9 +153,10 @@ class Snapshots:
         a, mode = self._a, snapshot.mode
         require(unpack(snapshot.sensed) == a.arm.sensed, f"sensed is {unpack(snapshot.sensed):b}")
         homing = unpack(snapshot.homing)
-        require(not homing & ~a.unknown, f"{homing:b} are to be homed, unknown are {a.unknown:b}")
+        fresh = a.ground.came_since(a.now - SEEN_WITHIN)
+        require(not homing & ~(a.unknown | fresh), f"{homing:b} are to be homed, unknown are {a.unknown:b}")
         if mode in ("ready", "executing") and a.knows_unknown:
-            lasting = a.unknown & ~a.locked & ~a.ground.came_since(a.now - SEEN_WITHIN)
+            lasting = a.unknown & ~a.locked & ~fresh
             require(not lasting & ~homing, f"{homing:b} are to be homed, unknown are {a.unknown:b}")
         for fault in snapshot.faults:
             require(fault.code in STANDING, f"{fault} without a cause")

@@ -79,8 +79,10 @@ class Travels:
 
     def ended(self, run: Run, ended_at: float, told: tuple[Travel, ...], text: str) -> None:
         """Judges the travels of a result: those that have arrived while its program was running."""
-        a = self._a
-        for travel in reversed(told):
+        first = max(run.accepted_at, self._a.clear_since) + FRAME
+        late = [one for one in self._arrived if first < one.at < ended_at - FRAME]
+        due = [one for one in late if not self._asked(one)]
+        for travel in told:
             fits = [
                 one
                 for one in self._arrived
@@ -88,9 +90,7 @@ class Travels:
                 and 0.0 <= travel.seconds - one.seconds + EPSILON <= FRAME
             ]
             require(fits, f"{text} tells {travel}; arrived are {[vars(one) for one in self._arrived]}")
-            self._arrived.remove(fits[-1])
-        first = max(run.accepted_at, a.clear_since) + FRAME
-        late = [one for one in self._arrived if first < one.at < ended_at - FRAME]
-        missing = [vars(one) for one in late if not self._asked(one)]
+            self._arrived.remove(next((one for one in fits if one in due), fits[0]))
+        missing = [vars(one) for one in due if one in self._arrived]
         require(not missing or len(told) == MOST_TRAVELS, f"{text} tells {told}, and not {missing}")
-        self._arrived = [one for one in self._arrived if one.at >= a.now - FRAME]
+        self._arrived = [one for one in self._arrived if one.at >= self._a.now - FRAME]
