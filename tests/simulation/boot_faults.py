@@ -127,8 +127,13 @@ class BootFaults:
             if pdo and (fixed or objects._variant.absent or objects._variant.changes):
                 continue
             value = random.choice(values)
+            synchronous = index < 0x1800 and objects._variant.synchronous
+            if pdo and sub == 2 and value < 254 and not synchronous:
+                continue  # this board takes no such value back after a refusal
             self._world.note(f"{index:04X}h sub {sub} gets {value:X}h")
             objects.set_number(index, sub, value)
+            if index == 0x1016:
+                board._supervision.written(index, self._world.agenda.now)
         board._pdos.configure()
 
     def _order(self, name: str) -> None:

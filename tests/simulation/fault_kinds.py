@@ -7,6 +7,7 @@ from functools import partial
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
+from controller.executor.core.bits import indices
 from controller.executor.core.events import Defect
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame
@@ -27,6 +28,7 @@ READ_BACK = 2.0  # [s] until outputs that do not follow are told: about a second
 TIMES = 8  # stages that switch an actuator to and fro
 LOOSE = 0.3  # [s] for which a wire is loose; a board that does not answer for longer is a fault
 WAYS = {"clear": "answers", "touched": "finds an obstacle", "silent": "is silent", "stream": "sends set-points"}
+PULSING = 0.008  # [s] from the SYNC that begins a pulse until its bus goes down
 ASKED = 0.3  # [s] until the boards of a late actuator were asked
 
 # What the executor gets wrong today, and which faults are not drawn for that reason. A later change mends the code and
@@ -75,7 +77,7 @@ class FaultKinds:
     def draw(self) -> tuple[str, Fault]:
         """Returns the name of a fault, and the fault."""
         makers = [self._of_bus, self._of_board, self._of_frames, self._of_actuator, self._of_motion, self._of_executor]
-        makers += [self._of_running_boards] * 3 + [self._of_motion] * 2
+        makers += [self._of_running_boards] * 3 + [self._of_motion] * 2 + [self._of_pulse]
         while True:
             made = self._random.choice(makers)()
             if made:
@@ -240,6 +242,24 @@ class FaultKinds:
             unheard = Expected(also, (label, board), READ_BACK + late, also=also)
             made["a board loses a SYNC"] = Fault(lose_sync, nothing, unheard)
         return made
+
+    def _of_pulse(self) -> dict[str, Fault]:
+        """Returns the loss of a bus on which a pulse is on."""
+        world, planner = self._world, self._world.planner
+        assert isinstance(planner, ScriptedPlanner)
+        pulsed = [k for k in indices(world.kinds.pulsed) if not world.judge.account.locked >> k & 1]
+        if not pulsed or world.judge.account.homing:
+            return {}
+        k = self._random.choice(pulsed)
+        bus: BusModel = world.buses[world.arm.wiring.channels[k].bus]
+
+        def lose() -> None:
+            bus.at_next_sync(lambda: world.agenda.after(PULSING, bus.go_down))
+            planner.ask_to_switch(k)
+
+        also = codes("pulse-overdue", "board-lost")
+        gone = Expected(codes("bus-down"), (bus.name,), world.arm.rest + ASKED, also=also, cleared=True)
+        return {"bus is down while a pulse is on": Fault(lose, bus.restore, gone)}
 
     def _loosen(self, label: str, bus: BusModel, ask: Callable[[], None]) -> None:
         """Cuts the wires of an end-stop for a moment, in which its board cannot be asked, before a strict stage."""

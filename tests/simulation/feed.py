@@ -89,6 +89,7 @@ class Feed(Witness):
         """Tells a line of the log."""
         self._judge.log.logs(level, text)
         self._judge.endings.logs(text)
+        self._judge.pulses.logs(text)
 
     def notifies(self, text: str) -> None:
         """Tells a message for systemd."""

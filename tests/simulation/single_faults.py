@@ -63,7 +63,7 @@ class SingleFaults:
             world.note(f"only fault: {name}")
             self._judge(name, fault, planner)
         planner.patient = False
-        if not world.record.suspect:
+        if not world.record.suspect and not world.judge.account.clear:
             world.judge.quiet_from(world.agenda.now)
 
     def _rest(self) -> None:
@@ -78,8 +78,12 @@ class SingleFaults:
         in_order = self._random.random() < 0.7
         world.trouble.made["only: executor ends" if in_order else "only: executor is killed"] += 1
         world.note("only fault: the executor ends")
+        if self._random.random() < 0.3:
+            self._lock(planner)
         instance = world.executor.instances
-        if self._random.random() < 0.7:
+        if not in_order and self._random.random() < 0.6:
+            self._kill_at_rpdo(planner)
+        elif self._random.random() < 0.7:
             planner.ask_for_motion()
             world.pass_time(self._random.choice([0.003, 0.02, 0.3, 1.0]))
         if in_order:
@@ -89,10 +93,28 @@ class SingleFaults:
                 world.agenda.after(self._random.uniform(0.0, 0.3), planner.halt)
             elif drawn < 0.5:  # a second signal
                 world.agenda.after(self._random.uniform(0.0, 0.3), world.executor.quit_again)
-        else:
+        elif world.executor.instances == instance:
             world.executor.kill()
         world.wait(lambda: world.executor.instances > instance, "started again", RESTARTED)
+        planner.unlocks = True
         world.wait(world.settled, "ready", world.ready_within)
+
+    def _kill_at_rpdo(self, planner: ScriptedPlanner) -> None:
+        """Kills the executor when an RPDO is handed out, or later if none is."""
+        world, bus = self._world, self._random.choice(list(self._world.buses.values()))
+        planner.ask_for_motion()
+        bus.at_next_rpdo(lambda: world.agenda.after(0.0, world.executor.kill))
+        world.pass_time(self._random.uniform(0.1, 0.4))
+        bus.at_next_rpdo(lambda: None)
+
+    def _lock(self, planner: ScriptedPlanner) -> None:
+        """Locks an actuator where it is, if an end-stop tells its state; the executor that ends has it locked."""
+        world = self._world
+        free = world.judge.arm.sensed & ~world.judge.account.locked
+        if free:
+            k = self._random.choice([k for k in range(len(world.arm.actuators)) if free >> k & 1])
+            planner.ask_to_lock(k, world.boards.positions() >> k & 1)
+            world.pass_time(ANSWERED)
 
     def _interrupt(self, planner: ScriptedPlanner) -> None:
         """Stops the arm, or cancels its program, when a SYNC or an RPDO is handed out."""
@@ -116,6 +138,9 @@ class SingleFaults:
         world.note("only fault: the planner dies or stands still")
         if dies:
             planner.die()
+            if self._random.random() < 0.5:  # the next one dies before it acknowledges anything
+                world.wait(lambda: planner.snapshot is not None, "connected", 3.0 * timeout)
+                planner.die()
             world.pass_time(self._random.uniform(0.0, 0.5))
         else:
             planner.stall(timeout * self._random.choice([0.7, 1.2, 2.0]))

@@ -111,6 +111,9 @@ def draw_kind(random: Random, channel: Channel) -> Channel:
         fields["output_off"] = second
         if random.random() < 0.7:
             fields["pulse"] = random.choice([0.02, 0.05, 0.2])
+            if random.random() < 0.25:  # after a kill nobody can know its state
+                fields["input"] = None
+                fields.pop("input_contracted", None)
     elif random.random() < 0.2:
         inverted.add("output")
     if random.random() < 0.5:

@@ -82,7 +82,6 @@ class Run:
         planned: whether all stages since the last mark were carried out as planned.
         mark: the last mark reached; `open_mark` until it was told as settled.
         homes: mask of actuators that may be homed before the first stage.
-        homed: states to which they are homed.
         taken_at: time of the last `Begun` [s].
         delayed: whether its zero of time may be later, because actuators are homed before, or were a moment ago.
         begins_by: latest zero of time, if it is delayed [s].
@@ -103,13 +102,16 @@ class Run:
         self.taken = self.settled = -1
         self.switches = self.counted = 0
         self.homes = homing & (unpack(message.homed) if message.homed else -1)
-        ends_elsewhere = bool(message.homed and self.stages)
-        self.homed = self.stages[-1].states if ends_elsewhere else self.start
         self.taken_at = self.held_at = self.accepted_at = accepted.begin
         self.mark = self.begun = self.generation = -1
         self.begins_by = accepted.begin
         self.planned, self.open_mark, self.touched, self.delayed = True, False, False, False
         self.question: int | None = None
+
+    @property
+    def homed(self) -> int:
+        """The states to which actuators are homed before the first stage."""
+        return self.stages[-1].states if self.message.homed and self.stages else self.start
 
     def aligned(self, states: int) -> int:
         """Returns states with the locked actuators in their locked states."""

@@ -87,7 +87,7 @@ class Judge:
 
     def _forget(self) -> None:
         self._ticks, self._asked_to_end, self._over = False, None, False
-        self.counts.begin()
+        self.counts.begin(self.endings.let_go)
         self.account.begin()
         parts = self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log
         for part in (*parts, self.commands, self.silence, self.clients, self.travels, self.reasons):
@@ -185,20 +185,22 @@ class Judge:
 
     def drives(self, states: int, mask: int, cause: str, commit: Commit | None = None) -> None:
         """The boards drive actuators of a mask to other ends than before; all states are given."""
-        self.ground.drive(self.account.now, states, mask, cause == "SYNC")
+        self.ground.drive(self.account.now, states, mask)
         if cause == "SYNC":
             self.commands.switched(states, mask, commit)
             self.account.mover = self.account.commit
             self.programs.switched(mask & ~self._found)
+            self.counts.switched(mask & ~self._found)
             self.travels.switched(mask)
             self.traffic.switched()
 
-    def energises(self, on: int, came: int, cause: str) -> None:
-        """The actuators of mask `on` have one of two outputs on; those of `came` since this cause."""
+    def energises(self, on: int, came: int, states: int, cause: str) -> None:
+        """The actuators of mask `on` have one of two outputs on, those of `came` since this cause; `states` follow."""
         self.ground.energise(self.account.now, on, came)
         if cause == "SYNC":
             self._found = came & self.account.unknown
             self.programs.switched(self._found)
+            self.counts.switched(self._found & (self.account.believed ^ states))
             self.travels.switched(self._found)
             self.account.unknown &= ~came
         self.pulses.energises(on, came, cause)

@@ -136,7 +136,7 @@ class Snapshots:
         if not a.clear:
             a.unknown, a.knows_unknown = homing | a.locked & arm.paired, False
         elif not a.knows_unknown:
-            a.unknown |= homing
+            a.unknown |= homing & ~a.ground.came_since(a.now - SEEN_WITHIN)
 
     def _judge_changes(self, last: Snapshot, snapshot: Snapshot) -> None:
         grows = snapshot.epoch > last.epoch

@@ -19,6 +19,7 @@ NO_PROFILE = "not the profile 0191h"
 NO_OUTPUT_BIT = "without the bit of digital outputs"
 NO_INPUT_BIT = "without the bit of digital inputs"
 NO_WAIT = "refuses to wait for SYNC"
+GENERIC, COMMUNICATION = 0x01, 0x10  # bits of 1001h
 KEPT = "keeps an error from before"
 DOES = {"off": "its outputs go off", "hold": "its outputs hold", "device": "its outputs do what the device is set to"}
 LIMITS = (NO_SYNC_OBJECT, NO_BEHAVIOUR, NO_PROFILE, NO_OUTPUT_BIT, NO_INPUT_BIT, NO_WAIT, KEPT, *DOES.values())
@@ -45,6 +46,7 @@ class Found(NamedTuple):
         errors: codes of its errors, the newest first; those that report the loss of the master end by themselves.
         keeps_loss: whether also these stay.
         tells: whether it tells its NMT state, by heartbeats or on remote frames.
+        explained: whether the master may have heard the emergencies of its errors.
     """
 
     state: int | None
@@ -57,6 +59,7 @@ class Found(NamedTuple):
     errors: tuple[int, ...]
     keeps_loss: bool
     tells: bool
+    explained: bool = True
 
     def has(self, index: int, sub: int = 0) -> bool:
         """Returns whether it has an object."""
@@ -187,7 +190,9 @@ def _errors(board: JudgedBoard, found: Found, refusals: list[Refusal], limits: s
     lasting = [code for code in found.errors if code != 0x8130]
     if not found.starts:
         refusals.append(Refusal("board-stopped", ("did not become operational", "pre-operational", "1001h sub 0 is")))
-    if lasting:
+    if lasting and not found.explained and not found.has(0x1003) and found.byte(0x1001, 0) & ~GENERIC == COMMUNICATION:
+        limits.add(KEPT)  # nothing tells a new master another cause than the loss of the last one
+    elif lasting:
         entries = [found.byte(0x1003, sub) for sub in range(1, 9)]
         newest = next((entry for entry in entries if entry & 0xFFFF), 0)
         words = ("1001h sub 0 is", "00h is needed", "1003h sub", f"{newest:08X}h", "Remove its cause")
