@@ -34,7 +34,7 @@ class SingleFaults:
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
         self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
-        self._often = 0.3 if world.arm.contract_on_stop or world.kinds.pulse else 0.12  # that the executor ends
+        self._often = 0.2 if world.arm.contract_on_stop or world.kinds.pulse else 0.1  # that the executor ends
 
     def happen(self) -> None:
         """Causes one fault, mends it, and brings the arm back.
@@ -50,11 +50,11 @@ class SingleFaults:
         drawn = self._random.random()
         if drawn < self._often:
             self._end_executor(planner)
-        elif drawn < 0.32:
+        elif drawn < 0.26:
             self._lose_planner(planner)
-        elif drawn < 0.42:
+        elif drawn < 0.36:
             self._interrupt(planner)
-        elif drawn < 0.56:
+        elif drawn < 0.46:
             self._boots.happen()
         else:
             world.judge.disturb()
@@ -121,7 +121,14 @@ class SingleFaults:
         world, bus = self._world, self._random.choice(list(self._world.buses.values()))
         planner.ask_for_motion()
         at_next = self._random.choice([bus.at_next_sync, bus.at_next_sync, bus.at_next_rpdo])
-        at_next(lambda: world.agenda.after(0.0, planner.interrupt))
+        dies = self._random.random() < 0.25
+
+        def happen() -> None:
+            planner.interrupt()
+            if dies:
+                planner.die()
+
+        at_next(lambda: world.agenda.after(0.0, happen))
         world.trouble.made["only: interrupted"] += 1
         world.pass_time(self._random.uniform(0.3, 1.0))
         at_next(lambda: None)
@@ -163,8 +170,8 @@ class SingleFaults:
             planner.unlocks = True
             return
         world.wait(lambda: told(expected, planner.snapshot), f"told: {name}", expected.within)
-        long = expected.cleared and self._random.random() < 0.3
-        self._watch(expected, LONG if long else self._random.uniform(0.0, 0.5))
+        long = expected.cleared and self._random.random() < 0.2
+        self._watch(expected, LONG if long else self._random.uniform(0.0, 0.3))
         if expected.refused:
             planner.ask_to_reset()
             world.wait(lambda: planner.last_answer is not None, "answered", ANSWERED)
@@ -173,7 +180,7 @@ class SingleFaults:
             require(right, f"a reset is answered by {planner.last_answer} while {name}")
         fault.mend()
         if not expected.cleared:
-            self._watch(expected, KEPT)
+            self._watch(expected, KEPT if self._random.random() < 0.3 else ANSWERED)
             self._require_mode("fault", name)
             planner.patient = False
         world.wait(lambda: self._is("ready"), f"ready after {name}", world.ready_within)

@@ -187,18 +187,19 @@ class Judge:
         """The boards drive actuators of a mask to other ends than before; all states are given."""
         self.ground.drive(self.account.now, states, mask)
         if cause == "SYNC":
-            self.commands.switched(states, mask, commit)
+            self.commands.switched(states, mask, mask & ~self._found, commit)
             self.account.mover = self.account.commit
             self.programs.switched(mask & ~self._found)
             self.counts.switched(mask & ~self._found)
             self.travels.switched(mask)
             self.traffic.switched()
 
-    def energises(self, on: int, came: int, states: int, cause: str) -> None:
+    def energises(self, on: int, came: int, states: int, cause: str, commit: Commit | None) -> None:
         """The actuators of mask `on` have one of two outputs on, those of `came` since this cause; `states` follow."""
         self.ground.energise(self.account.now, on, came)
         if cause == "SYNC":
             self._found = came & self.account.unknown
+            self.commands.energised(states, self._found, commit)
             self.programs.switched(self._found)
             self.counts.switched(self._found & (self.account.believed ^ states))
             self.travels.switched(self._found)

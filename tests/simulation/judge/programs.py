@@ -136,6 +136,8 @@ class Programs:
         k = message.stage
         require(run.taken < k < len(run.stages), f"stage {k} of program {run.number} comes after {run.taken}")
         commit = a.mover if a.mover is not None and a.mover.at >= run.taken_at else None
+        if commit is not None and not commit.switched & ~commit.locked:
+            commit = None  # it has set locked actuators to their states, before any stage
         at, before = (a.now, a.believed) if commit is None else (commit.at, commit.before)
         states = run.stages[k].states
         if a.clear and not run.delayed:

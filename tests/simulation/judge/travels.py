@@ -103,13 +103,23 @@ class Travels:
 
 def _others(told: Sequence[Travel], arrived: Sequence[Arrival]) -> list[Arrival] | None:
     """Returns the arrivals that no told travel means, all of one actuator and in order; None if no order fits."""
-    if not told:
-        return None if any(one.due for one in arrived) else list(arrived)
-    for k, one in enumerate(arrived):
-        if 0.0 <= told[0].seconds - one.seconds + EPSILON <= FRAME:
-            others = _others(told[1:], arrived[k + 1 :])
-            if others is not None:
-                return [*arrived[:k], *others]
-        if one.due:
-            break
-    return None
+    count = len(arrived)
+    able = [[False] * (count + 1) for _ in range(len(told))]  # whether told[i:] may mean some of arrived[j:]
+    able.append([not any(one.due for one in arrived[j:]) for j in range(count + 1)])
+    for i in reversed(range(len(told))):
+        for j in reversed(range(count)):
+            means = _fits(told[i], arrived[j]) and able[i + 1][j + 1]
+            able[i][j] = means or (not arrived[j].due and able[i][j + 1])
+    if not able[0][0]:
+        return None
+    others, i = list[Arrival](), 0
+    for j, one in enumerate(arrived):
+        if i < len(told) and _fits(told[i], one) and able[i + 1][j + 1]:
+            i += 1
+        else:
+            others.append(one)
+    return others
+
+
+def _fits(travel: Travel, arrival: Arrival) -> bool:
+    return 0.0 <= travel.seconds - arrival.seconds + EPSILON <= FRAME

@@ -22,7 +22,9 @@ NO_WAIT = "refuses to wait for SYNC"
 GENERIC, COMMUNICATION = 0x01, 0x10  # bits of 1001h
 KEPT = "keeps an error from before"
 DOES = {"off": "its outputs go off", "hold": "its outputs hold", "device": "its outputs do what the device is set to"}
-LIMITS = (NO_SYNC_OBJECT, NO_BEHAVIOUR, NO_PROFILE, NO_OUTPUT_BIT, NO_INPUT_BIT, NO_WAIT, KEPT, *DOES.values())
+NO_MODE, NO_MAKERS_MODE = "has no 6206h (error mode)", "has no error mode for its maker's object"
+MODES = (*DOES.values(), NO_MODE, NO_MAKERS_MODE)
+LIMITS = (NO_SYNC_OBJECT, NO_BEHAVIOUR, NO_PROFILE, NO_OUTPUT_BIT, NO_INPUT_BIT, NO_WAIT, KEPT, *MODES)
 
 
 class Refusal(NamedTuple):
@@ -167,7 +169,7 @@ def _error_mode(board: JudgedBoard, found: Found, refusals: list[Refusal], limit
         refusals += [Refusal("wrong-device", (f"has no {index:04X}h", "on_loss: contract")) for index in absent]
     if board.base == OUTPUTS and found.has(0x6206, 1):
         return
-    missing = "has no 6206h (error mode)" if board.base == OUTPUTS else f"maker's object {board.base:04X}h"
+    missing = NO_MODE if board.base == OUTPUTS else NO_MAKERS_MODE
     if needed and board.base == OUTPUTS:
         return  # for the lack of 6206h or 6207h
     if needed:
@@ -175,7 +177,7 @@ def _error_mode(board: JudgedBoard, found: Found, refusals: list[Refusal], limit
     elif state is None:
         refusals.append(Refusal("wrong-device", (missing, "boards.error_state to off, hold or device")))
     else:
-        limits.add(DOES[state])
+        limits.update((missing, DOES[state]))
 
 
 def _behaviour(board: JudgedBoard, found: Found, refusals: list[Refusal], limits: set[str]) -> None:
