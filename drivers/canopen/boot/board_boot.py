@@ -66,8 +66,9 @@ def boot_board(
     try:
         yield from undo.recorded(_steps(boot))
     except BoardError as error:
-        board.guarded = False
-        if error.fault.code != "board-missing":
+        if error.fault.code == "board-missing":
+            board.guarded = False
+        else:  # node guarding goes on, so that its outputs stay as they are
             yield from undo.restore()
         raise
 

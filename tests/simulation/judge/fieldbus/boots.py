@@ -11,7 +11,6 @@ from tests.simulation.judge.fieldbus.outcomes import (
     LIMITS,
     OPERATIONAL,
     PRE_OPERATIONAL,
-    STOPPED,
     Found,
     Outcome,
     Values,
@@ -206,8 +205,6 @@ class Boots:
             )
         unread = any(index == board.base for index, _ in found.refused)
         states = {found.state} | ({PRE_OPERATIONAL} if unread or not found.starts else set())
-        if not beats(found):
-            states |= {PRE_OPERATIONAL, STOPPED}  # nobody guards it any more
         now = look.state()
         require(now in states, f"{board.name} was found in {found.state}, was refused, and is in {now}; {seen.orders}")
 
