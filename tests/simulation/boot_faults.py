@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame, State
+from tests.simulation.judge.boards import MASTER
 from tests.simulation.judge.verdict import require
 
 if TYPE_CHECKING:
@@ -127,9 +128,20 @@ class BootFaults:
             if pdo and (fixed or objects._variant.absent or objects._variant.changes):
                 continue
             value = random.choice(values)
+            if index == 0x1016 and value >> 16 == MASTER and self._watched_elsewhere(objects, sub):
+                continue  # no two entries may watch one node (CiA 301)
+            synchronous = index < 0x1800 and objects._variant.synchronous
+            if pdo and sub == 2 and value < 254 and not synchronous:
+                continue  # this board takes no such value back after a refusal
             self._world.note(f"{index:04X}h sub {sub} gets {value:X}h")
             objects.set_number(index, sub, value)
+            if index == 0x1016:
+                board._supervision.written(index, self._world.agenda.now)
         board._pdos.configure()
+
+    def _watched_elsewhere(self, objects: Any, sub: int) -> bool:
+        others = [k for k in range(1, 1 + objects.number(0x1016, 0)) if k != sub]
+        return any(objects.number(0x1016, k) >> 16 & 0x7F == MASTER for k in others)
 
     def _order(self, name: str) -> None:
         """Another program stops a board, or takes it out of operational."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from random import Random
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from controller.executor.core.events import Defect
 from drivers.canopen.wire import cia301
@@ -15,41 +15,19 @@ from tests.simulation.board_faults import BoardFaults
 from tests.simulation.executor.process import LOOP_FAILS
 from tests.simulation.judge.expected import Expected
 from tests.simulation.planner import ScriptedPlanner
+from tests.simulation.pulse_faults import PulseFaults
+from tests.simulation.single_fault import ASKED, AT_ONCE, NO_FAULT, READ_BACK, Fault, codes, nothing
 
 if TYPE_CHECKING:
     from tests.simulation.buses.bus_model import BusModel
     from tests.simulation.world import World
 
-AT_ONCE = 0.05  # [s] until a frame on a slow bus, or a change of a bus, is told
 SHOWN = 0.1  # [s] until a warning is told, by the next snapshot
 RESTARTS = 0.5  # [s] until a board without supply has booted
-READ_BACK = 2.0  # [s] until outputs that do not follow are told: about a second, and eight reads
 OVERRUNS, OVERRUN_EVERY = 25, 0.02  # number, and time between two of them [s]
 TIMES = 8  # stages that switch an actuator to and fro
 LOOSE = 0.3  # [s] for which a wire is loose; a board that does not answer for longer is a fault
 WAYS = {"clear": "answers", "touched": "finds an obstacle", "silent": "is silent", "stream": "sends set-points"}
-ASKED = 0.3  # [s] until the boards of a late actuator were asked
-
-
-def nothing() -> None:
-    """Mends a fault that is over at once."""
-
-
-class Fault(NamedTuple):
-    """A fault that can be caused and mended; neither the fault nor the reset after it changes what `holds` returns."""
-
-    cause: Callable[[], object]
-    mend: Callable[[], object]
-    expected: Expected
-    holds: Callable[[], object] = nothing
-
-
-def codes(*names: str) -> frozenset[str]:
-    """Returns codes of faults."""
-    return frozenset(names)
-
-
-NO_FAULT = Expected(codes(), (), 0.0)
 
 
 class FaultKinds:
@@ -62,12 +40,12 @@ class FaultKinds:
 
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
-        self._boards = BoardFaults(world, random)
+        self._boards, self._pulses = BoardFaults(world, random), PulseFaults(world, random)
 
     def draw(self) -> tuple[str, Fault]:
         """Returns the name of a fault, and the fault."""
         makers = [self._of_bus, self._of_board, self._of_frames, self._of_actuator, self._of_motion, self._of_executor]
-        makers += [self._of_running_boards] * 3 + [self._of_motion] * 2 + [self._of_pulses] * 2
+        makers += [self._of_running_boards] * 3 + [self._of_motion] * 2 + [self._pulses.draw] * 2
         while True:
             made = self._random.choice(makers)()
             if made:
@@ -252,75 +230,6 @@ class FaultKinds:
             also = codes("stuck", "not-switched", "unexpected-motion")
             unheard = Expected(also, (label, board), READ_BACK + late, also=also)
             made["a board loses a SYNC"] = Fault(lose_sync, nothing, unheard)
-        return made
-
-    def _of_pulses(self) -> dict[str, Fault]:
-        """Returns faults of frames that begin or end a pulse, and of a bus beside it."""
-        world, boards, planner = self._world, self._world.boards, self._world.planner
-        assert isinstance(planner, ScriptedPlanner)
-        free = [k for k in world.kinds.pulse if not world.judge.account.locked >> k & 1]
-        if not free or world.judge.account.homing:
-            return {}
-        k = self._random.choice(free)
-        channel, pulse = world.arm.wiring.channels[k], world.kinds.pulse[k]
-        board, bus, timing = f"{channel.bus}/{channel.node}", world.buses[channel.bus], world.arm.timing
-        silent = timing.heartbeat_timeout + timing.heartbeat + AT_ONCE + world.arm.rest
-        others = [other for name, other in world.buses.items() if name != channel.bus]
-        frame = self._random.choice([cia301.RPDO1, cia301.SYNC])
-
-        def switch(happen: Callable[[], object], after: float) -> Callable[[], None]:
-            def cause() -> None:
-                bus.at_next_sync(lambda: world.agenda.after(after, happen))
-                planner.ask_to_switch(k)
-
-            return cause
-
-        def lose() -> None:
-            boards.loses = board, frame
-
-        def mute() -> None:
-            bus.mute = True
-            world.agenda.after(pulse + 0.05, bus.hear_answers)
-
-        def unplug() -> None:
-            boards.fault("silence", board)
-
-        def plug() -> None:
-            disarm()
-            boards.fault("unsilence", board)
-
-        def hold_others() -> None:
-            for other in others:
-                other.acknowledged = False
-
-        def release_others() -> None:
-            disarm()
-            for other in others:
-                other.restore()
-
-        def disarm() -> None:
-            boards.loses = None
-            bus.at_next_sync(nothing)
-            bus.lose_echo(0)
-
-        late = READ_BACK + max(world.kinds.travel[k]) + world.kinds.margin[k] + world.arm.rest
-        unheard = codes("stuck", "not-switched", "unexpected-motion", "pulse-overdue")
-        begins = Expected(unheard, (channel.actuator, board), late, also=unheard)
-        lost = Expected(
-            codes("board-lost"), (board,), silent + pulse, also=codes("pulse-overdue", "stuck"), cleared=True
-        )
-        made = {
-            "a board loses the end of a pulse": Fault(switch(lose, pulse / 2), disarm, NO_FAULT),
-            "nobody answers during a pulse": Fault(switch(mute, 0.0), disarm, NO_FAULT),
-            "an echo is lost while a pulse ends": Fault(switch(bus.lose_echo, pulse / 2), disarm, NO_FAULT),
-            "a board is unplugged while it gets a pulse": Fault(switch(unplug, 0.0), plug, lost),
-        }
-        if frame == cia301.SYNC and not world.arm.continue_on_stuck:
-            made["a board loses the SYNC of a pulse"] = Fault(switch(lose, 0.0), disarm, begins)
-        if others:
-            names = tuple(name for name in (*world.buses, *boards.simulated.names) if not name.startswith(channel.bus))
-            stuck = Expected(codes("board-lost", "bus-busy"), names, silent, also=codes("stuck"), cleared=True)
-            made["another bus is stuck while a pulse ends"] = Fault(switch(hold_others, 0.0), release_others, stuck)
         return made
 
     def _loosen(self, label: str, bus: BusModel, ask: Callable[[], None]) -> None:

@@ -204,7 +204,7 @@ class ScriptedPlanner:
         self._acknowledge()
         if snapshot.mode in ("fault", "stopped"):
             if snapshot.mode == "stopped" or not self.patient:
-                self.connection.send(Reset(self._next(), snapshot.epoch))
+                self._reset(snapshot)
         elif snapshot.mode == "executing" and snapshot.program != self._wanted:
             self.connection.send(Cancel(self._next(), None, "quiet is wanted"))
         elif snapshot.mode == "ready" and self.unlocks:
@@ -259,6 +259,16 @@ class ScriptedPlanner:
         if self.connection.client == client:
             self.connection.send(replace(message, until=message.until + k * 0.04, reason=f"following {k}"))
 
+    def _reset(self, snapshot: Snapshot) -> None:
+        """Sends a reset, seldom one that was asked for in an earlier epoch."""
+        earlier = 1 if snapshot.epoch > 0 and self._random.random() < 0.15 else 0
+        self.connection.send(Reset(self._next(), snapshot.epoch - earlier))
+
+    def ask_to_lock(self, actuator: int, state: int) -> None:
+        """Locks an actuator; it stays locked while `unlocks` is False."""
+        self.unlocks = False
+        self.connection.send(Lock(self._next(), actuator, state))
+
     def ask_to_reset(self) -> None:
         """Sends a reset."""
         assert self.snapshot is not None
@@ -268,7 +278,7 @@ class ScriptedPlanner:
     def _perform(self, snapshot: Snapshot) -> None:
         random, now = self._random, self._agenda.now
         if snapshot.mode in ("fault", "stopped") and random.random() < 0.2:
-            self.connection.send(Reset(self._next(), snapshot.epoch))
+            self._reset(snapshot)
             return
         match random.choices(list(ACTS), list(ACTS.values()))[0]:
             case "program":
@@ -302,7 +312,7 @@ class ScriptedPlanner:
                 number = random.choice([max(0, snapshot.program), self._number, 10**9])
                 self.connection.send(Cancel(0, number, "off its path"))
             case "reset":
-                self.connection.send(Reset(self._next(), snapshot.epoch))
+                self._reset(snapshot)
             case "lock":
                 actuator = random.randrange(len(self._arm.actuators) + 1)
                 self.connection.send(Lock(self._next(), actuator, random.choice([-1, 0, 1])))

@@ -6,10 +6,11 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from tests.simulation.boot_faults import BootFaults
-from tests.simulation.fault_kinds import Fault, FaultKinds
+from tests.simulation.fault_kinds import FaultKinds
 from tests.simulation.judge.expected import judge_locks, told
 from tests.simulation.judge.verdict import require
 from tests.simulation.planner import ScriptedPlanner
+from tests.simulation.single_fault import Fault
 
 if TYPE_CHECKING:
     from tests.simulation.judge.expected import Expected
@@ -34,7 +35,7 @@ class SingleFaults:
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
         self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
-        self._often = 0.3 if world.arm.contract_on_stop or world.kinds.pulse else 0.12  # that the executor ends
+        self._often = 0.2 if world.arm.contract_on_stop or world.kinds.pulse else 0.1  # that the executor ends
 
     def happen(self) -> None:
         """Causes one fault, mends it, and brings the arm back.
@@ -50,11 +51,11 @@ class SingleFaults:
         drawn = self._random.random()
         if drawn < self._often:
             self._end_executor(planner)
-        elif drawn < 0.32:
+        elif drawn < 0.26:
             self._lose_planner(planner)
-        elif drawn < 0.42:
+        elif drawn < 0.36:
             self._interrupt(planner)
-        elif drawn < 0.56:
+        elif drawn < 0.46:
             self._boots.happen()
         else:
             world.judge.disturb()
@@ -63,7 +64,7 @@ class SingleFaults:
             world.note(f"only fault: {name}")
             self._judge(name, fault, planner)
         planner.patient = False
-        if not world.record.suspect:
+        if not world.record.suspect and not world.judge.account.clear:
             world.judge.quiet_from(world.agenda.now)
 
     def _rest(self) -> None:
@@ -78,8 +79,12 @@ class SingleFaults:
         in_order = self._random.random() < 0.7
         world.trouble.made["only: executor ends" if in_order else "only: executor is killed"] += 1
         world.note("only fault: the executor ends")
+        if self._random.random() < 0.3:
+            self._lock(planner)
         instance = world.executor.instances
-        if self._random.random() < 0.7:
+        if not in_order and self._random.random() < 0.6:
+            self._kill_at_rpdo(planner)
+        elif self._random.random() < 0.7:
             planner.ask_for_motion()
             world.pass_time(self._random.choice([0.003, 0.02, 0.3, 1.0]))
         if in_order:
@@ -89,17 +94,42 @@ class SingleFaults:
                 world.agenda.after(self._random.uniform(0.0, 0.3), planner.halt)
             elif drawn < 0.5:  # a second signal
                 world.agenda.after(self._random.uniform(0.0, 0.3), world.executor.quit_again)
-        else:
+        elif world.executor.instances == instance:
             world.executor.kill()
         world.wait(lambda: world.executor.instances > instance, "started again", RESTARTED)
+        planner.unlocks = True
         world.wait(world.settled, "ready", world.ready_within)
+
+    def _kill_at_rpdo(self, planner: ScriptedPlanner) -> None:
+        """Kills the executor when an RPDO is handed out, or later if none is."""
+        world, bus = self._world, self._random.choice(list(self._world.buses.values()))
+        planner.ask_for_motion()
+        bus.at_next_rpdo(lambda: world.agenda.after(0.0, world.executor.kill))
+        world.pass_time(self._random.uniform(0.1, 0.4))
+        bus.at_next_rpdo(lambda: None)
+
+    def _lock(self, planner: ScriptedPlanner) -> None:
+        """Locks an actuator where it is, if an end-stop tells its state; the executor that ends has it locked."""
+        world = self._world
+        free = world.judge.arm.sensed & ~world.judge.account.locked
+        if free:
+            k = self._random.choice([k for k in range(len(world.arm.actuators)) if free >> k & 1])
+            planner.ask_to_lock(k, world.boards.positions() >> k & 1)
+            world.pass_time(ANSWERED)
 
     def _interrupt(self, planner: ScriptedPlanner) -> None:
         """Stops the arm, or cancels its program, when a SYNC or an RPDO is handed out."""
         world, bus = self._world, self._random.choice(list(self._world.buses.values()))
         planner.ask_for_motion()
         at_next = self._random.choice([bus.at_next_sync, bus.at_next_sync, bus.at_next_rpdo])
-        at_next(lambda: world.agenda.after(0.0, planner.interrupt))
+        dies = self._random.random() < 0.25
+
+        def happen() -> None:
+            planner.interrupt()
+            if dies:
+                planner.die()
+
+        at_next(lambda: world.agenda.after(0.0, happen))
         world.trouble.made["only: interrupted"] += 1
         world.pass_time(self._random.uniform(0.3, 1.0))
         at_next(lambda: None)
@@ -116,6 +146,9 @@ class SingleFaults:
         world.note("only fault: the planner dies or stands still")
         if dies:
             planner.die()
+            if self._random.random() < 0.5:  # the next one dies before it acknowledges anything
+                world.wait(lambda: planner.snapshot is not None, "connected", 3.0 * timeout)
+                planner.die()
             world.pass_time(self._random.uniform(0.0, 0.5))
         else:
             planner.stall(timeout * self._random.choice([0.7, 1.2, 2.0]))
@@ -139,8 +172,8 @@ class SingleFaults:
             planner.unlocks = True
             return
         world.wait(lambda: told(expected, planner.snapshot), f"told: {name}", expected.within)
-        long = expected.cleared and self._random.random() < 0.3
-        self._watch(expected, LONG if long else self._random.uniform(0.0, 0.5))
+        long = expected.cleared and self._random.random() < 0.2
+        self._watch(expected, LONG if long else self._random.uniform(0.0, 0.3))
         if expected.refused:
             planner.ask_to_reset()
             world.wait(lambda: planner.last_answer is not None, "answered", ANSWERED)
@@ -149,7 +182,7 @@ class SingleFaults:
             require(right, f"a reset is answered by {planner.last_answer} while {name}")
         fault.mend()
         if not expected.cleared:
-            self._watch(expected, KEPT)
+            self._watch(expected, KEPT if self._random.random() < 0.3 else ANSWERED)
             self._require_mode("fault", name)
             planner.patient = False
         world.wait(lambda: self._is("ready"), f"ready after {name}", world.ready_within)

@@ -11,8 +11,9 @@ from controller.executor.motion.actuation import Actuation
 from drivers.canopen.run.outputs import OutputLines
 from drivers.canopen.run.verification import Verification
 from drivers.canopen.wire.link import Link
-from tests.simulation.fault_kinds import Fault, FaultKinds
+from tests.simulation.fault_kinds import FaultKinds
 from tests.simulation.judge.verdict import Violation
+from tests.simulation.single_fault import Fault
 from tests.simulation.world import World
 
 STEPS = 8_000
@@ -50,7 +51,7 @@ _draw = FaultKinds.draw
 
 
 def _draw_pulses(self: FaultKinds) -> tuple[str, Fault]:
-    made = self._of_pulses()
+    made = self._pulses.draw()
     return self._random.choice(list(made.items())) if made else _draw(self)
 
 

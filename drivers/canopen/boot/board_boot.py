@@ -74,8 +74,9 @@ def boot_board(
             if missing and found and board.state is None:  # perhaps it is stopped, and answers only node guarding
                 board.guard()
                 yield Wait(lambda: board.state is not None, 2 * timing.heartbeat)
-            board.guarded = False
-            if not missing:
+            if missing:
+                board.guarded = False
+            else:  # node guarding goes on, so that its outputs stay as they are
                 yield from undo.restore()
             if not (missing and found and board.stopped and stops_left):
                 raise

@@ -182,10 +182,9 @@ class OutputLines:
                 if states is not None:
                     self.doubtful |= (states ^ self.states) & frame.lines
 
-    def byte(self, i: int, sub: int) -> int:
-        """Returns the expected levels of the used output bits of board `i` in a sub-index."""
-        places = (b.place for b in self._boards[i].outputs if bool(self.states & b.line) != b.inverted)
-        return union(places) >> 8 * (sub - 1) & 0xFF
+    def bits(self, i: int) -> int:
+        """Returns the expected levels of the used output bits of board `i`."""
+        return union(b.place for b in self._boards[i].outputs if bool(self.states & b.line) != b.inverted)
 
     def _switch(self, key: Key, states: int) -> int:
         frame, before = self._frames[key], self.states

@@ -179,10 +179,10 @@ class Verification:
         self._note(i, right, wrong)
         pulsed = bool(wrong & self._boards.pulsed)
         if wrong and self._wrong[i] >= (_PULSE_TRIES if pulsed else _TRIES) and board.ready:
-            used = board.layout.output_bits >> 8 * (sub - 1) & 0xFF
+            used, should = (bits >> 8 * (sub - 1) & 0xFF for bits in (board.layout.output_bits, outputs.bits(i)))
             place = f"{board.layout.settings.object:04X}h sub {sub} (outputs)"
             text = (
-                f"board {board.name} has {found & used:02X}h in {place}; {outputs.byte(i, sub):02X}h was switched: it"
+                f"board {board.name} has {found & used:02X}h in {place}; {should:02X}h was switched: it"
                 " does not follow RPDO and SYNC, or another program writes to it; reset configures it again"
             )
             self._fail(station, ArmFault("not-switched", board.name, text))

@@ -203,7 +203,7 @@ class BoardSide(AttachedBoards):
         if changed or self._read or on != self._on:
             self._judge.at(self._agenda.now)
             self._on = on
-            self._judge.energises(on, came, cause)
+            self._judge.energises(on, came, after, cause, commit)
             if changed:
                 self._judge.drives(after, changed, cause, commit)
             if self._read:

@@ -64,7 +64,8 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
             end_stop = output if random.random() < 0.8 else None
             channels.append(Channel(f"{node}.{output}", bus, node, output, end_stop))
     if random.random() < 0.6:
-        channels = [draw_kind(random, channel) for channel in channels]
+        pulses = random.random() < 0.75
+        channels = [draw_kind(random, channel, pulses) for channel in channels]
     interlocks = draw_interlocks(random, [bus.name for bus in buses])
     used = {channel.bus for channel in channels} | {lock.bus for lock in interlocks}
     count = len(channels)
@@ -102,15 +103,18 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
     )
 
 
-def draw_kind(random: Random, channel: Channel) -> Channel:
+def draw_kind(random: Random, channel: Channel, pulses: bool) -> Channel:
     """Returns a random kind of an actuator; its second output and input are 12 bits above the first ones."""
     paired, second = random.random() < 0.6, channel.output + 12
     fields: dict[str, Any] = {"input_contracted": second} if random.random() < 0.4 else {}
     inverted = {name for name in ("input", "input_contracted") if random.random() < 0.2}
     if paired:
         fields["output_off"] = second
-        if random.random() < 0.7:
+        if pulses and random.random() < 0.7:
             fields["pulse"] = random.choice([0.02, 0.05, 0.2])
+            if random.random() < 0.25:  # after a kill nobody can know its state
+                fields["input"] = None
+                fields.pop("input_contracted", None)
     elif random.random() < 0.2:
         inverted.add("output")
     if random.random() < 0.5:

@@ -16,8 +16,8 @@ def _state(board: Any) -> int | None:
     return PRE_OPERATIONAL if board.state is None else int(board.state)  # it boots in a moment
 
 
-def found_of(board: Any, judged: JudgedBoard) -> Found:
-    """Returns what SDO would read of a simulated board, and how it behaves."""
+def found_of(board: Any, judged: JudgedBoard, explained: bool = True) -> Found:
+    """Returns what SDO would read of a simulated board, and how it behaves; for `explained` see `Found`."""
     objects, variant = board.objects, board.variant
     values, writable = {}, set()
     for index, entries in objects._described.items():
@@ -40,4 +40,5 @@ def found_of(board: Any, judged: JudgedBoard) -> Found:
         errors=errors,
         keeps_loss=variant.keeps_loss,
         tells=bool(heartbeats or guards),
+        explained=explained,
     )

@@ -168,7 +168,7 @@ class BoardWorld:
             self.pass_time(IN_FLIGHT)
             if any(self.watching.guarded(name) for name in self.looks):  # else they fall in the middle of the boot
                 self.pass_time(1.3 * self.drawn.timing.heartbeat_timeout + self.drawn.timing.heartbeat)
-        self.found = {name: found_of(site.board(name), self.wiring.boards[name]) for name in self.looks}
+        self.found = {name: found_of(site.board(name), self.wiring.boards[name], not new) for name in self.looks}
         self.note(("boot", new, {name: (f.state, f.errors) for name, f in self.found.items()}))
         self.calm, self.ready = True, False
         self.watching.restart(self.agenda.now)

@@ -18,7 +18,7 @@ class Commit:
 
     Attributes:
         at: time of the RPDOs [s].
-        before: states to which the boards drove the actuators.
+        before: states that the executor believed, see `Account.believed`.
         open: buses whose RPDOs were handed out, and not their SYNC yet.
         awaited: buses whose SYNC was handed out and was not heard to have left.
         mask: actuators with an output in its RPDOs.
@@ -83,7 +83,6 @@ class Run:
         planned: whether all stages since the last mark were carried out as planned.
         mark: the last mark reached; `open_mark` until it was told as settled.
         homes: mask of actuators that may be homed before the first stage.
-        homed: states to which they are homed.
         taken_at: time of the last `Begun` [s].
         delayed: whether its zero of time may be later, because actuators are homed before, or were a moment ago.
         begins_by: latest zero of time, if it is delayed [s].
@@ -104,13 +103,16 @@ class Run:
         self.taken = self.settled = -1
         self.switches = self.counted = self.moved = 0
         self.homes = homing & (unpack(message.homed) if message.homed else -1)
-        ends_elsewhere = bool(message.homed and self.stages)
-        self.homed = self.stages[-1].states if ends_elsewhere else self.start
         self.taken_at = self.held_at = self.accepted_at = accepted.begin
         self.mark = self.begun = self.generation = -1
         self.begins_by = accepted.begin
         self.planned, self.open_mark, self.touched, self.delayed = True, False, False, False
         self.question: int | None = None
+
+    @property
+    def homed(self) -> int:
+        """The states to which actuators are homed before the first stage."""
+        return self.stages[-1].states if self.message.homed and self.stages else self.start
 
     def aligned(self, states: int) -> int:
         """Returns states with the locked actuators in their locked states."""
@@ -160,6 +162,7 @@ class Account:
         homed_at: time of the last commit that might bring actuators of unknown state to a known one [s].
         ticked: time of the last tick [s].
         asked_states: states in which locked actuators without an end-stop are locked, by the arm's file or a request.
+        homed_at: time of the last commit that may have homed actuators of unknown state [s].
         unknown: mask of the actuators with two outputs, both off since the process started or their board has, and
             with no end-stop that tells their state. Of those that are locked, the executor tells a guess as output.
     """
@@ -176,6 +179,7 @@ class Account:
         self.shown: Snapshot | None = None
         self.told = "starting"
         self.ready_at = math.inf
+        self.homed_at = -math.inf
         self.greatest = self.program_number = self.stream_number = 0
         self.run: Run | None = None
         self.stream: Stream | None = None
@@ -215,6 +219,13 @@ class Account:
     def switching(self) -> bool:
         """Whether boards have switched, and the executor has not heard of it."""
         return self.committing and self.commit is self.mover
+
+    @property
+    def believed(self) -> int:
+        """The driven states; a guess of those that nobody can know, which the executor tells as outputs."""
+        states = self.ground.states
+        unknown = self.homing | self.unknown & self.locked
+        return states if self.shown is None else merged(unknown, unpack(self.shown.outputs), states)
 
     @property
     def homing(self) -> int:

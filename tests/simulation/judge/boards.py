@@ -145,6 +145,12 @@ class Endings:
         self._at_once = self._warned = False  # asked to end at once; the log has told that the arm is not contracted
         self._longest = arm.ending
 
+    @property
+    def let_go(self) -> int:
+        """Mask of the actuators that their boards contract without the executor."""
+        off = self._off & mask_of(k for k, board in enumerate(self._a.arm.board_of) if board in self.goes_off)
+        return self.lets_go | off
+
     def quits(self) -> None:
         """The executor is asked to end."""
         a = self._a

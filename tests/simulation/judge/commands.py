@@ -106,8 +106,25 @@ class Commands:
         if run is not None:
             stages = enumerate(run.stages)
             return [s.states for k, s in stages if k > run.taken and run.begin + s.at <= a.now + EPSILON]
+        if a.clear and a.stream is not None and not a.locked and not a.homing:
+            return self._due_of_setpoints()
         every = (unpack(states) for setpoint in self._alive for states in setpoint.stages)
         return [merged(a.locked, a.locked_states, states) for states in every]
+
+    def _due_of_setpoints(self) -> list[int]:
+        """Returns the due stages of set-points: the first one of a strict one, else the last one that is near enough.
+
+        The stages of an earlier set-point from the same states may be kept, while a question about them is open.
+        """
+        a, due = self._a, list[int]()
+        for setpoint in self._alive:
+            stages, before = [unpack(states) for states in setpoint.stages], unpack(setpoint.start)
+            for k, states in enumerate(stages):  # those before were begun already
+                near = [later for later in stages[k:] if (later ^ before).bit_count() <= a.arm.most]
+                if before == a.believed:
+                    due += [states] if setpoint.strict else near[-1:]
+                before = states
+        return due
 
     @property
     def _alive(self) -> list[Setpoint]:
@@ -186,6 +203,8 @@ class Commands:
         if not changed:
             return
         commit.releases = False
+        if commit.homing & a.arm.paired:
+            a.homed_at = a.now
         commit.stages = [states for states in commit.stages if not (states ^ extends) & changed]
         if commit.stages:
             waits = commit.homing & a.homing & a.unknown
@@ -225,16 +244,24 @@ class Commands:
         delay, longest = a.now - commit.at, a.arm.timing.heartbeat_timeout / 2
         require(delay <= longest + EPSILON, f"{bus}: a SYNC {delay:g} s after the RPDOs, of {longest:g} s at most")
 
-    def switched(self, states: int, changed: int, commit: Commit | None) -> None:
-        """Judges what a SYNC has switched at the boards."""
+    def switched(self, states: int, changed: int, known: int, commit: Commit | None) -> None:
+        """Judges what a SYNC has switched at the boards, and the times of those of known state."""
         sure = changed & ~self.suspect
         require(commit is not None or not sure, f"a SYNC without RPDOs switched {sure:b}")
         if commit is None or not sure:
             return
         away = sure & (states ^ commit.extends)
         require(not away, f"a SYNC switched {away:b} to {states:b}, and its RPDOs command {commit.extends:b}")
-        self._judge_inrush(states, sure, commit)
-        self._judge_rest(states, sure)
+        if sure & known:
+            self._judge_inrush(states, sure & known, commit)
+            self._judge_rest(states, sure & known)
+
+    def energised(self, states: int, found: int, commit: Commit | None) -> None:
+        """Judges the times of actuators of unknown state that a SYNC has energised; their valves may have stayed."""
+        sure = found & ~self.suspect
+        if commit is not None and sure:
+            self._judge_inrush(states, sure, commit)
+            self._judge_rest(states, sure)
 
     def _judge_inrush(self, states: int, sure: int, commit: Commit) -> None:
         """At most `inrush` actuators switch at once, and with a limit each stage waits for the stage before."""

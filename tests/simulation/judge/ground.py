@@ -42,7 +42,6 @@ class Ground:
         driven: the last driven states, the newest last.
         switched_at: time when each actuator was switched last [s].
         synced_at: time when a SYNC has switched it last, as far as its board has missed no frame [s].
-        counts: switches of each actuator by SYNC.
         on: mask of the actuators with one of two outputs on.
 
     Args:
@@ -55,7 +54,6 @@ class Ground:
         self.driven = deque([Driven(-1e12, 0)], maxlen=50)
         self.switched_at = [-1e12] * arm.count
         self.synced_at = [-1e12] * arm.count
-        self.counts = [0] * arm.count
         self.on = 0
         self._came_at = [-1e12] * arm.count
 
@@ -69,12 +67,11 @@ class Ground:
         if self.readings[-1][1:] != (extended, contracted):
             self.readings.append(Reading(now, extended, contracted))
 
-    def drive(self, now: float, states: int, changed: int, by_sync: bool) -> None:
+    def drive(self, now: float, states: int, changed: int) -> None:
         """Records other driven states."""
         self.driven.append(Driven(now, states))
         for k in bits_of(changed):
             self.switched_at[k] = now
-            self.counts[k] += by_sync
 
     def energise(self, now: float, on: int, came: int) -> None:
         """Records that one of two outputs of actuators came on: an actuator of unknown state may travel."""

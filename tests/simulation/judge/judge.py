@@ -56,6 +56,7 @@ class Judge:
         self.messages = Messages(self)
         self._over = False  # whether the process was told to end at once
         self._ticks = False  # whether the event that is handled begins a period
+        self._found = 0  # mask of the actuators of unknown state that the last SYNC has energised; each is a switch
         self._asked_to_end: bool | None = None  # at a request to end, whether the arm contracts before
         self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
         self.traffic, self.log = Traffic(self.account, arm), Log(self.account, self.endings.lets_go)
@@ -88,7 +89,7 @@ class Judge:
 
     def _forget(self) -> None:
         self._ticks, self._asked_to_end, self._over = False, None, False
-        self.counts.begin()
+        self.counts.begin(self.endings.let_go)
         self.account.begin()
         parts = self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log
         self._commits: dict[str, Commit] = {}  # last one of each bus
@@ -171,7 +172,7 @@ class Judge:
         self.counts.hands_out(bus)
         if frame_id & 0x780 in RPDOS:
             if a.commit is None or a.commit.at != a.now:
-                a.commit = Commit(a.now, self.ground.states)
+                a.commit = Commit(a.now, a.believed)
                 self.programs.switches_for = a.run
             a.commit.open.add(bus)
             self._commits[bus] = a.commit
@@ -192,19 +193,24 @@ class Judge:
 
     def drives(self, states: int, mask: int, cause: str, commit: Commit | None = None) -> None:
         """The boards drive actuators of a mask to other ends than before; all states are given."""
-        self.ground.drive(self.account.now, states, mask, cause == "SYNC")
+        self.ground.drive(self.account.now, states, mask)
         if cause == "SYNC":
-            self.commands.switched(states, mask, commit)
+            self.commands.switched(states, mask, mask & ~self._found, commit)
             self.account.mover = self.account.commit
-            self.programs.switched(mask)
+            self.programs.switched(mask & ~self._found)
+            self.counts.switched(mask & ~self._found)
             self.travels.switched(mask)
             self.traffic.switched()
 
-    def energises(self, on: int, came: int, cause: str) -> None:
-        """The actuators of mask `on` have one of two outputs on; those of `came` since this cause."""
+    def energises(self, on: int, came: int, states: int, cause: str, commit: Commit | None) -> None:
+        """The actuators of mask `on` have one of two outputs on, those of `came` since this cause; `states` follow."""
         self.ground.energise(self.account.now, on, came)
         if cause == "SYNC":
-            self.travels.switched(came & self.account.unknown)
+            self._found = came & self.account.unknown
+            self.commands.energised(states, self._found, commit)
+            self.programs.switched(self._found)
+            self.counts.switched(self._found & (self.account.believed ^ states))
+            self.travels.switched(self._found)
             self.account.unknown &= ~came
         self.pulses.energises(on, came, cause)
 

@@ -50,6 +50,7 @@ class Messages:
         judge.clients.loses(client.number)
         if client.planner:
             judge.silence.gone()
+            judge.requests.loses_planner()
             judge.snapshots.epoch_causes += 1
             self.lose_planner()
 

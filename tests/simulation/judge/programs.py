@@ -146,8 +146,8 @@ class Programs:
         require(run.taken < k < len(run.stages), f"stage {k} of program {run.number} comes after {run.taken}")
         commit = a.mover if a.mover is not None and a.mover.at >= run.taken_at else None
         if commit is not None and not commit.switched & ~commit.locked:
-            commit = None  # it has set the outputs of locked actuators
-        at, before = (a.now, a.ground.states) if commit is None else (commit.at, commit.before)
+            commit = None  # it has set locked actuators to their states, before any stage
+        at, before = (a.now, a.believed) if commit is None else (commit.at, commit.before)
         states = run.stages[k].states
         if a.clear and not run.delayed:
             self._judge_begun(run, k, at, before)
@@ -205,8 +205,7 @@ class Programs:
             require(message.planned == run.planned, f"{text} tells planned as {message.planned}")
 
     def _judge_switches(self, run: Run, told: int, text: str) -> None:
-        most = run.switches + run.homes.bit_count()  # a pair of unknown state switches also where its valve stays
-        require(run.switches <= told <= most, f"{text} tells {told} switches, the bus had {run.switches}")
+        require(told == run.switches, f"{text} tells {told} switches, the bus had {run.switches}")
 
     def switched(self, mask: int) -> None:
         """Counts actuators that a SYNC switched."""

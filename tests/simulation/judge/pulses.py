@@ -86,7 +86,8 @@ class Pulses:
         """A period begins: pulses may be overdue. Boots look for them when they have ended."""
         a = self._a
         for k, since in self._since.items():
-            late = k in a.arm.pulse and a.now - since > a.arm.pulse[k] + OVERDUE and a.mode in TOLD_IN
+            knows = since > self._died_at or a.ready_at < math.inf  # a process learns of others by its first boot
+            late = knows and k in a.arm.pulse and a.now - since > a.arm.pulse[k] + OVERDUE and a.mode in TOLD_IN
             away = self._away[k]
             away.ticks = away.ticks + 1 if late and not self.suspect >> k & 1 else 0
 

@@ -125,6 +125,10 @@ class Requests:
         self._silence.hears()
         self._due = None
 
+    def loses_planner(self) -> None:
+        """The planner is gone: nobody hears the answers that are due to it."""
+        self._held.clear()
+
     def result(self, message: Ended) -> None:
         """Records a result that was told."""
         if self._again is not None:

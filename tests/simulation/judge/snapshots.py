@@ -60,7 +60,9 @@ class Snapshots:
         a = self._a
         told, sure = unpack(measured), unpack(known)
         if a.mode in ("ready", "executing"):
-            require(sure == a.arm.everything & ~a.homing, f"{text} tells {sure:b} as known, {a.homing:b} is not")
+            homed = 0 if a.shown is None else a.homing & a.ground.came_since(a.shown.at - SEEN_WITHIN)
+            right = (sure ^ (a.arm.everything & ~a.homing)) & ~homed == 0
+            require(right, f"{text} tells {sure:b} as known, {a.homing:b} is not")
         since = (a.now if at is None else at) - SEEN_WITHIN
         readings, states = a.ground.readings_since(since), a.ground.states_since(since)
         both = [a.arm.measured(r.extended, r.contracted, s) for r in readings for s in states]
@@ -136,7 +138,7 @@ class Snapshots:
         if not a.clear:
             a.unknown, a.knows_unknown = homing | a.locked & arm.paired, False
         elif not a.knows_unknown:
-            a.unknown |= homing
+            a.unknown |= homing & ~a.ground.came_since(a.now - SEEN_WITHIN)
 
     def _judge_changes(self, last: Snapshot, snapshot: Snapshot) -> None:
         grows = snapshot.epoch > last.epoch
@@ -153,9 +155,10 @@ class Snapshots:
         a, mode = self._a, snapshot.mode
         require(unpack(snapshot.sensed) == a.arm.sensed, f"sensed is {unpack(snapshot.sensed):b}")
         homing = unpack(snapshot.homing)
-        require(not homing & ~a.unknown, f"{homing:b} are to be homed, unknown are {a.unknown:b}")
+        fresh = a.ground.came_since(a.now - SEEN_WITHIN)
+        require(not homing & ~(a.unknown | fresh), f"{homing:b} are to be homed, unknown are {a.unknown:b}")
         if mode in ("ready", "executing") and a.knows_unknown:
-            lasting = a.unknown & ~a.locked & ~a.ground.came_since(a.now - SEEN_WITHIN)
+            lasting = a.unknown & ~a.locked & ~fresh
             require(not lasting & ~homing, f"{homing:b} are to be homed, unknown are {a.unknown:b}")
         for fault in snapshot.faults:
             require(fault.code in STANDING, f"{fault} without a cause")

@@ -73,6 +73,8 @@ class Waits:
         if a.committing or (mover is not None and mover.at >= run.taken_at and now < mover.at + READ_BACK):
             return True
         if now < a.adopted_until or not ground.surely_at_rest(now, 2 * TICK):
+            if run.delayed and run.taken < 0:
+                run.begins_by = max(run.begins_by, now)
             return True
         following = run.taken + 1
         if run.taken < 0 and (run.delayed or (a.locked and ground.states != run.start)):

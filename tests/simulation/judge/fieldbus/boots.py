@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from typing import Any
 
@@ -10,7 +11,6 @@ from tests.simulation.judge.fieldbus.outcomes import (
     LIMITS,
     OPERATIONAL,
     PRE_OPERATIONAL,
-    STOPPED,
     Found,
     Outcome,
     Values,
@@ -26,6 +26,7 @@ MOST_CHECKS = 60  # of 1001h and 1003h, while an error may end
 START, PRE = 1, 128
 LIVE = frozenset({0x1001, 0x1003, 0x6000})  # objects that a board changes by itself
 FRAME_BITS = 135
+PDO_NAMES, MOST_PDOS = re.compile(r"[RT]PDO(-?\d+)"), 512
 HEARD = 400  # [ms], a board with shorter periods is heard before its first SDO is repeated
 
 
@@ -136,6 +137,7 @@ class Boots:
             timing: heartbeat times.
         """
         self.running = False
+        self._judge_words([told.message for told in (*faults, *warnings)])
         outcomes = {}
         for name, found in self.found.items():
             board = self._wiring.boards[name]
@@ -156,6 +158,12 @@ class Boots:
         if not any(o.refusals for o in outcomes.values()) and all(f.starts for f in self.found.values()):
             self._judge_time(seconds, timing)
         return outcomes
+
+    def _judge_words(self, messages: list[str]) -> None:
+        """Requires that PDOs are named as CiA 301 names them."""
+        for message in messages:
+            wrong = [number for number in PDO_NAMES.findall(message) if not 1 <= int(number) <= MOST_PDOS]
+            require(not wrong, f"{message!r} names PDOs {wrong}")
 
     def _judge_fault(self, name: str, outcome: Outcome, faults: list[Any]) -> None:
         require(len(faults) == bool(outcome.refusals), f"{name}: {faults}; {outcome.refusals} is expected")
@@ -211,8 +219,6 @@ class Boots:
             )
         unread = any(index == board.base for index, _ in found.refused)
         states = {found.state} | ({PRE_OPERATIONAL} if unread or not found.starts else set())
-        if not beats(found):
-            states |= {PRE_OPERATIONAL, STOPPED}  # nobody guards it any more
         now = look.state()
         require(now in states, f"{board.name} was found in {found.state}, was refused, and is in {now}; {seen.orders}")
 
@@ -246,12 +252,16 @@ class Boots:
         seen = self.seen[board.name]
         require(seen.orders.count(START) == 1, f"{board.name} gets NMT {seen.orders}")
         start = seen.log.index(("order", START, 0))
+        values = [value for index, _, value in seen.writes if index == 0x6206]
         for at, (what, index, sub) in enumerate(seen.log):
             if what != "write":
                 continue
             after = seen.log[at + 1 :]
             require(("read", index, sub) in after, f"{board.name}: {index:04X}h sub {sub} is not read back")
-            late = index not in (0x6206, 0x6207) and at > start
+            if index == 0x6206:
+                goes = values.pop(0) & board.taken >> 8 * (sub - 1)
+                require(not goes or at > start, f"{board.name}: 6206h sub {sub} lets {goes:02X}h go before the start")
+            late = at > start and (index not in (0x6206, 0x6207) or not board.taken)
             require(not late, f"{board.name}: {index:04X}h sub {sub} is written after the start")
             require(("read", index, sub) in seen.log[:at], f"{board.name}: {index:04X}h sub {sub} is written unread")
         places = [(0x1001, 0)] + [(board.base, sub) for sub in bytes_of(board.used)]

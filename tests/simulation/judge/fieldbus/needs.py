@@ -63,6 +63,7 @@ def judge_objects(board: JudgedBoard, found: Found, look: Look, timing: Any, as_
     _judge_supervision(board, found, look, timing)
     _judge_pdos(board, found, look, as_is, outputs=True)
     _judge_pdos(board, found, look, as_is, outputs=False)
+    _judge_watched(board, found, look)
     _judge_kept(board, found, look, needs, masks)
 
 
@@ -134,6 +135,15 @@ def _judge_pdos(board: JudgedBoard, found: Found, look: Look, as_is: bool, outpu
     if wanted and not as_is:
         twice = [index for index, cob_id, _ in others if cob_id in used_ids]
         require(not twice, f"board {board.name}: {twice} have a COB-ID of {used_ids}")
+
+
+def _judge_watched(board: JudgedBoard, found: Found, look: Look) -> None:
+    """Requires that a boot spares the entries of 1016h that watch other nodes, while others are free."""
+    entries = [(sub, found.byte(0x1016, sub)) for sub in range(1, 1 + found.byte(0x1016, 0))]
+    free = [sub for sub, entry in entries if not entry & 0xFFFF]
+    lost = [sub for sub, entry in entries if entry & 0xFFFF and entry >> 16 & 0x7F != MASTER]
+    lost = [sub for sub in lost if look.number(0x1016, sub) != found.byte(0x1016, sub)]
+    require(not (lost and free), f"board {board.name}: 1016h sub {lost} watched others, and sub {free} were free")
 
 
 def _judge_kept(board: JudgedBoard, found: Found, look: Look, needs: Table, masks: Table) -> None:

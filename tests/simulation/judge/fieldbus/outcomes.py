@@ -19,9 +19,12 @@ NO_PROFILE = "not the profile 0191h"
 NO_OUTPUT_BIT = "without the bit of digital outputs"
 NO_INPUT_BIT = "without the bit of digital inputs"
 NO_WAIT = "refuses to wait for SYNC"
+GENERIC, COMMUNICATION = 0x01, 0x10  # bits of 1001h
 KEPT = "keeps an error from before"
 DOES = {"off": "its outputs go off", "hold": "its outputs hold", "device": "its outputs do what the device is set to"}
-LIMITS = (NO_SYNC_OBJECT, NO_BEHAVIOUR, NO_PROFILE, NO_OUTPUT_BIT, NO_INPUT_BIT, NO_WAIT, KEPT, *DOES.values())
+NO_MODE, NO_MAKERS_MODE = "has no 6206h (error mode)", "has no error mode for its maker's object"
+MODES = (*DOES.values(), NO_MODE, NO_MAKERS_MODE)
+LIMITS = (NO_SYNC_OBJECT, NO_BEHAVIOUR, NO_PROFILE, NO_OUTPUT_BIT, NO_INPUT_BIT, NO_WAIT, KEPT, *MODES)
 
 
 class Refusal(NamedTuple):
@@ -45,6 +48,7 @@ class Found(NamedTuple):
         errors: codes of its errors, the newest first; those that report the loss of the master end by themselves.
         keeps_loss: whether also these stay.
         tells: whether it tells its NMT state, by heartbeats or on remote frames.
+        explained: whether the master may have heard the emergencies of its errors.
     """
 
     state: int | None
@@ -57,6 +61,7 @@ class Found(NamedTuple):
     errors: tuple[int, ...]
     keeps_loss: bool
     tells: bool
+    explained: bool = True
 
     def has(self, index: int, sub: int = 0) -> bool:
         """Returns whether it has an object."""
@@ -164,7 +169,7 @@ def _error_mode(board: JudgedBoard, found: Found, refusals: list[Refusal], limit
         refusals += [Refusal("wrong-device", (f"has no {index:04X}h", "on_loss: contract")) for index in absent]
     if board.base == OUTPUTS and found.has(0x6206, 1):
         return
-    missing = "has no 6206h (error mode)" if board.base == OUTPUTS else f"maker's object {board.base:04X}h"
+    missing = NO_MODE if board.base == OUTPUTS else NO_MAKERS_MODE
     if needed and board.base == OUTPUTS:
         return  # for the lack of 6206h or 6207h
     if needed:
@@ -172,7 +177,7 @@ def _error_mode(board: JudgedBoard, found: Found, refusals: list[Refusal], limit
     elif state is None:
         refusals.append(Refusal("wrong-device", (missing, "boards.error_state to off, hold or device")))
     else:
-        limits.add(DOES[state])
+        limits.update((missing, DOES[state]))
 
 
 def _behaviour(board: JudgedBoard, found: Found, refusals: list[Refusal], limits: set[str]) -> None:
@@ -187,7 +192,9 @@ def _errors(board: JudgedBoard, found: Found, refusals: list[Refusal], limits: s
     lasting = [code for code in found.errors if code != 0x8130]
     if not found.starts:
         refusals.append(Refusal("board-stopped", ("did not become operational", "pre-operational", "1001h sub 0 is")))
-    if lasting:
+    if lasting and not found.explained and not found.has(0x1003) and found.byte(0x1001, 0) & ~GENERIC == COMMUNICATION:
+        limits.add(KEPT)  # nothing tells a new master another cause than the loss of the last one
+    elif lasting:
         entries = [found.byte(0x1003, sub) for sub in range(1, 9)]
         newest = next((entry for entry in entries if entry & 0xFFFF), 0)
         words = ("1001h sub 0 is", "00h is needed", "1003h sub", f"{newest:08X}h", "Remove its cause")
