@@ -144,7 +144,10 @@ class BoardFaults:
             THREE_READS,
             words=(f"{place[0]:04X}h sub {place[1]}", "hardware error"),
         )
-        return {"outputs cannot be read": (unread, objects.refused.clear, silent)} if channel.pulse is None else {}
+        unverified = any(not n.verify and (n.bus, n.node) == (channel.bus, channel.node) for n in wiring.nodes)
+        if channel.pulse is not None or unverified:
+            return {}
+        return {"outputs cannot be read": (unread, objects.refused.clear, silent)}
 
     def _of_inputs(self) -> dict[str, Made]:
         """Returns an overrun after lost TPDOs: all inputs are read at once."""

@@ -226,7 +226,7 @@ class FaultKinds:
                 asks = NO_FAULT._replace(asks=True)
                 made[f"wires are loose, the planner {WAYS[way]}"] = Fault(cause, nothing, asks)
             made["TPDO is lost"] = Fault(lose_tpdo, nothing, NO_FAULT)
-        if channel.pulse is None:
+        if channel.pulse is None and not world.judge.proofs.forgone >> k & 1:
             also = codes("stuck", "not-switched", "unexpected-motion")
             unheard = Expected(also, (label, board), READ_BACK + late, also=also)
             made["a board loses a SYNC"] = Fault(lose_sync, nothing, unheard)

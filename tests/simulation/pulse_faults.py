@@ -96,7 +96,7 @@ class PulseFaults:
             "a board is unplugged while it gets a pulse": Fault(switch(unplug, 0.0), plug, lost),
             "bus is down while a pulse is on": Fault(switch(bus.go_down, PULSING), restore, down),
         }
-        if frame == cia301.SYNC and not world.arm.continue_on_stuck:
+        if frame == cia301.SYNC and not world.arm.continue_on_stuck and not world.judge.proofs.forgone >> k & 1:
             made["a board loses the SYNC of a pulse"] = Fault(switch(lose, 0.0), disarm, begins)
         if others:
             names = tuple(name for name in (*world.buses, *boards.simulated.names) if not name.startswith(channel.bus))

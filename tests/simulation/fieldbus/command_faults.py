@@ -180,6 +180,8 @@ class CommandFaults(FaultMaker):
             self._unswitched("were not sent for", *([f"{bus.name} was lost"] if lost_first else []))
 
         late = timing.heartbeat_timeout / 2 + 0.03
+        if late + AT_ONCE > timing.heartbeat_timeout - timing.heartbeat:
+            return None  # the boards would lose the master before
         lost_first = 0.8 * (timing.heartbeat_timeout - timing.heartbeat) <= late - 0.01
         lost = tuple(n for n, b in self._world.wiring.boards.items() if b.bus == bus.name)
         also = ("bus-busy",)
