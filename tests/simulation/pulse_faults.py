@@ -54,7 +54,7 @@ class PulseFaults:
 
         def mute() -> None:
             bus.mute = True
-            world.agenda.after(pulse + 0.05, bus.hear_answers)
+            world.agenda.after(pulse, bus.hear_answers)
 
         def unplug() -> None:
             boards.fault("silence", board)
