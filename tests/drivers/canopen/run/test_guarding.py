@@ -117,3 +117,18 @@ def test_a_stopped_board_boots_also_if_the_boot_timeout_is_as_short_as_the_first
     world.boards.board("can0/5")._obey(Command.STOP)
     world.up()
     assert world.boards.board("can0/5").state is State.OPERATIONAL
+
+
+def test_a_refused_board_is_polled_on_so_that_its_outputs_stay():
+    world = guarded().up()
+    world.commit(1, 1)
+    world.run(0.1)
+    board = world.boards.board("can0/5")
+    board.objects.refused[0x6000, 1] = 0x08000022
+    world.master.boot(world.now)
+    world.until(lambda: not world.master.booting)
+    assert world.master.boot_faults != []
+    world.buses["can0"].log.clear()
+    world.run(1.0)
+    assert world.buses["can0"].log.count(POLL) >= 9
+    assert world.positions() == [1.0, 1.0]
