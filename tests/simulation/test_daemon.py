@@ -222,14 +222,14 @@ FOUND = {  # words of the violation
     "each plan counts as optimal": "is possible",
     "programs are not parked": "touches",
     "a stop bars no goals": "after the answer to|still runs|switched after",
-    "the planner resets a stopped arm": "without a later reset|the mode is|reset|is of an epoch that was not told",
+    "the planner resets a stopped arm": "without a later reset|the mode is|[Rr]eset|is of an epoch",
     "goals are refused for no reason": "busy",
     "the executor's answers are not awaited": "executor-silent",
     "goals succeed wherever the tip is": "the last waypoint is",
     "each stage is clear": "Clearance",
     "late stamps are taken": "'refused'",
     "payloads are never forgotten": "repeats|does not hold|no such program",
-    "lost connections are not noticed": "no connection to the executor|no explanation|state",
+    "lost connections are not noticed": "no connection to the executor|no explanation|state|the arm is at",
 }
 
 

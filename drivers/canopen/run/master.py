@@ -13,7 +13,15 @@ from drivers.canopen.run.switching import OutputSwitching
 from drivers.canopen.run.verification import Verification
 from drivers.canopen.status import MasterStatus
 from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
+from drivers.canopen.wire.events import (
+    BusChanged,
+    BusOverrun,
+    Event,
+    FrameEchoed,
+    FrameIgnored,
+    FrameReceived,
+    SendFailed,
+)
 from drivers.canopen.wire.load import BITS
 from drivers.canopen.wiring import Timing, Wiring
 
@@ -28,8 +36,8 @@ class Master:
     Args:
         wiring: buses, boards and actuators.
         timing: times of boards and actuators.
-        send: hands out a frame for a bus, by its name; must not call the master and never fails. `echoed` or
-            `send_failed` tell whether the frame was sent, `send_failed` before the next `tick`.
+        send: hands out a frame for a bus, by its name; must not call the master and never fails. `FrameEchoed` or
+            `SendFailed` tell whether the frame was sent, `SendFailed` before the next `tick`.
 
     Attributes:
         board_of: index of the board with the outputs of each actuator.
@@ -54,58 +62,33 @@ class Master:
         self._verification = Verification(boards, self._switching)
 
     def receive_event(self, event: Event, now: float) -> None:
-        """Passes an event of a bus to one of the six methods below."""
-        if isinstance(event, FrameReceived):
-            self.receive_frame(event.bus, event.frame, now)
-        elif isinstance(event, FrameEchoed):
-            self.echoed(event.bus, event.frame, now)
-        elif isinstance(event, FrameIgnored):
-            self.ignore(event.bus, event.bits, now)
-        elif isinstance(event, BusChanged):
-            self.bus_changed(event.bus, event.state, event.why, event.errors, now)
-        elif isinstance(event, BusOverrun):
-            self.overrun(event.bus, now)
-        else:
-            self.send_failed(event.bus, event.frame, event.why, now)
-
-    def receive_frame(self, bus: str, frame: Frame, now: float) -> None:
-        """Takes a data frame with an 11 bit identifier from another node."""
-        link = self._links[bus]
-        link.received(BITS[min(len(frame.data), 8)])
-        if not self._receptions[bus].receive_frame(frame, self._clock.at(now)):
-            link.ignored()
-
-    def ignore(self, bus: str, bits: int, now: float) -> None:
-        """Counts a frame of another kind, with `bits` on the wire."""
-        link = self._links[bus]
-        link.received(bits)
-        link.ignored()
-
-    def echoed(self, bus: str, frame: Frame, now: float) -> None:
-        """Takes the echo of a sent frame; a frame of another program counts as received."""
-        time = self._clock.at(now)
-        if not (sent := self._links[bus].echoed(frame, time)):
-            self.receive_frame(bus, frame, now)
-        for each in sent:
-            self._switching.sent(bus, each, now, time)
-            self._receptions[bus].echoed(each, time)
-
-    def send_failed(self, bus: str, frame: Frame, why: str, now: float) -> None:
-        """Records that a frame could not be sent."""
-        self._links[bus].send_failed(frame, self._clock.at(now))
-        self._switching.send_failed(bus, frame, why)
-        self._heartbeat.send_failed(bus, frame)
-
-    def bus_changed(self, bus: str, state: str | None, why: str, errors: tuple[int, int] | None, now: float) -> None:
-        """Takes state and error counters of a bus; None: unchanged."""
-        if (fault := self._links[bus].changed(state, why, errors, self._clock.at(now))) is not None:
-            self._lose(fault)
-
-    def overrun(self, bus: str, now: float) -> None:
-        """Records that the controller of a bus has lost received frames, and asks for the inputs again soon."""
-        self._links[bus].overrun()
-        if not self._booting.under_way:
-            self._inputs.hurry(bus, self._clock.at(now))
+        """Takes an event of a bus."""
+        link, time = self._links[event.bus], self._clock.at(now)
+        match event:
+            case FrameReceived(bus, frame):
+                link.received(BITS[min(len(frame.data), 8)])
+                if not self._receptions[bus].receive_frame(frame, time):
+                    link.ignored()
+            case FrameEchoed(bus, frame):
+                if not (sent := link.echoed(frame, time)):  # another program of this computer has sent it
+                    self.receive_event(FrameReceived(bus, frame, None), now)
+                for each in sent:
+                    self._switching.sent(bus, each, now, time)
+                    self._receptions[bus].echoed(each, time)
+            case FrameIgnored(_, bits):
+                link.received(bits)
+                link.ignored()
+            case BusChanged(_, state, why, errors):
+                if (fault := link.changed(state, why, errors, time)) is not None:
+                    self._lose(fault)
+            case BusOverrun(bus):
+                link.overrun()
+                if not self._booting.under_way:
+                    self._inputs.hurry(bus, time)
+            case SendFailed(bus, frame, why):
+                link.send_failed(frame, time)
+                self._switching.send_failed(bus, frame, why)
+                self._heartbeat.send_failed(bus, frame)
 
     def tick(self, now: float) -> None:
         """Sends heartbeats, ends timeouts, and finds lost boards and stuck buses. Call every 10 ms.

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 from drivers.canopen.run.master import Master
 from drivers.canopen.wire import cia301
 from drivers.canopen.wire.cia301 import Command, Frame
+from drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameReceived
 from drivers.canopen.wiring import Timing, Wiring
 from drivers.simulation.buses import build_actuator, wire
 from drivers.simulation.firmware import SimulatedBoard
@@ -115,7 +116,7 @@ class Rig:
     def start_master(self) -> Master:
         """Replaces the master by a new one."""
         self.master = Master(self.wiring, self.timing, self._from_master)
-        self.master.bus_changed(BUS, "bus-off" if self.off else "active", "", None, self.now)
+        self.master.receive_event(BusChanged(BUS, "bus-off" if self.off else "active", "", None), self.now)
         return self.master
 
     def go_on(self) -> None:
@@ -150,7 +151,7 @@ class Rig:
             self._queue = [entry for entry in self._queue if entry[2] != MASTER]
             heapq.heapify(self._queue)
         if self.master is not None:
-            self.master.bus_changed(BUS, state, "", None, self.now)
+            self.master.receive_event(BusChanged(BUS, state, "", None), self.now)
 
     # --- the board and other programs
 
@@ -222,7 +223,8 @@ class Rig:
         if self.stalled:
             self._waiting.append((sender, frame))
         elif self.master is not None:
-            (self.master.echoed if sender == MASTER else self.master.receive_frame)(BUS, frame, self.now)
+            event = FrameEchoed if sender == MASTER else FrameReceived
+            self.master.receive_event(event(BUS, frame, None), self.now)
 
     def _look(self, cause: str, sender: str) -> None:
         after = self.board.pins

@@ -54,14 +54,14 @@ class Lives:
 
     def send(self, name: str, *positions: tuple[float, ...], times: list[float] | None = None) -> str:
         """Sends a goal until it is accepted; returns its id. A stall of the machine may have ended the mode ready."""
-        for attempt in itertools.count():
+        attempts = itertools.count()
+
+        def accepted() -> str | None:
             self.ready()
-            goal = f"{name} {attempt}"
-            answer = self.client.goal(*positions, times=times, id=goal)
-            if answer["accepted"]:
-                return goal
-            assert attempt < 20, answer
-        raise AssertionError
+            goal = f"{name} {next(attempts)}"
+            return goal if self.client.goal(*positions, times=times, id=goal)["accepted"] else None
+
+        return eventually(accepted, told=self.system.logs, every=0.1)
 
     def move(self, name: str, *positions: tuple[float, ...]) -> None:
         """Sends a goal until one succeeds; only faults caused by a stall of the machine may end it."""

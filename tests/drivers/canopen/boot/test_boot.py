@@ -7,6 +7,7 @@ import itertools
 import pytest
 
 from drivers.canopen.wire.cia301 import State
+from drivers.canopen.wire.events import BusChanged
 from drivers.canopen.wiring import Channel, Timing
 from drivers.simulation.buses import board_names
 from tests.drivers.canopen.world import World, two_boards, two_buses
@@ -229,7 +230,7 @@ def test_a_bus_that_is_lost_while_booting_ends_the_boot_of_its_boards():
 
 def test_a_bus_that_is_not_open_is_named():
     world = World(two_buses())
-    world.master.bus_changed("can1", "closed", "", None, world.now)
+    world.master.receive_event(BusChanged("can1", "closed", "", None), world.now)
     world.boot()
     assert [(f.code, f.source) for f in world.master.boot_faults] == [("bus-down", "can1")]
 

@@ -6,6 +6,7 @@ import pytest
 
 from drivers.canopen.faults import Busy
 from drivers.canopen.wire.cia301 import Frame
+from drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameIgnored
 from drivers.canopen.wiring import Timing
 from drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards, two_buses
@@ -130,7 +131,7 @@ def test_another_master_is_reported(cob_id):
 
 def test_another_program_on_the_same_computer_is_another_master():
     world = World().up()
-    world.master.echoed("can0", Frame(0x205, b"\x00"), world.now)
+    world.master.receive_event(FrameEchoed("can0", Frame(0x205, b"\x00"), None), world.now)
     assert world.codes() == ["foreign-master"]
 
 
@@ -202,10 +203,10 @@ def test_a_board_that_pads_its_inputs_is_ready_and_measured():
 def test_error_frames_change_the_state_of_the_bus():
     world = World().up()
     for state in ("warning", "passive", "active"):
-        world.master.bus_changed("can0", state, "", (130, 7), world.now)
+        world.master.receive_event(BusChanged("can0", state, "", (130, 7)), world.now)
         assert world.master.status().buses[0].state == state
         assert [f.code for f in world.master.warnings()] == (["bus-passive"] if state == "passive" else [])
-    world.master.bus_changed("can0", None, "", (1, 2), world.now)
+    world.master.receive_event(BusChanged("can0", None, "", (1, 2)), world.now)
     status = world.master.status().buses[0]
     assert (status.state, status.tx_errors, status.rx_errors) == ("active", 1, 2)
     assert world.faults == []
@@ -321,7 +322,7 @@ def test_status_counts_frames_and_load():
     for _ in range(1000):
         world.say(0x300, bytes(8))
     world.run(1.1)
-    world.master.ignore("can0", 100, world.now)
+    world.master.receive_event(FrameIgnored("can0", 100), world.now)
     after = world.master.status().buses[0]
     assert after.ignored == before.ignored + 1001
     assert after.rx_frames >= before.rx_frames + 1001

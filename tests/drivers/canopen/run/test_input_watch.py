@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers.canopen.wire import cia301
+from drivers.canopen.wire.events import BusOverrun
 from drivers.canopen.wiring import Channel, Interlock
 from tests.drivers.canopen.world import World
 
@@ -80,7 +81,7 @@ def test_inputs_are_read_at_once_after_an_overrun_of_the_controller() -> None:
     world.boards.board("can0/5").contacts[8] = 1
     world.up()
     lose_one_tpdo(world, 5)
-    world.master.overrun("can0", world.now)
+    world.master.receive_event(BusOverrun("can0"), world.now)
     assert world.until(lambda: not world.master.ends) < 0.1
     assert world.master.status().buses[0].overruns == 1
 
@@ -92,7 +93,7 @@ def test_the_buses_work_on_when_echoes_are_lost_in_an_overrun() -> None:
     world.until(lambda: world.master._links["can0"].pending.count > 0)
     world.run(0.02)
     bus.echoes = True
-    world.master.overrun("can0", world.now)
+    world.master.receive_event(BusOverrun("can0"), world.now)
     world.run(1.0)
     assert world.faults == []
     world.commit(1)

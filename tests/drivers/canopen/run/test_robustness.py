@@ -40,7 +40,7 @@ EVENTS = (
 def test_no_frame_makes_a_ready_master_raise_or_move(frames):
     world = World(two_boards()).up()
     for frame in frames:
-        world.master.receive_frame("can0", frame, world.now)  # the boards do not hear it
+        world.master.receive_event(FrameReceived("can0", frame, None), world.now)  # the boards do not hear it
         world.master.status()
     world.run(0.05)
     assert not [frame for frame in world.frames() if frame[0] in (0x000, 0x080, 0x205, 0x209)]
@@ -126,10 +126,10 @@ def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared
         assert now < 600
         master.tick(now)
         if beats:
-            master.receive_frame("can0", Frame(0x705, b"\x05"), now)
+            master.receive_event(FrameReceived("can0", Frame(0x705, b"\x05"), None), now)
         while sent:
             frame = sent.pop(0)
-            master.echoed("can0", frame, now)
+            master.receive_event(FrameEchoed("can0", frame, None), now)
             if frame.id != 0x605 or frame.data[0] == 0x80:
                 continue
             place, reading = frame.data[1:4], frame.data[0] == 0x40
@@ -149,7 +149,7 @@ def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared
             else:
                 kind = 0x43 | (4 - answer[2]) << 2 if reading else 0x60
                 data = bytes((kind,)) + place + answer[1].to_bytes(4, "little")
-            master.receive_frame("can0", Frame(0x585, data), now)
+            master.receive_event(FrameReceived("can0", Frame(0x585, data), None), now)
     assert master.ready or master.boot_faults
     assert all(fault.message for fault in master.boot_faults)
 
