@@ -42,7 +42,8 @@ class Verification:
         self._urgent = ~sensed | boards.pulsed  # lines that are read at once
         self._fragile = boards.pulsed & ~sensed  # lines of which only a read inside the pulse tells
         count = len(boards.stations)
-        self._silent = [0] * count  # reads in a row without a result
+        self._silent = [0] * count  # reads in a row without a result, while the board was heard
+        self._heard = [0] * count  # number of its frames at the last of them
         self._wrong = [0] * count  # wrong reads since the lines of `_stays` last changed
         self._stays = [0] * count  # lines that were read wrong, and had no other level since
         self._levels = [0] * count  # their levels
@@ -195,12 +196,13 @@ class Verification:
         self._wrong[i] = (self._wrong[i] if self._stays[i] else 0) + bool(wrong)
 
     def _unread(self, station: Station, sub: int, outcome: SdoOutcome) -> None:
-        """Counts a read without a result; it verifies nothing, so the board stays due."""
+        """Counts a read without a result; it verifies nothing, so the board stays due. A silent board will be lost."""
         board, i = station.board, station.index
         self._outputs.mistrust(board.layout.output_lines & self.released)
         self._pause[i] = _PAUSE
         board.unverified += 1
-        self._silent[i] += 1
+        self._silent[i] += outcome.silence is None or board.frames > self._heard[i]
+        self._heard[i] = board.frames
         if self._silent[i] < _MOST_SILENT or not board.ready:
             return
         why = outcome.silence or f"it refuses: {abort_words(outcome.abort or 0)}"

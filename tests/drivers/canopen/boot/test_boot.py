@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wire.events import BusChanged
+from drivers.canopen.wire.events import BusChanged, FrameEchoed
 from drivers.canopen.wiring import Channel, Timing
 from drivers.simulation.buses import board_names
 from tests.drivers.canopen.world import World, two_boards, two_buses
@@ -312,14 +312,14 @@ def test_a_start_energises_nothing_that_the_error_state_has_switched_off():
 def test_the_heartbeat_of_the_master_keeps_its_time_on_a_slow_bus_while_many_boards_boot():
     world = World(many(60), bitrate=125_000)
     beats: list[float] = []
-    echoed = world.master.echoed
+    receive_event = world.master.receive_event
 
-    def note(bus, frame, now):
-        if frame.id == 0x77F:
+    def note(event, now):
+        if isinstance(event, FrameEchoed) and event.frame.id == 0x77F:
             beats.append(now)
-        echoed(bus, frame, now)
+        receive_event(event, now)
 
-    world.master.echoed = note
+    world.master.receive_event = note
     world.up()
     world.run(1.0)
     assert world.faults == []

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.wiring import Channel, NodeWiring
+from drivers.canopen.wiring import Channel, NodeWiring, Timing
 from tests.drivers.canopen.world import World
 
 BLIND = [Channel("5.left", "can0", 5, 0, None), Channel("9.left", "can0", 9, 3, None)]
@@ -242,6 +242,14 @@ def test_outputs_that_cannot_be_read_back_are_not_verified(answer):
     world.until(lambda: world.codes())
     assert world.codes() == ["not-verified"]
     assert world.master.status().boards[0].unverified == 3
+
+
+def test_a_silent_board_is_lost_however_long_its_heartbeats_are_awaited():
+    world = World(BLIND, Timing(heartbeat_timeout=5.0)).up()
+    world.boards.board("can0/5").silent = True
+    world.commit(1, 1)
+    world.until(lambda: world.codes())
+    assert world.codes() == ["board-lost"]
 
 
 def test_an_old_emergency_does_not_hide_another_error():
