@@ -163,10 +163,9 @@ def _configure(boot: Boot) -> Procedure:
     if board.state is None:
         yield from _make_it_tell(boot)
     yield from _enter_pre_operational(boot)
-    if board.layout.outputs:
-        sure = board.held and not boot.outputs.doubtful & board.layout.output_lines
-        held = boot.outputs.bits(boot.index) if sure else None
-        board.released |= yield from settle(it, boot.error_state, boot.stopped, held)
+    sure = board.held and not boot.outputs.doubtful & board.layout.output_lines
+    held = boot.outputs.bits(boot.index) if sure else None
+    board.released |= yield from settle(it, boot.error_state, boot.stopped, held)
     boot.undo.pins_known = True
     yield from inspection.ensure(it, it.needs)
     for pdos in (it.rpdos, it.tpdos):

@@ -58,7 +58,7 @@ def settle(
     """
     layout, written = it.layout, False
     off = union(bit.place for bit in layout.outputs if bit.inverted)
-    for sub in _subs(it):
+    for sub in (yield from _subs(it)):
         used = layout.output_bits >> 8 * (sub - 1) & _ALL
         if not used and not (yield from objects.read(it.name, layout.settings.object, sub, fresh=True)):
             continue
@@ -84,9 +84,12 @@ def settle(
     return written
 
 
-def _subs(it: Inspection) -> range:
+def _subs(it: Inspection) -> Generator[Step, SdoOutcome, range]:
     """Returns the sub-indices of all output bytes of the board, also of those that the wiring does not use."""
-    count = it.values.get((it.layout.settings.object, 0), 0)
+    index = it.layout.settings.object
+    count = it.values.get((index, 0))
+    if count is None:  # no output of the board is wired
+        count = (yield from objects.find(it.name, index, 0)) or 0
     return range(1, 1 + max(count, *subs_of(it.layout.output_bits), 0))
 
 
