@@ -42,6 +42,7 @@ def exit_on_signals() -> None:
     def handle(number: int, frame: FrameType | None) -> None:
         ignore((signal.SIGTERM, *hang_up()))  # a second signal must not interrupt the end
         signal.signal(signal.SIGALRM, lambda *_: sys.exit(128 + number))
+        sys.unraisablehook = receive_dropped
         sys.exit(128 + number)
 
     def receive_dropped(dropped: sys.UnraisableHookArgs) -> None:
@@ -50,7 +51,6 @@ def exit_on_signals() -> None:
         else:
             sys.__unraisablehook__(dropped)
 
-    sys.unraisablehook = receive_dropped
     for number in (signal.SIGTERM, *hang_up()):
         signal.signal(number, handle)
 

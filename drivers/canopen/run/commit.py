@@ -24,6 +24,7 @@ class BusCommit:
     Attributes:
         bus: name of the bus.
         states: levels of all lines after the commit.
+        began: when it began [s, real time].
         collecting: whether no SYNC was handed out, so that nothing has switched but boards without SYNC.
         waiting: RPDOs and NMT commands that were handed out and not sent yet.
         failed: why it has failed, as a sentence.
@@ -35,11 +36,10 @@ class BusCommit:
     """
 
     def __init__(self, link: Link, outputs: OutputLines, switched: list[tuple[int, float]]) -> None:
-        self.bus, self.states, self.collecting = link.name, 0, False
+        self.bus, self.states, self.began, self.collecting = link.name, 0, 0.0, False
         self.waiting: dict[Frame, Key | None] = {}
         self.failed: str | None = None
         self._link, self._outputs, self._record = link, outputs, switched
-        self._began = 0.0  # [s, real time]
         self._syncing = False  # SYNC was handed out and not sent yet
         self._leaving: dict[Frame, Key] = {}  # frames of a commit given up that switch without SYNC
 
@@ -70,7 +70,7 @@ class BusCommit:
 
     def begin(self, states: int, frames: Sequence[Key | Frame], clock: float, now: float) -> None:
         """Hands out RPDOs and NMT commands, in order; call `sync` when none of them waits."""
-        self.states, self.collecting, self.failed, self._began = states, True, None, clock
+        self.states, self.collecting, self.failed, self.began = states, True, None, clock
         self.waiting = {}
         for each in frames:
             if isinstance(each, Frame):
@@ -130,7 +130,7 @@ class BusCommit:
 
         A frame that is neither sent nor lost for long is in doubt: nothing may wait for it for ever.
         """
-        if self.unknown and clock - self._began > _LONGEST:
+        if self.unknown and clock - self.began > _LONGEST:
             self.lost()
         if not self._link.echoes:
             for frame in [*self.waiting, *self._leaving, *([_SYNC] if self._syncing else ())]:

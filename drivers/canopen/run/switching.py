@@ -19,12 +19,10 @@ class Switch:
     Attributes:
         commits: those of its buses; no SYNC is handed out before the RPDOs of all of them were sent.
         off: mask of the lines that a release switches off; None: it is a stage.
-        began: when it began [s, real time].
     """
 
     commits: list[BusCommit]
     off: int | None = None
-    began: float = 0.0
 
     @property
     def collecting(self) -> bool:
@@ -40,8 +38,9 @@ class Switch:
 class OutputSwitching:
     """Starts stages and releases of output lines, and gives them up.
 
-    So no SYNC waits in a queue when a bus fails, and the frames that the kernel still holds switch nothing when the bus
-    comes back. Each bus has its own release: what another bus does holds it up in nothing.
+    A SYNC is handed out only after all RPDOs were sent. So none waits in a queue when a bus fails, and the frames that
+    the kernel still holds switch nothing when the bus comes back. Each bus has its own release, which no other bus
+    delays.
     Times `now` are real times, times `time` stand still while the loop stalls [s].
 
     Attributes:
@@ -104,7 +103,7 @@ class OutputSwitching:
         refusals = (self._commits[bus].refusal(keys) for bus, keys in due.items())
         if refusal := self._boards.refusal() or next(filter(None, refusals), None):
             raise Busy(refusal)
-        self._stage = Switch([self._commits[bus] for bus in due], None, now)
+        self._stage = Switch([self._commits[bus] for bus in due])
         for bus, keys in due.items():
             self._releases.pop(bus, None)
             self._commits[bus].begin(outputs, self._boards.frames_of(bus, keys, None), now, time)
@@ -167,7 +166,7 @@ class OutputSwitching:
             return
         booted = self._boards.left_out(bus, off) if self._booting.under_way else ()
         self._stage.commits = [other for other in self._stage.commits if other is not commit]
-        self._releases[bus] = Switch([commit], off, now)
+        self._releases[bus] = Switch([commit], off)
         commit.begin(states, self._boards.frames_of(bus, keys, off), now, time)
         for station in (self._boards.stations[i] for i in sorted(booted)):
             if station.board.heard:  # it was told to leave operational, in which its boot may have put it
@@ -179,7 +178,7 @@ class OutputSwitching:
             if not switch.collecting:
                 continue
             waiting = [commit.bus for commit in switch.commits if commit.waiting]
-            if now - switch.began > self._longest:
+            if now - switch.commits[0].began > self._longest:
                 late = f"frames on {', '.join(waiting)} were not sent" if waiting else "the executor was halted"
                 self._give_up(switch, f"{late} for {self._longest:g} s")
             elif waiting:

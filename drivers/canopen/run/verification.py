@@ -100,11 +100,11 @@ class Verification:
         for bus, link in self._boards.links.items():
             if not link.usable or self._switching.busy(bus):
                 continue
-            due = [station for station in self._of_bus[bus] if self._due(station, self._outputs.unread, now)]
+            due = [station for station in self._of_bus[bus] if self._due(station, now)]
             for station in due:
                 lines = station.board.layout.output_lines & (hurried if station.board.ready else released)
                 if lines:
-                    self._start(station, self._read_outputs(station, lines), now)
+                    station.runner.start(self._read_outputs(station, lines), None, now)
             due = [station for station in due if not station.runner.running and station.board.ready]
             self._read_slowly(bus, sorted(due, key=lambda station: self._asked_at[station.index]), now)
 
@@ -121,15 +121,15 @@ class Verification:
                 break
             station = due.pop(0)
             self._asked_at[station.index] = now
-            self._start(station, self._read_outputs(station, self._outputs.unread), now)
+            station.runner.start(self._read_outputs(station, self._outputs.unread), None, now)
 
-    def _due(self, station: Station, lines: int, now: float) -> bool:
-        """Returns whether outputs of a board with some of the lines may be read now."""
+    def _due(self, station: Station, now: float) -> bool:
+        """Returns whether unread outputs of a board may be read now."""
         i = station.index
         if self._pause[i]:
             self._next_read[i], self._pause[i] = now + self._pause[i], 0.0
-        here = station.board.layout.output_lines & lines
-        return bool(here) and now >= self._next_read[i] and not station.runner.running
+        unread = station.board.layout.output_lines & self._outputs.unread
+        return bool(unread) and now >= self._next_read[i] and not station.runner.running
 
     def _take_turn(self, bus: str, now: float) -> None:
         """Reads one object of one board: all boards in turn, and all objects of each in turn."""
@@ -145,14 +145,11 @@ class Verification:
         objects_read = len(board.expected) + 2
         k = turn // len(stations) % objects_read
         if k < len(board.expected):
-            self._start(station, self._object(station, board.expected[k]), now)
+            station.runner.start(self._object(station, board.expected[k]), None, now)
         elif k == len(board.expected) and board.layout.outputs:
-            self._start(station, self._read_outputs(station), now)
+            station.runner.start(self._read_outputs(station), None, now)
         else:
-            self._start(station, self._errors(station), now)
-
-    def _start(self, station: Station, reading: Generator[Step, SdoOutcome, None], now: float) -> None:
-        station.runner.start(reading, None, now)
+            station.runner.start(self._errors(station), None, now)
 
     def _read_outputs(self, station: Station, lines: int = -1) -> Generator[Step, SdoOutcome, None]:
         """Reads the output bytes of a board that have some of the lines, and compares each with the switched levels."""
