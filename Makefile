@@ -111,7 +111,7 @@ $(VENV)/program: pyproject.toml
 
 # Machine code of the kernels, compiled on all processors. Without it the first start of the daemon compiles them on one.
 $(VENV)/kernels: $(VENV)/program $(shell grep -rl @njit --include=*.py controller)
-	$(BIN)/python -m controller.host.kernels
+	$(BIN)/python -m hyperbit.controller.host.kernels
 	touch $@
 
 # And that of the tests' kernels. Without it each process of `make test` compiles them.

@@ -12,9 +12,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from controller.commands.table import COMMANDS, GROUPS, CommandEntry
-from controller.host.machine_code import ADVICE, REFUSAL, watch
-from controller.host.signals import exit_on_signals
+from hyperbit.controller.commands.table import COMMANDS, GROUPS, CommandEntry
+from hyperbit.controller.host.machine_code import ADVICE, REFUSAL, watch
+from hyperbit.controller.host.signals import exit_on_signals
 
 WIDE = {"max_content_width": 120}  # columns of --help, on terminals that have them
 
@@ -72,7 +72,7 @@ class DeferredCommand(TyperCommand):
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         """Imports the command and returns its context; the group then invokes that command in place of this one."""
-        module = importlib.import_module(f"controller.commands.{self._entry.module}")
+        module = importlib.import_module(f"hyperbit.controller.commands.{self._entry.module}")
         single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
         function, epilog = getattr(module, self._entry.function), f"Example: {self._entry.example}"
         single.command(self.name, cls=QuickCommand, epilog=epilog, context_settings=WIDE)(function)
@@ -152,8 +152,8 @@ def main() -> None:
     try:
         app()
     except Exception as error:
-        from controller.armfile.strict import InputFaults
-        from controller.commands.common import CommandFailed
+        from hyperbit.controller.armfile.strict import InputFaults
+        from hyperbit.controller.commands.common import CommandFailed
 
         if isinstance(error, RuntimeError) and REFUSAL in str(error):
             error = CommandFailed(f"numba cannot write its machine code: {ADVICE}")

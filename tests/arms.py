@@ -3,12 +3,12 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from controller.manipulator import frames
-from controller.manipulator.frames import Frame
-from controller.manipulator.joints import revolute
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import Module, transforms
-from controller.manipulator.vgt import vgt
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.joints import revolute
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import Module, transforms
+from hyperbit.controller.manipulator.vgt import vgt
 
 coordinates = st.floats(-1, 1)
 angles = st.floats(-np.pi, np.pi)

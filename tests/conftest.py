@@ -8,11 +8,11 @@ import pytest
 import yaml
 from hypothesis import settings
 
-from controller.arm.arm import Arm, load
-from controller.manipulator.manipulator import Manipulator
-from controller.search.solver import Solver
-from controller.workspace.cache import load_or_map
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.cache import load_or_map
+from hyperbit.controller.workspace.densities import Densities
 from tests.waiting import SLOWNESS
 
 # The same examples on every run, and no deadline, which a busy machine would miss.

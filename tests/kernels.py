@@ -6,7 +6,7 @@
 import os
 from pathlib import Path
 
-from controller.host.kernels import compile_all, imports, source
+from hyperbit.controller.host.kernels import compile_all, imports, source
 
 ROOT = Path(__file__).parents[1]
 TESTS = {  # modules whose import compiles kernels, each with those that it depends on
@@ -17,7 +17,10 @@ TESTS = {  # modules whose import compiles kernels, each with those that it depe
 
 def bench() -> dict[str, set[str]]:
     """Returns the methods of `hyperbit bench` with kernels, each with those that it depends on."""
-    names = [f"controller.bench.methods.{path.stem}" for path in (ROOT / "controller/bench/methods").glob("[!_]*.py")]
+    names = [
+        f"hyperbit.controller.bench.methods.{path.stem}"
+        for path in (ROOT / "controller/bench/methods").glob("[!_]*.py")
+    ]
     own = {name for name in names if "@njit(" in source(name)}
     return {name: imports(name) & own for name in own}
 

@@ -10,16 +10,16 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.chain import build_frame, build_modules
-from controller.armfile.actuators import longest_travel, map_actuators
-from controller.armfile.places import placed_faults
-from controller.armfile.settings import ActuatorSettings, ArmSettings, read_settings
-from controller.armfile.strict import InputFaults
-from controller.manipulator.locked import STATES, LockedStates, lock_actuators, none_locked
-from controller.manipulator.manipulator import Manipulator
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.notation import parse_obstacles
-from controller.obstacles.obstacles import NONE, Obstacles, together
+from hyperbit.controller.arm.chain import build_frame, build_modules
+from hyperbit.controller.armfile.actuators import longest_travel, map_actuators
+from hyperbit.controller.armfile.places import placed_faults
+from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, read_settings
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.manipulator.locked import STATES, LockedStates, lock_actuators, none_locked
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.notation import parse_obstacles
+from hyperbit.controller.obstacles.obstacles import NONE, Obstacles, together
 
 MOST_PIXELS = 2**19
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from controller.arm.tables import is_unit, read_table
-from controller.armfile.settings import (
+from hyperbit.controller.arm.tables import is_unit, read_table
+from hyperbit.controller.armfile.settings import (
     Diagonal,
     FrameSettings,
     ModuleSettings,
@@ -17,11 +17,11 @@ from controller.armfile.settings import (
     VgtLengths,
     VgtSettings,
 )
-from controller.manipulator import frames
-from controller.manipulator.joints import prismatic, revolute
-from controller.manipulator.module import Module, transforms
-from controller.manipulator.platform import platform
-from controller.manipulator.vgt import ACTUATORS, vgt
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.joints import prismatic, revolute
+from hyperbit.controller.manipulator.module import Module, transforms
+from hyperbit.controller.manipulator.platform import platform
+from hyperbit.controller.manipulator.vgt import ACTUATORS, vgt
 
 PLATFORMS: dict[tuple[int, ...], str] = {(6, 3): "six in space", (3, 3): "three in space", (3, 2): "three in the plane"}
 

@@ -10,10 +10,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from controller.arm.arm import Arm
-from controller.armfile.settings import TransformsSettings
-from controller.manipulator.notation import format_configuration
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.settings import TransformsSettings
+from hyperbit.controller.manipulator.notation import format_configuration
+from hyperbit.controller.workspace.densities import Densities
 
 Payload = dict[str, Any]
 

@@ -4,9 +4,9 @@ import math
 from collections import Counter
 from typing import Any
 
-from controller.arm.arm import Arm
-from controller.armfile.terminals import named_boards
-from controller.workspace.hull import build_hull
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.terminals import named_boards
+from hyperbit.controller.workspace.hull import build_hull
 
 MOST_NAMED = 6  # in a line of the summary
 

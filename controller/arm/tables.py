@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from controller.armfile.csv_files import check_states, read_states
-from controller.manipulator import frames
+from hyperbit.controller.armfile.csv_files import check_states, read_states
+from hyperbit.controller.manipulator import frames
 
 PLANAR, SPATIAL = ("x", "y", "th"), ("x", "y", "z", "qx", "qy", "qz", "qw")
 LARGEST, TURN = 1e6, 6.2832  # greatest length, and angle; as in the arm's file

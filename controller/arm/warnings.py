@@ -4,12 +4,12 @@ import statistics
 
 import numpy as np
 
-from controller.arm.arm import Arm
-from controller.armfile.actuators import travel_times
-from controller.armfile.places import place
-from controller.armfile.settings import ArmSettings
-from controller.armfile.strict import fault_list
-from controller.manipulator.module import Module
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.actuators import travel_times
+from hyperbit.controller.armfile.places import place
+from hyperbit.controller.armfile.settings import ArmSettings
+from hyperbit.controller.armfile.strict import fault_list
+from hyperbit.controller.manipulator.module import Module
 
 BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)  # of CiA 301 [bit/s]
 ODD_RATIO = 100.0  # of the size of a module to that of the others: millimetres among metres, or centimetres

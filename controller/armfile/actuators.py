@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from controller.armfile.csv_files import check_states, read_states
-from controller.armfile.error_states import check_error_states
-from controller.armfile.places import placed_faults
-from controller.armfile.settings import (
+from hyperbit.controller.armfile.csv_files import check_states, read_states
+from hyperbit.controller.armfile.error_states import check_error_states
+from hyperbit.controller.armfile.places import placed_faults
+from hyperbit.controller.armfile.settings import (
     ActuatorSettings,
     ArmSettings,
     ModuleSettings,
@@ -18,8 +18,8 @@ from controller.armfile.settings import (
     VgtSettings,
     read_settings,
 )
-from controller.armfile.strict import InputFaults
-from controller.armfile.terminals import check_terminals, named_boards, no_bus
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.terminals import check_terminals, named_boards, no_bus
 
 VGT: tuple[str, ...] = ("left", "diagonal", "right")  # of a truss module
 STAGE = 0.1  # [s] for a stage beside the travel time, its margin and the rest

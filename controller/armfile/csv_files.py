@@ -6,7 +6,7 @@ from itertools import islice, zip_longest
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
-from controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.strict import InputFaults
 
 MOST_STATES = 4096  # rows of a table of measured frames
 

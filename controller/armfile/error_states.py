@@ -2,8 +2,8 @@
 
 from typing import Literal
 
-from controller.armfile.settings import ActuatorSettings, ArmSettings, ErrorState
-from controller.armfile.terminals import bit_settings
+from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, ErrorState
+from hyperbit.controller.armfile.terminals import bit_settings
 
 OffMotion = Literal["contracts", "extends", "stays", "both on"]
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import yaml
 
-from controller.armfile.places import placed_faults
-from controller.armfile.settings import read_settings
-from controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.places import placed_faults
+from hyperbit.controller.armfile.settings import read_settings
+from hyperbit.controller.armfile.strict import InputFaults
 
 SILENCE_TIMEOUT = 10.0  # [s] of silence until boards, executor or planner count as lost
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from controller.armfile.strict import InputFaults, build_loader
+from hyperbit.controller.armfile.strict import InputFaults, build_loader
 
 if TYPE_CHECKING:
     import yaml

@@ -5,7 +5,7 @@ from typing import Annotated, Final, Literal
 
 from msgspec import Meta, Struct, field
 
-from controller.armfile.strict import InputFaults, check, read_yaml
+from hyperbit.controller.armfile.strict import InputFaults, check, read_yaml
 
 # Greater lengths are mistakes of the unit, and overflow when they are squared.
 Positive = Annotated[float, Meta(gt=0, le=1e6)]

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get
 import msgspec
 from msgspec import Struct
 
-from controller.armfile.choices import description_of, hint_of, must_be, tags_of, unknown_field, values_of, wrong_choice
+from hyperbit.controller.armfile.choices import (
+    description_of,
+    hint_of,
+    must_be,
+    tags_of,
+    unknown_field,
+    values_of,
+    wrong_choice,
+)
 
 if TYPE_CHECKING:
     import yaml

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from controller.armfile.settings import ActuatorSettings, ArmSettings, BitSettings, InputSettings
+from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, BitSettings, InputSettings
 
 BOARD = re.compile(r"([A-Za-z0-9_-]{1,64})/([1-9][0-9]{0,2})")
 GREATEST_NODE = 126  # 127 is the master's

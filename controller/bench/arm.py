@@ -8,13 +8,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm import arm as config
-from controller.bench.goal_sets import load_arm
-from controller.library import arm as library
-from controller.library.obstacles import KINDS, Obstacle
-from controller.obstacles.clearance import BodyClearance
-from controller.workspace.cache import default_directory, load_or_map
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm import arm as config
+from hyperbit.controller.bench.goal_sets import load_arm
+from hyperbit.controller.library import arm as library
+from hyperbit.controller.library.obstacles import KINDS, Obstacle
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.workspace.cache import default_directory, load_or_map
+from hyperbit.controller.workspace.densities import Densities
 
 Array = NDArray[np.float64]
 

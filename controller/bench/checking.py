@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from controller.bench.arm import BenchArm
-from controller.bench.goal_sets import Task
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.manipulator.notation import parse_configuration
-from controller.search.solution import EPSILON
-from controller.search.target import within
+from hyperbit.controller.bench.arm import BenchArm
+from hyperbit.controller.bench.goal_sets import Task
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.manipulator.notation import parse_configuration
+from hyperbit.controller.search.solution import EPSILON
+from hyperbit.controller.search.target import within
 
 
 class InvalidAnswer(Exception):

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.arm.arm import Arm, load
-from controller.armfile.csv_files import read_csv
-from controller.manipulator import frames
-from controller.manipulator.frames import Frame
-from controller.manipulator.manipulator import Configuration
-from controller.manipulator.notation import parse_configuration
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.armfile.csv_files import read_csv
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.manipulator.notation import parse_configuration
 
 FOLDER = Path(__file__).parent
 

@@ -7,14 +7,14 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from controller.arm.arm import Arm
-from controller.bench.arm import BenchArm
-from controller.bench.checking import Outcome, check
-from controller.bench.goal_sets import Task
-from controller.bench.methods import Prepare, Solve
-from controller.bench.time_limit import TooLongError, at_most
-from controller.library.goals import Goal
-from controller.studies.shares import Run
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.bench.arm import BenchArm
+from hyperbit.controller.bench.checking import Outcome, check
+from hyperbit.controller.bench.goal_sets import Task
+from hyperbit.controller.bench.methods import Prepare, Solve
+from hyperbit.controller.bench.time_limit import TooLongError, at_most
+from hyperbit.controller.library.goals import Goal
+from hyperbit.controller.studies.shares import Run
 
 
 class GoalResult(NamedTuple):
@@ -28,7 +28,7 @@ class MethodJob(NamedTuple):
     """A method on an arm. A share is a sequence of goals.
 
     Attributes:
-        method: the method, see controller.bench.methods.
+        method: the method, see hyperbit.controller.bench.methods.
         arm: name of the arm.
         model: the arm.
         first: a goal that is solved once before all others, so that no goal waits for tables.

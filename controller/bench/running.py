@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.bench.checking import Outcome
-from controller.bench.goal_sets import Task, by_arm, load_arm
-from controller.bench.method_job import GoalResult, MethodJob
-from controller.bench.methods import Prepare
-from controller.studies.shares import Spread, alone
+from hyperbit.controller.bench.checking import Outcome
+from hyperbit.controller.bench.goal_sets import Task, by_arm, load_arm
+from hyperbit.controller.bench.method_job import GoalResult, MethodJob
+from hyperbit.controller.bench.methods import Prepare
+from hyperbit.controller.studies.shares import Spread, alone
 
 MISSES = ("missed", "touches", "nothing found")
 PART = 8  # goals of a share
@@ -65,7 +65,7 @@ def run(name: str, prepare: Prepare, tasks: Sequence[Task], limit: float, spread
 
     Args:
         name: name of the method.
-        prepare: the method, see controller.bench.methods.
+        prepare: the method, see hyperbit.controller.bench.methods.
         tasks: the goals.
         limit: longest time for a goal [s].
         spread: solves the goals of each arm, PART goals a share.

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from controller.arm.arm import Arm
-from controller.calibration.fit import CannotFit, Fit, angles, distances, fit, plausible
-from controller.calibration.model import Array, Model
-from controller.calibration.parameters import (
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.calibration.fit import CannotFit, Fit, angles, distances, fit, plausible
+from hyperbit.controller.calibration.model import Array, Model
+from hyperbit.controller.calibration.parameters import (
     Description,
     Parameter,
     described,
@@ -26,9 +26,9 @@ from controller.calibration.parameters import (
     value_at,
     written,
 )
-from controller.calibration.samples import Samples
-from controller.manipulator.frames import Frame
-from controller.studies.shares import Run, Spread, alone
+from hyperbit.controller.calibration.samples import Samples
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.studies.shares import Run, Spread, alone
 
 FOLDS = 5
 FEWEST = 10  # fewest samples

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from controller.calibration.model import Array, Model
-from controller.calibration.samples import Samples
-from controller.manipulator import frames
+from hyperbit.controller.calibration.model import Array, Model
+from hyperbit.controller.calibration.samples import Samples
+from hyperbit.controller.manipulator import frames
 
 GATE = 1 - 1e-6  # share of the samples with normal noise that pass the outlier test
 ROUNDS = 8  # most rounds of estimating noise and outliers

@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.chain import build_modules
-from controller.armfile.settings import ModuleSettings
-from controller.calibration.parameters import (
+from hyperbit.controller.arm.chain import build_modules
+from hyperbit.controller.armfile.settings import ModuleSettings
+from hyperbit.controller.calibration.parameters import (
     Description,
     Key,
     Parameter,
@@ -19,9 +19,9 @@ from controller.calibration.parameters import (
     replaced,
     value_at,
 )
-from controller.calibration.platforms import pose_derivatives, tracked
-from controller.calibration.samples import Samples
-from controller.manipulator.frames import Frame
+from hyperbit.controller.calibration.platforms import pose_derivatives, tracked
+from hyperbit.controller.calibration.samples import Samples
+from hyperbit.controller.manipulator.frames import Frame
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,10 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controller.arm.arm import Arm
-from controller.manipulator import frames
-from controller.manipulator.frames import Frame
-from controller.manipulator.vgt import ACTUATORS
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.vgt import ACTUATORS
 
 Key = str | int
 Description = dict[str, Any]  # the `base` and `modules` of a file, all frames planar or all spatial, as plain values

@@ -9,10 +9,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.calibration.parameters import Description
-from controller.manipulator.frames import Frame
-from controller.manipulator.module import binary_code
-from controller.manipulator.platform import MANY, Legs, legs_of
+from hyperbit.controller.calibration.parameters import Description
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.module import binary_code
+from hyperbit.controller.manipulator.platform import MANY, Legs, legs_of
 
 Array = NDArray[np.float64]
 

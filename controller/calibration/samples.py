@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.tables import PLANAR, SPATIAL, read_row
-from controller.armfile.csv_files import read_csv
-from controller.armfile.strict import MOST_FAULTS, InputFaults
-from controller.manipulator.frames import Frame
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.manipulator.notation import parse_configuration
+from hyperbit.controller.arm.tables import PLANAR, SPATIAL, read_row
+from hyperbit.controller.armfile.csv_files import read_csv
+from hyperbit.controller.armfile.strict import MOST_FAULTS, InputFaults
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.manipulator.notation import parse_configuration
 
 MOST_SAMPLES = 5000
 STATES = ("configuration", "actuators")

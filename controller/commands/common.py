@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from msgspec import Meta, Struct
 
-from controller.armfile.strict import UNIT, InputFaults, check, read_yaml
-from controller.commands.completion import complete_arms, complete_files
-from controller.refusals.reasons import advice
+from hyperbit.controller.armfile.strict import UNIT, InputFaults, check, read_yaml
+from hyperbit.controller.commands.completion import complete_arms, complete_files
+from hyperbit.controller.refusals.reasons import advice
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from controller.arm.arm import Arm
-    from controller.manipulator.manipulator import Configuration
-    from controller.workspace.densities import Densities
+    from hyperbit.controller.arm.arm import Arm
+    from hyperbit.controller.manipulator.manipulator import Configuration
+    from hyperbit.controller.workspace.densities import Densities
 
 ArmFile = Annotated[
     Path,
@@ -103,8 +103,8 @@ def densities_of(arm: Arm, *, rebuild: bool = False, silent: bool = False) -> De
     """
     from rich.progress import Progress
 
-    from controller.commands import common
-    from controller.workspace.cache import default_directory, key, load_or_map
+    from hyperbit.controller.commands import common
+    from hyperbit.controller.workspace.cache import default_directory, key, load_or_map
 
     directory = default_directory()
     if rebuild:
@@ -127,7 +127,7 @@ def load_wired(path: Path) -> Arm:
     Raises:
         InputFaults: the file is wrong, or maps no actuator.
     """
-    from controller.arm.arm import load
+    from hyperbit.controller.arm.arm import load
 
     arm = load(path)
     if not arm.wiring:
@@ -189,7 +189,7 @@ def configuration(arm: Arm, text: str, where: str) -> Configuration:
     Raises:
         InputFaults: the text is no configuration of the arm; the message begins with `where`.
     """
-    from controller.manipulator.notation import parse_configuration
+    from hyperbit.controller.manipulator.notation import parse_configuration
 
     try:
         return parse_configuration(arm.manipulator, text)
@@ -218,7 +218,7 @@ def print_table(table: Table) -> None:
     """Prints a table with all of its columns: a narrow terminal wraps the lines, and shortens no cell."""
     from rich.measure import Measurement
 
-    from controller.commands.common import console
+    from hyperbit.controller.commands.common import console
 
     table.width = Measurement.get(console, console.options.update(width=1000), table).maximum
     console.print(table)

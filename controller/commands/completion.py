@@ -11,7 +11,7 @@ TIMEOUT = 1.0  # [s] for the answer of a daemon
 
 def complete_arms(ctx: Any, incomplete: str) -> list[str]:
     """Returns the names of the arms that have a daemon, and the arms' files, that begin with a text."""
-    from controller.commands.connection import arms_alive, open_session
+    from hyperbit.controller.commands.connection import arms_alive, open_session
 
     names = list[str]()
     with contextlib.suppress(Exception), open_session(*network_of(ctx)) as session:
@@ -50,7 +50,7 @@ def complete_changes(ctx: Any, incomplete: str) -> list[str]:
 
 def states_of(command: str | None) -> tuple[str, ...]:
     """Returns the states that a command accepts; `jog` frees nothing."""
-    from controller.commands.use.actuators import STATES
+    from hyperbit.controller.commands.use.actuators import STATES
 
     return STATES if command == "jog" else (*STATES, "free")
 
@@ -59,10 +59,10 @@ def actuators_of(ctx: Any) -> list[str]:
     """Returns the labels of the actuators of the arm that a command line names."""
     arm = str(ctx.params["arm"])
     if arm.endswith((".yaml", ".yml")):
-        from controller.armfile.actuators import read_wired
+        from hyperbit.controller.armfile.actuators import read_wired
 
         return list(read_wired(Path(arm))[1])
-    from controller.commands.connection import connected
+    from hyperbit.controller.commands.connection import connected
 
     with connected(arm, *network_of(ctx)) as client:
         return list(client.request("arm", timeout=TIMEOUT)["actuators"])
@@ -70,6 +70,6 @@ def actuators_of(ctx: Any) -> list[str]:
 
 def network_of(ctx: Any) -> tuple[str, Path | None]:
     """Returns endpoint and Zenoh file of a command line."""
-    from controller.commands.common import ENDPOINT
+    from hyperbit.controller.commands.common import ENDPOINT
 
     return ctx.params.get("connect") or ENDPOINT, ctx.params.get("zenoh_file")

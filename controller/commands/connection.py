@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import typer
 
-from controller.armfile.strict import InputFaults, read_yaml
-from controller.commands.common import CommandFailed, arm_name, print_json, refusal
+from hyperbit.controller.armfile.strict import InputFaults, read_yaml
+from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json, refusal
 
 if TYPE_CHECKING:
     import zenoh
 
-    from controller.network.client import Client
+    from hyperbit.controller.network.client import Client
 
 # Zenoh logs to the standard output. A sample that is on its way while a subscriber is undeclared is an error to it.
 LOG = "error,zenoh::api::session=off"
@@ -29,7 +29,7 @@ def client_config(connect: str, zenoh_file: Path | None) -> zenoh.Config:
     Raises:
         InputFaults: the configuration file is wrong.
     """
-    from controller.network import session
+    from hyperbit.controller.network import session
 
     try:
         return session.from_file(zenoh_file) if zenoh_file else session.configuration("client", connect=connect)
@@ -50,7 +50,7 @@ def open_session(connect: str, zenoh_file: Path | None) -> zenoh.Session:
     """
     import zenoh
 
-    from controller.network import session
+    from hyperbit.controller.network import session
 
     zenoh.init_log_from_env_or(LOG)
     try:
@@ -75,7 +75,7 @@ def connected(arm: str, connect: str, zenoh_file: Path | None, *, find: bool = T
     """
     import zenoh
 
-    from controller.network.client import Client, Unanswered
+    from hyperbit.controller.network.client import Client, Unanswered
 
     name = arm_name(arm)
     with (
@@ -92,7 +92,7 @@ def connected(arm: str, connect: str, zenoh_file: Path | None, *, find: bool = T
 
 def arms_alive(session: zenoh.Session) -> list[str]:
     """Returns the names of the arms of this namespace that have a daemon, sorted; none if this client may not ask."""
-    from controller.network.fleet import OWN, alive
+    from hyperbit.controller.network.fleet import OWN, alive
 
     return [address.name for address in alive(session, [OWN])]
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from controller.armfile.csv_files import csv_rows, record_of
-from controller.armfile.strict import InputFaults
-from controller.commands.common import parse_goal
+from hyperbit.controller.armfile.csv_files import csv_rows, record_of
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import parse_goal
 
 Orientation = float | list[float] | None
 

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import CommandFailed, errors
-from controller.studies.shares import Job, Spread, StudyFailed
-from controller.studies.stream import results
-from controller.studies.workers import cluster_workers, local_workers
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import CommandFailed, errors
+from hyperbit.controller.studies.shares import Job, Spread, StudyFailed
+from hyperbit.controller.studies.stream import results
+from hyperbit.controller.studies.workers import cluster_workers, local_workers
 
 if TYPE_CHECKING:
     from distributed import Client

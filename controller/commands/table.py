@@ -9,7 +9,7 @@ class CommandEntry(NamedTuple):
     """One command.
 
     Attributes:
-        module: name of its module in `controller.commands`.
+        module: name of its module in `hyperbit.controller.commands`.
         function: name of its function in the module.
         summary: first line of the function's docstring.
         example: a call of the command.

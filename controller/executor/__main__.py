@@ -1,4 +1,4 @@
-"""The executor's process: `python -m controller.executor ARM.yaml --socket PATH`; see `hyperbit execute`."""
+"""The executor's process: `python -m hyperbit.controller.executor ARM.yaml --socket PATH`; see `hyperbit execute`."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from controller.armfile.strict import InputFaults
-from controller.executor.core.arm import read_arm
-from controller.executor.core.core import Executor
-from controller.executor.process.buses import Buses, CanBuses
-from controller.executor.process.journal_copy import JournalInUse
-from controller.executor.process.log_lines import start_logging
-from controller.executor.process.real_time import enter_real_time
-from controller.executor.process.run import MOST_PENDING, EventLoop
-from controller.executor.process.server import ExecutorServer, SocketInUse
-from controller.executor.process.switch_journal import FileJournal, default_path
-from controller.flight_recorder import FlightRecorder, Label
-from controller.host.notify import Notifier
-from controller.host.sockets import socket_path
-from drivers.canopen.faults import BusError
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.process.buses import Buses, CanBuses
+from hyperbit.controller.executor.process.journal_copy import JournalInUse
+from hyperbit.controller.executor.process.log_lines import start_logging
+from hyperbit.controller.executor.process.real_time import enter_real_time
+from hyperbit.controller.executor.process.run import MOST_PENDING, EventLoop
+from hyperbit.controller.executor.process.server import ExecutorServer, SocketInUse
+from hyperbit.controller.executor.process.switch_journal import FileJournal, default_path
+from hyperbit.controller.flight_recorder import FlightRecorder, Label
+from hyperbit.controller.host.notify import Notifier
+from hyperbit.controller.host.sockets import socket_path
+from hyperbit.drivers.canopen.faults import BusError
 
 if TYPE_CHECKING:
-    from controller.executor.process.embedded_boards import EmbeddedBoards
+    from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards
 
 log = logging.getLogger("executor")
 
@@ -75,7 +75,7 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
     arm = read_arm(file)
     boards: EmbeddedBoards | None = None
     if simulate:  # the process of a real arm loads no simulation
-        from controller.executor.process.embedded_boards import simulated_boards
+        from hyperbit.controller.executor.process.embedded_boards import simulated_boards
 
         boards = simulated_boards(arm, board)
     elif board:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from types import FunctionType, MappingProxyType, MethodType
 from typing import Any
 
-from controller.flight_recorder.keeper import RefusedFile
+from hyperbit.controller.flight_recorder.keeper import RefusedFile
 
 # What a pickle of events may contain: classes of these modules, which only hold data and compute.
 PURE = re.compile(
@@ -23,11 +23,11 @@ PURE = re.compile(
     r"|controller\.executor\.((core|motion)\.\w+|process\.clients)"
     r"|drivers\.canopen\.((boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link|load|tx_echo))"
 )
-CORE = "controller.planning.core."  # its functions are pure, too
+CORE = "hyperbit.controller.planning.core."  # its functions are pure, too
 LEFT_OUT = "left out"  # stands for an opaque value that is not None
 OTHERS = {
-    ("controller.flight_recorder.pickling", "method_of"),
-    ("controller.executor.process.switch_journal", "MemoryJournal"),
+    ("hyperbit.controller.flight_recorder.pickling", "method_of"),
+    ("hyperbit.controller.executor.process.switch_journal", "MemoryJournal"),
     ("collections", "Counter"),
     ("collections", "OrderedDict"),
     ("collections", "defaultdict"),

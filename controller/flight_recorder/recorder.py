@@ -21,9 +21,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, NamedTuple
 
-from controller.flight_recorder import keeper
-from controller.flight_recorder.keeper import LENGTH, SHARED, ring_paths
-from controller.flight_recorder.pickling import reducers
+from hyperbit.controller.flight_recorder import keeper
+from hyperbit.controller.flight_recorder.keeper import LENGTH, SHARED, ring_paths
+from hyperbit.controller.flight_recorder.pickling import reducers
 
 log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 
-from controller.planning.core.events import Payload
+from hyperbit.controller.planning.core.events import Payload
 
 MOST_AT_ONCE = 20  # refusals a second without pauses; only these give a reason, which takes a hundred times as long
 PAUSE_EVERY, PAUSE = 10, 0.002  # number of further requests for each pause, and its length [s]

@@ -8,7 +8,7 @@ import time
 import msgspec
 import zenoh
 
-from controller.network.session import LEASE
+from hyperbit.controller.network.session import LEASE
 
 GRACE = 0.5  # [s] for a token to reach all other sessions, also those that were opened a moment ago
 CLAIM_TIMEOUT = LEASE + 2.0  # [s] until the tokens of a killed daemon, or of a lost host, disappear

@@ -17,27 +17,27 @@ from typing import NamedTuple
 import numpy as np
 import zenoh
 
-from controller.arm.arm import Arm
-from controller.arm.warnings import file_warnings
-from controller.flight_recorder import FlightRecorder, Label
-from controller.gateway.arrivals import RepeatedGoals
-from controller.gateway.claim import Claim
-from controller.gateway.outbox import Outbox, ResultHooks
-from controller.gateway.poses import Poses
-from controller.gateway.server import GatewayParts, Server
-from controller.host.journal import fields_of_fault
-from controller.host.notify import Notifier
-from controller.manipulator.notation import format_configuration
-from controller.network.session import lease, reachable
-from controller.planning.core.core import OPAQUE
-from controller.planning.core.events import Recorded
-from controller.planning.ledger import Ledger, PublishedResults, published_path
-from controller.planning.ledger_file import find
-from controller.planning.link import ExecutorLink, Inbox
-from controller.planning.loop import Services
-from controller.planning.planner import planning
-from controller.program import Fault
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.arm.warnings import file_warnings
+from hyperbit.controller.flight_recorder import FlightRecorder, Label
+from hyperbit.controller.gateway.arrivals import RepeatedGoals
+from hyperbit.controller.gateway.claim import Claim
+from hyperbit.controller.gateway.outbox import Outbox, ResultHooks
+from hyperbit.controller.gateway.poses import Poses
+from hyperbit.controller.gateway.server import GatewayParts, Server
+from hyperbit.controller.host.journal import fields_of_fault
+from hyperbit.controller.host.notify import Notifier
+from hyperbit.controller.manipulator.notation import format_configuration
+from hyperbit.controller.network.session import lease, reachable
+from hyperbit.controller.planning.core.core import OPAQUE
+from hyperbit.controller.planning.core.events import Recorded
+from hyperbit.controller.planning.ledger import Ledger, PublishedResults, published_path
+from hyperbit.controller.planning.ledger_file import find
+from hyperbit.controller.planning.link import ExecutorLink, Inbox
+from hyperbit.controller.planning.loop import Services
+from hyperbit.controller.planning.planner import planning
+from hyperbit.controller.program import Fault
+from hyperbit.controller.workspace.densities import Densities
 
 log = logging.getLogger(__name__)
 

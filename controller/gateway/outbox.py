@@ -13,10 +13,10 @@ import msgspec
 import numpy as np
 import zenoh
 
-from controller.network.session import LEASE
-from controller.planning.core.events import Identity, Payload, Published, PublishResult, refused
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.network.session import LEASE
+from hyperbit.controller.planning.core.events import Identity, Payload, Published, PublishResult, refused
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 

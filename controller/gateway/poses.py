@@ -11,10 +11,10 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta, Struct
 
-from controller.motion.decoding.setpoint import parse
-from controller.planning.core.events import Payload, done
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.motion.decoding.setpoint import parse
+from hyperbit.controller.planning.core.events import Payload, done
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 

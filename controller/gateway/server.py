@@ -14,12 +14,12 @@ import msgspec
 import zenoh
 from zenoh.handlers import Callback
 
-from controller.gateway.arrivals import Clocks, FloodBrake, Rate, RepeatedGoals, Reply, keys_of
-from controller.gateway.outbox import Outbox
-from controller.gateway.poses import Poses, decode_poses
-from controller.motion.decoding.goal import GoalMessage, Undecodable
-from controller.motion.decoding.setpoint import parse
-from controller.planning.core.events import (
+from hyperbit.controller.gateway.arrivals import Clocks, FloodBrake, Rate, RepeatedGoals, Reply, keys_of
+from hyperbit.controller.gateway.outbox import Outbox
+from hyperbit.controller.gateway.poses import Poses, decode_poses
+from hyperbit.controller.motion.decoding.goal import GoalMessage, Undecodable
+from hyperbit.controller.motion.decoding.setpoint import parse
+from hyperbit.controller.planning.core.events import (
     Arrival,
     CancelMessage,
     Key,
@@ -30,10 +30,10 @@ from controller.planning.core.events import (
     done,
     refused,
 )
-from controller.planning.loop import Receive
-from controller.planning.planner import Planner
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.planning.loop import Receive
+from hyperbit.controller.planning.planner import Planner
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 

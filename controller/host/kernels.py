@@ -1,4 +1,4 @@
-"""Compiles the kernels of the demo, the daemon and the library on all processors: python -m controller.host.kernels.
+"""Compiles the kernels of the demo, the daemon and the library on all processors: python -m hyperbit.controller.host.kernels.
 
 numba compiles a kernel when its module is imported, and stores the machine code in its cache. A single process that
 imports all modules takes minutes. Here a process of its own imports each module, after those that it depends on.
@@ -9,13 +9,15 @@ import importlib
 import os
 from pathlib import Path
 
-import controller
-
 ROOTS = (
-    *("controller.commands.operate.demo", "controller.commands.operate.run"),
-    *("controller.library.arm", "controller.library.solver", "controller.library.calibration"),
+    *("hyperbit.controller.commands.operate.demo", "hyperbit.controller.commands.operate.run"),
+    *(
+        "hyperbit.controller.library.arm",
+        "hyperbit.controller.library.solver",
+        "hyperbit.controller.library.calibration",
+    ),
 )
-FOLDER = Path(controller.__file__).parent
+FOLDER = Path(hyperbit.controller.__file__).parent
 
 
 def imports(module: str) -> set[str]:
@@ -26,7 +28,7 @@ def imports(module: str) -> set[str]:
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
             found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-    return {name for name in found if name.startswith(f"{controller.__name__}.") and path(name).is_file()}
+    return {name for name in found if name.startswith(f"{hyperbit.controller.__name__}.") and path(name).is_file()}
 
 
 def path(module: str) -> Path:

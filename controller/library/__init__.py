@@ -17,10 +17,10 @@ and are approximate. Between goals, the stages in which actuators switch are che
 thread-safe.
 """
 
-from controller.library.arm import Arm, load
-from controller.library.calibration import Fitted, calibrate
-from controller.library.density import Density
-from controller.library.errors import (
+from hyperbit.controller.library.arm import Arm, load
+from hyperbit.controller.library.calibration import Fitted, calibrate
+from hyperbit.controller.library.density import Density
+from hyperbit.controller.library.errors import (
     ArmError,
     CalibrationError,
     ConfigurationError,
@@ -31,14 +31,14 @@ from controller.library.errors import (
     PathError,
     StudyError,
 )
-from controller.library.goals import Goal
-from controller.library.many import map
-from controller.library.modules import Module, platform, prismatic, revolute, transforms, vgt
-from controller.library.obstacles import Box, Disc, HalfPlane, HalfSpace, Obstacle, Sphere
-from controller.library.plot import plot
-from controller.library.solver import Path, Solver
-from controller.search.method import METHODS, Method
-from controller.search.solution import Certificate, Solution
+from hyperbit.controller.library.goals import Goal
+from hyperbit.controller.library.many import map
+from hyperbit.controller.library.modules import Module, platform, prismatic, revolute, transforms, vgt
+from hyperbit.controller.library.obstacles import Box, Disc, HalfPlane, HalfSpace, Obstacle, Sphere
+from hyperbit.controller.library.plot import plot
+from hyperbit.controller.library.solver import Path, Solver
+from hyperbit.controller.search.method import METHODS, Method
+from hyperbit.controller.search.solution import Certificate, Solution
 
 __all__ = [
     "METHODS",

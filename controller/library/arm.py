@@ -11,21 +11,21 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.arm import arm as config
-from controller.armfile.settings import ArmSettings
-from controller.armfile.strict import InputFaults
-from controller.library.density import Density
-from controller.library.errors import ArmError, ConfigurationError, GoalError, LockError
-from controller.library.modules import Module, base_settings, build, checked
-from controller.library.obstacles import Obstacle, obstacle_settings
-from controller.manipulator.locked import STATES, LockedStates, lock_actuators, transferred
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.workspace.cache import default_directory, load_or_map
-from controller.workspace.coverage import Coverage, coverage_of
-from controller.workspace.densities import Densities
-from controller.workspace.locked_reach import LockChoices, LockedReach, reach_when_locked
-from controller.workspace.orientations import Orientations, orientations_at
+from hyperbit.controller.arm import arm as config
+from hyperbit.controller.armfile.settings import ArmSettings
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.library.density import Density
+from hyperbit.controller.library.errors import ArmError, ConfigurationError, GoalError, LockError
+from hyperbit.controller.library.modules import Module, base_settings, build, checked
+from hyperbit.controller.library.obstacles import Obstacle, obstacle_settings
+from hyperbit.controller.manipulator.locked import STATES, LockedStates, lock_actuators, transferred
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
+from hyperbit.controller.workspace.cache import default_directory, load_or_map
+from hyperbit.controller.workspace.coverage import Coverage, coverage_of
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.locked_reach import LockChoices, LockedReach, reach_when_locked
+from hyperbit.controller.workspace.orientations import Orientations, orientations_at
 
 Array = NDArray[np.float64]
 LockState = Literal["contracted", "extended"] | None
@@ -102,7 +102,7 @@ class Arm:
 
     def _repr_html_(self) -> str:
         """Returns a picture of `home` for notebooks."""
-        from controller.library.plot import html
+        from hyperbit.controller.library.plot import html
 
         return html(repr(self), self)
 

@@ -7,13 +7,13 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from controller.armfile.settings import ArmSettings
-from controller.calibration.calibration import Calibration, calibrated
-from controller.calibration.fit import CannotFit
-from controller.calibration.samples import Samples
-from controller.library.arm import Arm
-from controller.library.errors import CalibrationError
-from controller.library.modules import build, checked
+from hyperbit.controller.armfile.settings import ArmSettings
+from hyperbit.controller.calibration.calibration import Calibration, calibrated
+from hyperbit.controller.calibration.fit import CannotFit
+from hyperbit.controller.calibration.samples import Samples
+from hyperbit.controller.library.arm import Arm
+from hyperbit.controller.library.errors import CalibrationError
+from hyperbit.controller.library.modules import build, checked
 
 
 class Fitted(NamedTuple):

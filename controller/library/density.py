@@ -5,10 +5,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.library.errors import GoalError
-from controller.manipulator.frames import inverse
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace.densities import Densities
+from hyperbit.controller.library.errors import GoalError
+from hyperbit.controller.manipulator.frames import inverse
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace.densities import Densities
 
 Array = NDArray[np.float64]
 

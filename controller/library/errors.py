@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from controller.armfile.strict import fault_list
+from hyperbit.controller.armfile.strict import fault_list
 
 
 class Error(ValueError):

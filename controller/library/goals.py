@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.armfile.strict import UNIT
-from controller.library.errors import GoalError
-from controller.manipulator import frames
+from hyperbit.controller.armfile.strict import UNIT
+from hyperbit.controller.library.errors import GoalError
+from hyperbit.controller.manipulator import frames
 
 Array = NDArray[np.float64]
 

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from numpy.typing import ArrayLike
 
-from controller.library.errors import StudyError
-from controller.library.goals import Goal
-from controller.library.solver import Solver, Start, checked_time
-from controller.manipulator.manipulator import Configuration
-from controller.search.method import MINIMUM_SWITCH, Method
-from controller.search.solution import Solution
-from controller.studies.shares import Run, StudyFailed, goals_a_share
-from controller.studies.stream import results
-from controller.studies.workers import check_workers, local_workers
+from hyperbit.controller.library.errors import StudyError
+from hyperbit.controller.library.goals import Goal
+from hyperbit.controller.library.solver import Solver, Start, checked_time
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
+from hyperbit.controller.search.solution import Solution
+from hyperbit.controller.studies.shares import Run, StudyFailed, goals_a_share
+from hyperbit.controller.studies.stream import results
+from hyperbit.controller.studies.workers import check_workers, local_workers
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -8,8 +8,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike
 
-from controller.arm import arm as config
-from controller.armfile.settings import (
+from hyperbit.controller.arm import arm as config
+from hyperbit.controller.armfile.settings import (
     ArmSettings,
     Diagonal,
     FrameSettings,
@@ -20,9 +20,9 @@ from controller.armfile.settings import (
     TransformsSettings,
     VgtSettings,
 )
-from controller.armfile.strict import InputFaults, check
-from controller.library.errors import ArmError
-from controller.manipulator import frames
+from hyperbit.controller.armfile.strict import InputFaults, check
+from hyperbit.controller.library.errors import ArmError
+from hyperbit.controller.manipulator import frames
 
 S = TypeVar("S", bound=Struct)
 

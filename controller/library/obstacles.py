@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controller.armfile.settings import ObstacleSettings
-from controller.armfile.strict import check
-from controller.library.errors import ObstacleError
-from controller.obstacles.notation import parse_obstacles
-from controller.obstacles.obstacles import Obstacles
+from hyperbit.controller.armfile.settings import ObstacleSettings
+from hyperbit.controller.armfile.strict import check
+from hyperbit.controller.library.errors import ObstacleError
+from hyperbit.controller.obstacles.notation import parse_obstacles
+from hyperbit.controller.obstacles.obstacles import Obstacles
 
 
 @dataclass(frozen=True, eq=False)

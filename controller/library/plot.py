@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controller.library.arm import Arm
-from controller.library.obstacles import Obstacle, build_obstacles
-from controller.library.solver import Path
-from controller.obstacles.obstacles import together
-from controller.pictures import plots
-from controller.search.solution import Solution
+from hyperbit.controller.library.arm import Arm
+from hyperbit.controller.library.obstacles import Obstacle, build_obstacles
+from hyperbit.controller.library.solver import Path
+from hyperbit.controller.obstacles.obstacles import together
+from hyperbit.controller.pictures import plots
+from hyperbit.controller.search.solution import Solution
 
 if TYPE_CHECKING:  # matplotlib takes half a second to import
     from matplotlib.figure import Figure

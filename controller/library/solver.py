@@ -14,19 +14,19 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.library.arm import Arm
-from controller.library.errors import GoalError, PathError
-from controller.library.goals import Goal, ToleratedGoal, with_tolerances
-from controller.library.obstacles import Obstacle, build_obstacles
-from controller.manipulator.manipulator import Configuration
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.plans.whole import WHOLE_TIME, TipGoals, plan_whole, unhurried
-from controller.motion.stages.pacing import pace_of
-from controller.motion.trajectory import MOST_POINTS
-from controller.refusals.refusal import Refusal
-from controller.search import solver as search
-from controller.search.method import METHODS, MINIMUM_SWITCH, Method
-from controller.search.solution import Certificate, SearchTime, Solution
+from hyperbit.controller.library.arm import Arm
+from hyperbit.controller.library.errors import GoalError, PathError
+from hyperbit.controller.library.goals import Goal, ToleratedGoal, with_tolerances
+from hyperbit.controller.library.obstacles import Obstacle, build_obstacles
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.plans.whole import WHOLE_TIME, TipGoals, plan_whole, unhurried
+from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.motion.trajectory import MOST_POINTS
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search import solver as search
+from hyperbit.controller.search.method import METHODS, MINIMUM_SWITCH, Method
+from hyperbit.controller.search.solution import Certificate, SearchTime, Solution
 
 GOAL_DEADLINE, PATH_DEADLINE = search.TIMEOUT, WHOLE_TIME
 
@@ -107,7 +107,7 @@ class Solver:
 
     def _repr_html_(self) -> str:
         """Returns a picture of the arm among the obstacles for notebooks."""
-        from controller.library.plot import html
+        from hyperbit.controller.library.plot import html
 
         return html(repr(self), self.arm, self.obstacles)
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import Module
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import Module
 
 
 def described(answer: Mapping[str, Any]) -> Manipulator:

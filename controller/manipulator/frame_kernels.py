@@ -2,8 +2,8 @@
 
 from numba import njit
 
-from controller.manipulator import frames
-from controller.manipulator.frames import Array
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.frames import Array
 
 angle_between = njit("f8(f8[:,:], f8[:,:])", cache=True, nogil=True)(frames.angle_between)
 

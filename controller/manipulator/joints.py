@@ -11,9 +11,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.displacement_rates import joint_rates
-from controller.manipulator.frames import Frame, spatial, turned
-from controller.manipulator.module import Array, Module, gray_code, lines, shares, spelled
+from hyperbit.controller.manipulator.displacement_rates import joint_rates
+from hyperbit.controller.manipulator.frames import Frame, spatial, turned
+from hyperbit.controller.manipulator.module import Array, Module, gray_code, lines, shares, spelled
 
 
 def revolute(axis: ArrayLike, angles: Sequence[float], link: Frame) -> Module:

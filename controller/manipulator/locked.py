@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # its kernel takes a second to import
-    from controller.manipulator.manipulator import Configuration, Manipulator
+    from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 
 LockedStates = NDArray[np.int8]  # state in which each actuator is locked, -1 if it is free, shape (A,)
 

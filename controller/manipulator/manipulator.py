@@ -7,8 +7,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.frames import Frame
-from controller.manipulator.module import Module
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.module import Module
 
 Configuration = NDArray[np.int64]
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.displacement_rates import blended_rates, corner_states
-from controller.manipulator.frames import Frame, quaternion, spatial
+from hyperbit.controller.manipulator.displacement_rates import blended_rates, corner_states
+from hyperbit.controller.manipulator.frames import Frame, quaternion, spatial
 
 Array = NDArray[np.float64]
 Motion = Callable[[Array], tuple[Frame, Array]]

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controller.manipulator import frames
-from controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.frames import Frame
 
 if TYPE_CHECKING:  # its kernel takes a second to import
-    from controller.manipulator.manipulator import Configuration, Manipulator
+    from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 
 
 def parse_configuration(manipulator: Manipulator, text: str) -> Configuration:

@@ -16,8 +16,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.frames import Frame, spatial, turned
-from controller.manipulator.module import Module, binary_code
+from hyperbit.controller.manipulator.frames import Frame, spatial, turned
+from hyperbit.controller.manipulator.module import Module, binary_code
 
 Array = NDArray[np.float64]
 

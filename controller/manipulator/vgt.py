@@ -8,10 +8,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.armfile.settings import Diagonal
-from controller.manipulator.displacement_rates import truss_rates
-from controller.manipulator.frames import Frame, planar
-from controller.manipulator.module import Array, Module, binary_code
+from hyperbit.controller.armfile.settings import Diagonal
+from hyperbit.controller.manipulator.displacement_rates import truss_rates
+from hyperbit.controller.manipulator.frames import Frame, planar
+from hyperbit.controller.manipulator.module import Array, Module, binary_code
 
 Point = NDArray[np.float64]
 Lengths = tuple[float, float]

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.notation import format_configuration, pose
+from hyperbit.controller.manipulator.notation import format_configuration, pose
 
 if TYPE_CHECKING:
-    from controller.manipulator.manipulator import Manipulator
+    from hyperbit.controller.manipulator.manipulator import Manipulator
 
 Measured = NDArray[np.int8]
 Pose = Mapping[str, Any]

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 if TYPE_CHECKING:  # its kernels take a second to import; clients that only decode messages need not wait
-    from controller.motion.stages.pacing import Pace
+    from hyperbit.controller.motion.stages.pacing import Pace
 
 MOST_POINTS = 10_000  # of a trajectory
 FINEST, COARSEST = 4, 2  # parts a path tolerance of length: if there is time, and at least

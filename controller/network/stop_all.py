@@ -8,8 +8,8 @@ from typing import NamedTuple
 import msgspec
 import zenoh
 
-from controller.network.client import Message
-from controller.network.fleet import PLACES, ArmAddress, address_of, alive
+from hyperbit.controller.network.client import Message
+from hyperbit.controller.network.fleet import PLACES, ArmAddress, address_of, alive
 
 FIRST_WAIT, LONGEST_WAIT = 0.1, 1.0  # [s] for answers, before the arms that are silent are asked again
 ROUNDS = 2  # at least: the second finds arms that started during the first

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.collision import ArmBodies, first_collisions
-from controller.obstacles.distance import Array, Index, Surroundings
-from controller.obstacles.obstacles import Obstacles
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.obstacles.collision import ArmBodies, first_collisions
+from hyperbit.controller.obstacles.distance import Array, Index, Surroundings
+from hyperbit.controller.obstacles.obstacles import Obstacles
 
 # Share of the arm's length that covers rounding: bodies that come so near count as touching. The crossing of two nearly
 # parallel lines has half of the digits only.

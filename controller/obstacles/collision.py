@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import float64, int64, njit, types
 
-from controller.manipulator.frame_kernels import compose
-from controller.manipulator.kernel_types import F1, F2, F3, F4, F5, I1, I2, UNCOUNTED, named
-from controller.obstacles.distance import SURROUNDINGS, Array, Index, Surroundings, first_obstacle, placed
+from hyperbit.controller.manipulator.frame_kernels import compose
+from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, F5, I1, I2, UNCOUNTED, named
+from hyperbit.controller.obstacles.distance import SURROUNDINGS, Array, Index, Surroundings, first_obstacle, placed
 
 
 class ArmBodies(NamedTuple):

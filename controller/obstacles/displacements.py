@@ -6,9 +6,9 @@ from itertools import product
 
 import numpy as np
 
-from controller.manipulator.frames import Frame
-from controller.manipulator.module import Module
-from controller.obstacles.distance import Array, Index
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.module import Module
+from hyperbit.controller.obstacles.distance import Array, Index
 
 FINE, COARSE = 5, 3  # samples of each displacement of a platform, if up to three actuators move, and if more do
 ROUNDING = 1e-9  # relative rounding error of a bound

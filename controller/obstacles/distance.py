@@ -12,7 +12,7 @@ import numpy as np
 from numba import float64, int64, njit
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, F3, I1, UNCOUNTED, named
+from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, I1, UNCOUNTED, named
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

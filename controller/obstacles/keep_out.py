@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.obstacles import NONE, Obstacles
-from controller.obstacles.sweep import sweep_of
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.obstacles import NONE, Obstacles
+from hyperbit.controller.obstacles.sweep import sweep_of
 
 log = logging.getLogger(__name__)
 

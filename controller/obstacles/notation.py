@@ -3,11 +3,11 @@
 import math
 from collections.abc import Sequence
 
-from controller.armfile.settings import BoxSettings, HalfSettings, ObstacleSettings, RoundSettings
-from controller.armfile.settings import ObstacleList as ObstacleList  # messages with obstacles use it
-from controller.armfile.strict import UNIT
-from controller.manipulator import frames
-from controller.obstacles.obstacles import Obstacles, box, half_space, sphere, together
+from hyperbit.controller.armfile.settings import BoxSettings, HalfSettings, ObstacleSettings, RoundSettings
+from hyperbit.controller.armfile.settings import ObstacleList as ObstacleList  # messages with obstacles use it
+from hyperbit.controller.armfile.strict import UNIT
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.obstacles.obstacles import Obstacles, box, half_space, sphere, together
 
 PLANAR, SPATIAL = ("disc", "box", "half_plane"), ("sphere", "box", "half_space")
 

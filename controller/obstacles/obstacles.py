@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.obstacles.distance import BOX, HALF_SPACE, SPHERE, signed_distance
+from hyperbit.controller.obstacles.distance import BOX, HALF_SPACE, SPHERE, signed_distance
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -10,12 +10,12 @@ import numpy as np
 from numba import int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.frame_kernels import compose
-from controller.manipulator.kernel_types import F2, F3, I1, UNCOUNTED, named
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.collision import ARM_BODIES, WORLD_BODIES, ArmBodies, WorldBodies, first_touch
-from controller.obstacles.distance import SURROUNDINGS, Surroundings
+from hyperbit.controller.manipulator.frame_kernels import compose
+from hyperbit.controller.manipulator.kernel_types import F2, F3, I1, UNCOUNTED, named
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.collision import ARM_BODIES, WORLD_BODIES, ArmBodies, WorldBodies, first_touch
+from hyperbit.controller.obstacles.distance import SURROUNDINGS, Surroundings
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -15,14 +15,14 @@ import numpy as np
 from numba import boolean, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, F3, F4, F5, I1, I2, UNCOUNTED, named
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import Module
-from controller.obstacles.clearance import BodyClearance, balls
-from controller.obstacles.collision import ARM_BODIES, ArmBodies
-from controller.obstacles.displacements import displacements_of
-from controller.obstacles.distance import SURROUNDINGS, Array, Index, Surroundings
-from controller.obstacles.swept_check import (
+from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, F5, I1, I2, UNCOUNTED, named
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import Module
+from hyperbit.controller.obstacles.clearance import BodyClearance, balls
+from hyperbit.controller.obstacles.collision import ARM_BODIES, ArmBodies
+from hyperbit.controller.obstacles.displacements import displacements_of
+from hyperbit.controller.obstacles.distance import SURROUNDINGS, Array, Index, Surroundings
+from hyperbit.controller.obstacles.swept_check import (
     BOX_MOTION,
     CHAINS,
     SWITCHING,

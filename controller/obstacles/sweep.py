@@ -6,10 +6,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.obstacles.clearance import BodyClearance, balls
-from controller.obstacles.displacements import displacements_of
-from controller.obstacles.distance import Array, Index
-from controller.obstacles.swept_check import CLEAR, COLLIDING, Chains, Switching, swept_check
+from hyperbit.controller.obstacles.clearance import BodyClearance, balls
+from hyperbit.controller.obstacles.displacements import displacements_of
+from hyperbit.controller.obstacles.distance import Array, Index
+from hyperbit.controller.obstacles.swept_check import CLEAR, COLLIDING, Chains, Switching, swept_check
 
 States = NDArray[np.uint8]
 

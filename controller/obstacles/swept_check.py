@@ -13,10 +13,10 @@ import numpy as np
 from numba import boolean, float64, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.frame_kernels import compose
-from controller.manipulator.kernel_types import F1, F2, F3, F4, F5, I1, I2, UNCOUNTED, named
-from controller.obstacles.collision import lines_distance
-from controller.obstacles.distance import SURROUNDINGS, Array, Index, Surroundings, first_obstacle, placed
+from hyperbit.controller.manipulator.frame_kernels import compose
+from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, F5, I1, I2, UNCOUNTED, named
+from hyperbit.controller.obstacles.collision import lines_distance
+from hyperbit.controller.obstacles.distance import SURROUNDINGS, Array, Index, Surroundings, first_obstacle, placed
 
 Point = tuple[float, float, float]
 Flags = NDArray[np.bool_]

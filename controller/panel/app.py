@@ -21,20 +21,20 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from controller.network.fleet import is_name
-from controller.network.stop_all import stop_all
-from controller.panel import requests
-from controller.panel.access.access import Access
-from controller.panel.access.people import Person
-from controller.panel.access.places import PagePlace, Places
-from controller.panel.access.sessions import LASTS
-from controller.panel.access.wrong_tokens import WrongTokens
-from controller.panel.arm_page import ArmPage, Flood, RequestThreads, encoded
-from controller.panel.arms.arm_view import ArmView
-from controller.panel.arms.arms import Arms
-from controller.panel.arms.metrics import endpoint
-from controller.panel.arms.pages import Page
-from controller.panel.shield import LOCAL, Shield, TooLarge, policy
+from hyperbit.controller.network.fleet import is_name
+from hyperbit.controller.network.stop_all import stop_all
+from hyperbit.controller.panel import requests
+from hyperbit.controller.panel.access.access import Access
+from hyperbit.controller.panel.access.people import Person
+from hyperbit.controller.panel.access.places import PagePlace, Places
+from hyperbit.controller.panel.access.sessions import LASTS
+from hyperbit.controller.panel.access.wrong_tokens import WrongTokens
+from hyperbit.controller.panel.arm_page import ArmPage, Flood, RequestThreads, encoded
+from hyperbit.controller.panel.arms.arm_view import ArmView
+from hyperbit.controller.panel.arms.arms import Arms
+from hyperbit.controller.panel.arms.metrics import endpoint
+from hyperbit.controller.panel.arms.pages import Page
+from hyperbit.controller.panel.shield import LOCAL, Shield, TooLarge, policy
 
 STATIC = Path(__file__).parent / "static"
 SESSION_EVERY = 1.0  # [s] between two checks that the session of an open page goes on

@@ -10,11 +10,11 @@ from typing import Any
 
 import msgspec
 
-from controller.armfile.strict import InputFaults, parse_yaml
-from controller.network.client import Unanswered
-from controller.panel.arms.arm_view import ArmView
-from controller.panel.arms.pages import Page, RateLimit
-from controller.panel.requests import (
+from hyperbit.controller.armfile.strict import InputFaults, parse_yaml
+from hyperbit.controller.network.client import Unanswered
+from hyperbit.controller.panel.arms.arm_view import ArmView
+from hyperbit.controller.panel.arms.pages import Page, RateLimit
+from hyperbit.controller.panel.requests import (
     CancelRequest,
     ControlRequest,
     FaultRequest,
@@ -34,7 +34,7 @@ from controller.panel.requests import (
     TakeControlRequest,
     UrgentRequest,
 )
-from controller.refusals.reasons import advice
+from hyperbit.controller.refusals.reasons import advice
 
 log = logging.getLogger(__name__)
 

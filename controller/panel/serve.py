@@ -14,17 +14,17 @@ from typing import Any, NamedTuple
 import uvicorn
 import zenoh
 
-from controller.armfile.strict import InputFaults
-from controller.host.notify import Notifier
-from controller.host.signals import end_on_signals
-from controller.network import session
-from controller.panel.access.access import Access
-from controller.panel.access.people import PersonEntry, digest_of, new_token, read_people
-from controller.panel.access.sessions import sessions_file
-from controller.panel.app import PanelServer
-from controller.panel.http import CertifiedWebSocket, GuardedHttp
-from controller.panel.requests import MOST_BYTES
-from controller.panel.shield import LOCAL
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.host.notify import Notifier
+from hyperbit.controller.host.signals import end_on_signals
+from hyperbit.controller.network import session
+from hyperbit.controller.panel.access.access import Access
+from hyperbit.controller.panel.access.people import PersonEntry, digest_of, new_token, read_people
+from hyperbit.controller.panel.access.sessions import sessions_file
+from hyperbit.controller.panel.app import PanelServer
+from hyperbit.controller.panel.http import CertifiedWebSocket, GuardedHttp
+from hyperbit.controller.panel.requests import MOST_BYTES
+from hyperbit.controller.panel.shield import LOCAL
 
 MOST_CONNECTIONS = 500
 BACKLOG = 1024  # connections that wait to be accepted

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.manipulator import Manipulator
-from controller.obstacles.obstacles import NONE, Obstacles
-from controller.pictures.plots import COLOURS, Subplot, bounds, figure
-from controller.workspace.densities import Densities
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.obstacles.obstacles import NONE, Obstacles
+from hyperbit.controller.pictures.plots import COLOURS, Subplot, bounds, figure
+from hyperbit.controller.workspace.densities import Densities
 
 Array = NDArray[np.float64]
 

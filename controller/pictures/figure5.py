@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.arm.arm import Arm
-from controller.manipulator import frames
-from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.pictures import plots
-from controller.search.method import PAPER_METHODS, PaperMethod
-from controller.search.solver import Solver
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
+from hyperbit.controller.pictures import plots
+from hyperbit.controller.search.method import PAPER_METHODS, PaperMethod
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.densities import Densities
 
 TARGETS = ((3.0, 0.7), (0.55, 2.9), (0.4, 2.9))
 TITLES: dict[PaperMethod, str] = {

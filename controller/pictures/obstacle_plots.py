@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.obstacles.distance import BOX, SPHERE
-from controller.obstacles.obstacles import Obstacles
+from hyperbit.controller.obstacles.distance import BOX, SPHERE
+from hyperbit.controller.obstacles.obstacles import Obstacles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.workspace.orientations import Orientations
+from hyperbit.controller.workspace.orientations import Orientations
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.obstacles import NONE, Obstacles
-from controller.pictures.obstacle_plots import draw_obstacles, draw_spatial_obstacles
-from controller.workspace.densities import Densities
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.obstacles.obstacles import NONE, Obstacles
+from hyperbit.controller.pictures.obstacle_plots import draw_obstacles, draw_spatial_obstacles
+from hyperbit.controller.workspace.densities import Densities
 
 if TYPE_CHECKING:  # matplotlib takes half a second to import: only those who draw wait for it
     from matplotlib.axes import Axes

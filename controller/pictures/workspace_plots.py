@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.manipulator import Manipulator
-from controller.pictures.orientation_plots import ORANGE, draw_angles, draw_rotations
-from controller.pictures.plots import DARKEST, LIGHTEST
-from controller.workspace.densities import Densities
-from controller.workspace.locked_reach import LockedReach
-from controller.workspace.orientations import Orientations
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.pictures.orientation_plots import ORANGE, draw_angles, draw_rotations
+from hyperbit.controller.pictures.plots import DARKEST, LIGHTEST
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.locked_reach import LockedReach
+from hyperbit.controller.workspace.orientations import Orientations
 
 if TYPE_CHECKING:  # matplotlib takes half a second to import
     from matplotlib.figure import Figure

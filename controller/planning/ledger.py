@@ -23,9 +23,9 @@ from typing import IO, Any, NamedTuple
 
 import msgspec
 
-from controller.planning.core.events import Identity, Record, ResultEntry
-from controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed, plain
-from controller.program import Fault
+from hyperbit.controller.planning.core.events import Identity, Record, ResultEntry
+from hyperbit.controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed, plain
+from hyperbit.controller.program import Fault
 
 log = logging.getLogger(__name__)
 

@@ -9,8 +9,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from controller.host.folders import state_folder
-from controller.planning.core.events import Identity, OpenGoal, Record
+from hyperbit.controller.host.folders import state_folder
+from hyperbit.controller.planning.core.events import Identity, OpenGoal, Record
 
 log = logging.getLogger(__name__)
 

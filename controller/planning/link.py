@@ -9,8 +9,8 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from controller.planning.core.events import Event, FromExecutor, LinkDown
-from controller.program import MOST_BYTES, VERSION, Down, Goodbye, Hello, Malformed, Welcome, decode_up, encode
+from hyperbit.controller.planning.core.events import Event, FromExecutor, LinkDown
+from hyperbit.controller.program import MOST_BYTES, VERSION, Down, Goodbye, Hello, Malformed, Welcome, decode_up, encode
 
 RETRY = 0.5  # [s] between two attempts to connect, and after the end of a connection
 SEND_TIMEOUT = 0.2  # [s] that `send_now` waits for an executor that does not read

@@ -8,19 +8,19 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, Protocol
 
-from controller.flight_recorder import FlightRecorder
-from controller.host.notify import Notifier
-from controller.host.process import Log, Notify, Quit
-from controller.planning.core import events
-from controller.planning.core.core import Core
-from controller.planning.core.requests import CANCELED
-from controller.planning.core.tasks import Failed
-from controller.planning.ledger import Ledger, PublishedResults
-from controller.planning.link import ExecutorLink, Inbox
-from controller.planning.workers.pool import Workers
-from controller.program import Cancel, Fault, Stop
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.flight_recorder import FlightRecorder
+from hyperbit.controller.host.notify import Notifier
+from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.planning.core import events
+from hyperbit.controller.planning.core.core import Core
+from hyperbit.controller.planning.core.requests import CANCELED
+from hyperbit.controller.planning.core.tasks import Failed
+from hyperbit.controller.planning.ledger import Ledger, PublishedResults
+from hyperbit.controller.planning.link import ExecutorLink, Inbox
+from hyperbit.controller.planning.workers.pool import Workers
+from hyperbit.controller.program import Cancel, Fault, Stop
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 

@@ -8,23 +8,23 @@ from collections.abc import Callable, Collection, Iterator
 import msgspec
 import numpy as np
 
-from controller.arm.arm import Arm
-from controller.arm.description import density, description, drawing, file
-from controller.flight_recorder import FlightRecorder
-from controller.motion.decoding.goal import GoalMessage, Id, check_reach, parse
-from controller.motion.decoding.requests import decode_degrade, decode_fault, decode_jog, decode_obstacles
-from controller.motion.stages.pacing import pace_of
-from controller.obstacles.obstacles import NONE
-from controller.planning.core import events
-from controller.planning.core.core import Beginning, Core
-from controller.planning.core.tasks import BuildScene, BuildTables
-from controller.planning.link import ExecutorLink
-from controller.planning.loop import Loop, Services
-from controller.planning.workers.arm_model import build_scene, build_tables
-from controller.planning.workers.pool import Workers
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.arm.description import density, description, drawing, file
+from hyperbit.controller.flight_recorder import FlightRecorder
+from hyperbit.controller.motion.decoding.goal import GoalMessage, Id, check_reach, parse
+from hyperbit.controller.motion.decoding.requests import decode_degrade, decode_fault, decode_jog, decode_obstacles
+from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.obstacles.obstacles import NONE
+from hyperbit.controller.planning.core import events
+from hyperbit.controller.planning.core.core import Beginning, Core
+from hyperbit.controller.planning.core.tasks import BuildScene, BuildTables
+from hyperbit.controller.planning.link import ExecutorLink
+from hyperbit.controller.planning.loop import Loop, Services
+from hyperbit.controller.planning.workers.arm_model import build_scene, build_tables
+from hyperbit.controller.planning.workers.pool import Workers
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.workspace.densities import Densities
 
 
 class Planner:

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import msgspec
 
-from controller.program.down import (
+from hyperbit.controller.program.down import (
     Acknowledge,
     Alive,
     Cancel,
@@ -28,7 +28,7 @@ from controller.program.down import (
     Setpoint,
     Stop,
 )
-from controller.program.parts import (
+from hyperbit.controller.program.parts import (
     ALIVE_EVERY,
     MOST_ACTUATORS,
     MOST_BYTES,
@@ -43,7 +43,7 @@ from controller.program.parts import (
     pack,
     unpack,
 )
-from controller.program.up import (
+from hyperbit.controller.program.up import (
     Accepted,
     Answer,
     Begun,

@@ -4,7 +4,16 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from controller.program.parts import MOST_ACTUATORS, MOST_STAGES, Message, Number, Seconds, Stages, States, Text
+from hyperbit.controller.program.parts import (
+    MOST_ACTUATORS,
+    MOST_STAGES,
+    Message,
+    Number,
+    Seconds,
+    Stages,
+    States,
+    Text,
+)
 
 
 class Hello(Message, frozen=True, tag="hello"):

@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from controller.program.parts import MOST_TRAVELS, Index, Message, Mode, Number, Seconds, States, Text, Travel
-from controller.refusals.refusal import Refused
+from hyperbit.controller.program.parts import MOST_TRAVELS, Index, Message, Mode, Number, Seconds, States, Text, Travel
+from hyperbit.controller.refusals.refusal import Refused
 
 
 class FaultVerb(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

@@ -9,7 +9,7 @@ from typing import IO
 
 import can
 
-from controller.armfile.settings import BusSettings
+from hyperbit.controller.armfile.settings import BusSettings
 
 log = logging.getLogger(__name__)
 

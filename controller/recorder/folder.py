@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from controller.recorder.repair import repair, unfinished
+from hyperbit.controller.recorder.repair import repair, unfinished
 
 log = logging.getLogger(__name__)
 

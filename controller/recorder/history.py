@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from controller.recorder.reader import RecordingReader
+from hyperbit.controller.recorder.reader import RecordingReader
 
 Message = Mapping[str, Any]
 

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import zenoh
 
-from controller.recorder.reader import SNAPSHOTS, RecordedMessage, RecordingReader
+from hyperbit.controller.recorder.reader import SNAPSHOTS, RecordedMessage, RecordingReader
 
 JSON = zenoh.Encoding.APPLICATION_JSON
 PUBLISH_EVERY = 0.2  # [s] between two messages on the key `timeline`

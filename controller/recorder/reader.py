@@ -8,7 +8,7 @@ from typing import IO, Any, NamedTuple
 import msgspec
 from mcap.reader import SeekingReader
 
-from controller.recorder.repair import DAMAGE, rewrite, unfinished
+from hyperbit.controller.recorder.repair import DAMAGE, rewrite, unfinished
 
 SNAPSHOTS = ("state", "diagnostics")  # keys whose latest message replaces all earlier ones
 SKIPPED = ("arm", "alive", "log", "scene", "frames", "other")  # written by the recorder, or served in another way

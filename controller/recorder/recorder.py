@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from controller.network.listener import Listener, ReceivedMessage
-from controller.pictures.scene import FoxgloveScene
-from controller.recorder.event_log import EventLog, LogLine
-from controller.recorder.folder import Folder
-from controller.recorder.recording import LogClock, Recording
-from controller.recorder.schemas import LOG, SCENE, TOPICS, TRANSFORMS
+from hyperbit.controller.network.listener import Listener, ReceivedMessage
+from hyperbit.controller.pictures.scene import FoxgloveScene
+from hyperbit.controller.recorder.event_log import EventLog, LogLine
+from hyperbit.controller.recorder.folder import Folder
+from hyperbit.controller.recorder.recording import LogClock, Recording
+from hyperbit.controller.recorder.schemas import LOG, SCENE, TOPICS, TRANSFORMS
 
 log = logging.getLogger(__name__)
 

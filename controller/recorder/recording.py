@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from controller.recorder.schemas import schema_of
+from hyperbit.controller.recorder.schemas import schema_of
 
 FLUSH_EVERY = 1_000_000_000  # [ns] of the messages' log time
 LIBRARY = "hyperbit"

@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import msgspec
 import zenoh
 
-from controller.armfile.patience import patient_copy
-from controller.network import session
-from controller.network.client import Client, Unanswered
-from controller.planning.ledger import Ledger
-from controller.recorder.history import RecordedChange, RecordedGoal, history
-from controller.recorder.reader import RecordingReader
-from controller.search.method import MINIMUM_SWITCH
+from hyperbit.controller.armfile.patience import patient_copy
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client, Unanswered
+from hyperbit.controller.planning.ledger import Ledger
+from hyperbit.controller.recorder.history import RecordedChange, RecordedGoal, history
+from hyperbit.controller.recorder.reader import RecordingReader
+from hyperbit.controller.search.method import MINIMUM_SWITCH
 
 Message = Mapping[str, Any]
 
@@ -202,7 +202,7 @@ def simulated(past: RecordingReader, file: Path | None) -> Iterator[SimulatedArm
         endpoint, log = f"unixsock-stream/{folder / 'zenoh.sock'}", folder / "log"
         ledger = folder / "ledger.db"
         counted(past, ledger)
-        command = [sys.executable, "-m", "controller.cli", "run", str(path), "--simulate", "--listen", endpoint]
+        command = [sys.executable, "-m", "hyperbit", "run", str(path), "--simulate", "--listen", endpoint]
         process = subprocess.Popen(
             [*command, "--ledger", str(ledger)],
             stdin=subprocess.DEVNULL,

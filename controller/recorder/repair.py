@@ -13,7 +13,7 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Sch
 from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from controller.recorder.recording import LIBRARY
+from hyperbit.controller.recorder.recording import LIBRARY
 
 MOST = 1 << 30  # bytes of one record; a greater length is damage
 HEAD = len(MCAP0_MAGIC)

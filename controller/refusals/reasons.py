@@ -6,7 +6,7 @@ sentence says what would be right.
 
 import enum
 
-from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, OLD_HEADER_TIMESTAMP
+from hyperbit.controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL, OLD_HEADER_TIMESTAMP
 
 REPORT = "report this defect of hyperbit with the journal: journalctl -u hyperbit"
 RESET = "remove the cause, then: hyperbit reset {arm}"

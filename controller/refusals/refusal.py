@@ -6,7 +6,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.reasons import Reason
 
 LONGEST_SENTENCE = 1_000  # characters; also of a fact
 

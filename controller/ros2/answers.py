@@ -8,7 +8,7 @@ import msgspec
 import zenoh
 from msgspec import Meta
 
-from controller.network.client import Client, Unanswered
+from hyperbit.controller.network.client import Client, Unanswered
 
 TIMEOUT = 10.0  # [s] for an answer of the daemon
 Code = Annotated[int, Meta(ge=-(2**31), lt=2**31)]

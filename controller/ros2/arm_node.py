@@ -10,22 +10,22 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from controller.manipulator.described import described
-from controller.network.client import Client
-from controller.pictures.scene import FoxgloveScene
-from controller.ros2 import messages
-from controller.ros2.answers import GoalResult, SetpointCounts
-from controller.ros2.goal_book import GoalBook
-from controller.ros2.goals import ActionGoals, Kind
-from controller.ros2.jobs import Jobs
-from controller.ros2.messages import ERROR, INFO, WARN
-from controller.ros2.poses import Fields, Place
-from controller.ros2.requests import Requests
-from controller.ros2.robot import urdf
-from controller.ros2.trajectories import actuator_goal, tip_goal, tip_positions
-from controller.ros2.wire import names, qos
-from controller.ros2.wire.node import Node
-from controller.ros2.wire.session import Session
+from hyperbit.controller.manipulator.described import described
+from hyperbit.controller.network.client import Client
+from hyperbit.controller.pictures.scene import FoxgloveScene
+from hyperbit.controller.ros2 import messages
+from hyperbit.controller.ros2.answers import GoalResult, SetpointCounts
+from hyperbit.controller.ros2.goal_book import GoalBook
+from hyperbit.controller.ros2.goals import ActionGoals, Kind
+from hyperbit.controller.ros2.jobs import Jobs
+from hyperbit.controller.ros2.messages import ERROR, INFO, WARN
+from hyperbit.controller.ros2.poses import Fields, Place
+from hyperbit.controller.ros2.requests import Requests
+from hyperbit.controller.ros2.robot import urdf
+from hyperbit.controller.ros2.trajectories import actuator_goal, tip_goal, tip_positions
+from hyperbit.controller.ros2.wire import names, qos
+from hyperbit.controller.ros2.wire.node import Node
+from hyperbit.controller.ros2.wire.session import Session
 
 ROSOUT = qos.Qos(durability=qos.Durability.TRANSIENT_LOCAL, depth=1000)
 SAME = ("name", "frames", "base", "actuators", "dimension", "version")  # of descriptions that are of one node

@@ -7,12 +7,12 @@ from typing import Any
 
 import msgspec
 
-from controller.network.client import Client
-from controller.network.listener import Listener, ReceivedMessage
-from controller.ros2.answers import GoalResult, State
-from controller.ros2.arm_node import ArmNode, Settings
-from controller.ros2.goal_book import GoalBook
-from controller.ros2.wire.session import Session
+from hyperbit.controller.network.client import Client
+from hyperbit.controller.network.listener import Listener, ReceivedMessage
+from hyperbit.controller.ros2.answers import GoalResult, State
+from hyperbit.controller.ros2.arm_node import ArmNode, Settings
+from hyperbit.controller.ros2.goal_book import GoalBook
+from hyperbit.controller.ros2.wire.session import Session
 
 PERIOD = 0.02  # [s] between two states
 SLOW = 1.0  # [s] between two diagnostics, and between two repetitions of markers

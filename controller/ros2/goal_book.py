@@ -8,7 +8,7 @@ from typing import Annotated
 
 import msgspec
 
-from controller.ros2.answers import GoalResult
+from hyperbit.controller.ros2.answers import GoalResult
 
 KEPT = 60.0  # [s] for which a result is kept after its goal's end
 MOST_GOALS = 64  # in the file; of more, the results that came first are forgotten

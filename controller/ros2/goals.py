@@ -13,16 +13,16 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from controller.network.client import Client, Unanswered
-from controller.ros2.answers import Answer, GoalResult, LedgerAnswer, request
-from controller.ros2.goal_book import KEPT, MOST_OWED, BookedGoal, GoalBook
-from controller.ros2.jobs import Jobs, Passage, Say, Task, Withdrawn
-from controller.ros2.messages import ERROR, INFO, WARN
-from controller.ros2.poses import BadGoal, Fields
-from controller.ros2.wire.action_core import IllegalTransition
-from controller.ros2.wire.action_events import Status
-from controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
-from controller.ros2.wire.node import Node
+from hyperbit.controller.network.client import Client, Unanswered
+from hyperbit.controller.ros2.answers import Answer, GoalResult, LedgerAnswer, request
+from hyperbit.controller.ros2.goal_book import KEPT, MOST_OWED, BookedGoal, GoalBook
+from hyperbit.controller.ros2.jobs import Jobs, Passage, Say, Task, Withdrawn
+from hyperbit.controller.ros2.messages import ERROR, INFO, WARN
+from hyperbit.controller.ros2.poses import BadGoal, Fields
+from hyperbit.controller.ros2.wire.action_core import IllegalTransition
+from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
+from hyperbit.controller.ros2.wire.node import Node
 
 ACTION = "control_msgs/action/FollowJointTrajectory"
 ASK_EVERY = 2.0  # [s] for the result of an open goal

@@ -5,8 +5,8 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-from controller.ros2.answers import TIMEOUT
-from controller.ros2.messages import WARN
+from hyperbit.controller.ros2.answers import TIMEOUT
+from hyperbit.controller.ros2.messages import WARN
 
 MOST_WAITING = 64  # requests that ask for motion or plans, and wait for the daemon
 WORKERS = 4

@@ -4,8 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from controller.pictures.scene import FoxgloveScene
-from controller.ros2.poses import Fields, pose, time_of
+from hyperbit.controller.pictures.scene import FoxgloveScene
+from hyperbit.controller.ros2.poses import Fields, pose, time_of
 
 Message = Mapping[str, Any]
 

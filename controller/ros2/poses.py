@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.frames import Frame
 
 Fields = dict[str, Any]
 
@@ -149,7 +149,7 @@ def orientation(turned: Frame, dimension: int) -> Any:
     """Returns the orientation of a waypoint: an angle in the plane, a quaternion x, y, z, w in space."""
     if dimension == 2:
         return math.atan2(turned[1, 0], turned[0, 0])
-    from controller.manipulator.frames import quaternion
+    from hyperbit.controller.manipulator.frames import quaternion
 
     whole = np.eye(4)
     whole[:3, :3] = turned

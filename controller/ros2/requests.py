@@ -12,16 +12,16 @@ from typing import Any
 import msgspec
 import zenoh
 
-from controller.network.client import Client, Unanswered
-from controller.ros2.answers import Answer, ArmAnswer, GoalResult, PlanAnswer, request
-from controller.ros2.goal_book import BookedGoal
-from controller.ros2.goals import ActionGoals
-from controller.ros2.jobs import CANCEL, MOST_WAITING, STOP, Jobs, Order, Passage, Say, Task, Withdrawn
-from controller.ros2.messages import INFO, WARN, header
-from controller.ros2.poses import BadGoal, Fields, Place, check_stamp, pose, seconds, waypoint
-from controller.ros2.wire.node import Node
-from controller.ros2.wire.services import Request
-from controller.ros2.wire.topics import Received
+from hyperbit.controller.network.client import Client, Unanswered
+from hyperbit.controller.ros2.answers import Answer, ArmAnswer, GoalResult, PlanAnswer, request
+from hyperbit.controller.ros2.goal_book import BookedGoal
+from hyperbit.controller.ros2.goals import ActionGoals
+from hyperbit.controller.ros2.jobs import CANCEL, MOST_WAITING, STOP, Jobs, Order, Passage, Say, Task, Withdrawn
+from hyperbit.controller.ros2.messages import INFO, WARN, header
+from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, check_stamp, pose, seconds, waypoint
+from hyperbit.controller.ros2.wire.node import Node
+from hyperbit.controller.ros2.wire.services import Request
+from hyperbit.controller.ros2.wire.topics import Received
 
 LEAST_STEP = 0.1  # [s] between two poses of a path without times
 MOST_POSES = 10_000

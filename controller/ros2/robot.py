@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from controller.manipulator.frames import Frame
-from controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.manipulator import Manipulator
 
 
 def urdf(arm: str, world: str, manipulator: Manipulator) -> str:

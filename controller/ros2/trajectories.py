@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.notation import format_configuration
-from controller.ros2.poses import BadGoal, Fields, Place, seconds, yaw
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.notation import format_configuration
+from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, seconds, yaw
 
 INVALID_JOINTS = -2
 AXES = ("tip_x", "tip_y", "tip_z")

@@ -13,17 +13,17 @@ import numpy as np
 from numba import boolean, float64, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, I1, UNCOUNTED, named
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.scene import Scene, collides, for_scenes
-from controller.search.clock import MAPS as MAPS_PRICE
-from controller.search.clock import NODE, WALL, Clock
-from controller.search.frame_rows import motions
-from controller.search.solution import EPSILON, Incumbent
-from controller.search.target import QUERY, SearchQuery, SearchTarget, reaches, search_radius
-from controller.workspace.cost_to_go import MAPS, UNREACHABLE, CostToGo, Maps, in_levels
-from controller.workspace.heading_to_go import BINS, HEADINGS, PART_BITS, Headings, HeadingToGo, parts
-from controller.workspace.hull import Hull
+from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, UNCOUNTED, named
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
+from hyperbit.controller.search.clock import MAPS as MAPS_PRICE
+from hyperbit.controller.search.clock import NODE, WALL, Clock
+from hyperbit.controller.search.frame_rows import motions
+from hyperbit.controller.search.solution import EPSILON, Incumbent
+from hyperbit.controller.search.target import QUERY, SearchQuery, SearchTarget, reaches, search_radius
+from hyperbit.controller.workspace.cost_to_go import MAPS, UNREACHABLE, CostToGo, Maps, in_levels
+from hyperbit.controller.workspace.heading_to_go import BINS, HEADINGS, PART_BITS, Headings, HeadingToGo, parts
+from hyperbit.controller.workspace.hull import Hull
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -11,9 +11,9 @@ import numpy as np
 from numba import float64, int64, njit, types, uint8
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, I1, S1, named
-from controller.search.clock import INDEXED
-from controller.search.frame_rows import SIDE, Side
+from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, S1, named
+from hyperbit.controller.search.clock import INDEXED
+from hyperbit.controller.search.frame_rows import SIDE, Side
 
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]

@@ -6,9 +6,9 @@ import numpy as np
 from numba import float64, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
-from controller.obstacles.scene import Scene, for_scenes, module_collides, set_state
-from controller.workspace.reachability import LEVELS, POINT, TABLES, Levels, ReachTables, measure, seen_from
+from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
+from hyperbit.controller.obstacles.scene import Scene, for_scenes, module_collides, set_state
+from hyperbit.controller.workspace.reachability import LEVELS, POINT, TABLES, Levels, ReachTables, measure, seen_from
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -7,10 +7,10 @@ import numpy as np
 from numba import boolean, float64, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, F3, I1, UNCOUNTED, named
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.scene import SCENE, Scene, for_scenes, segment_collides, set_state
-from controller.workspace.reachability import POINT, TABLES, ReachTables, seen_from
+from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, I1, UNCOUNTED, named
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.obstacles.scene import SCENE, Scene, for_scenes, segment_collides, set_state
+from hyperbit.controller.workspace.reachability import POINT, TABLES, ReachTables, seen_from
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.cells import Cells, Index, filling
-from controller.search.frame_rows import Side, compose_all, coordinates, invert_all, motions
-from controller.search.matching import Sides, Span
-from controller.search.segment import Segment, Sets, build_segment, room, step
-from controller.search.solution import Incumbent
-from controller.search.target import SearchTarget
-from controller.search.two_list import BAND_CELLS, TwoList, improve, middle, rows
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.search.cells import Cells, Index, filling
+from hyperbit.controller.search.frame_rows import Side, compose_all, coordinates, invert_all, motions
+from hyperbit.controller.search.matching import Sides, Span
+from hyperbit.controller.search.segment import Segment, Sets, build_segment, room, step
+from hyperbit.controller.search.solution import Incumbent
+from hyperbit.controller.search.target import SearchTarget
+from hyperbit.controller.search.two_list import BAND_CELLS, TwoList, improve, middle, rows
 
 Array = NDArray[np.float64]
 

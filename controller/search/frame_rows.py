@@ -6,8 +6,8 @@ import numpy as np
 from numba import int64, njit
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, I1, S1, named
-from controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, S1, named
+from hyperbit.controller.manipulator.manipulator import Manipulator
 
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]

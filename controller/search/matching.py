@@ -14,13 +14,13 @@ import numpy as np
 from numba import float64, int32, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
-from controller.manipulator.manipulator import Configuration
-from controller.obstacles.scene import Scene, collides, for_scenes
-from controller.search.cells import GRID, INDEX, Grid, Index, corner_offsets, write_point
-from controller.search.frame_rows import SIDE, Side, compose
-from controller.search.solution import EPSILON
-from controller.search.target import QUERY, SearchQuery, reaches
+from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
+from hyperbit.controller.search.cells import GRID, INDEX, Grid, Index, corner_offsets, write_point
+from hyperbit.controller.search.frame_rows import SIDE, Side, compose
+from hyperbit.controller.search.solution import EPSILON
+from hyperbit.controller.search.target import QUERY, SearchQuery, reaches
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.armfile.settings import MINIMUM_SWITCH as MINIMUM_SWITCH
-from controller.armfile.settings import Method as Method
-from controller.armfile.settings import PaperMethod as PaperMethod
-from controller.armfile.settings import Variant as Variant
+from hyperbit.controller.armfile.settings import MINIMUM_SWITCH as MINIMUM_SWITCH
+from hyperbit.controller.armfile.settings import Method as Method
+from hyperbit.controller.armfile.settings import PaperMethod as PaperMethod
+from hyperbit.controller.armfile.settings import Variant as Variant
 
 if TYPE_CHECKING:  # importing its kernels is slow, and commands need only the names
-    from controller.manipulator.manipulator import Manipulator
+    from hyperbit.controller.manipulator.manipulator import Manipulator
 
 PAPER_METHODS: tuple[PaperMethod, ...] = get_args(PaperMethod)
 VARIANTS: tuple[Variant, ...] = get_args(Variant)

@@ -12,20 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.scene import collides
-from controller.search.branch_and_bound import BranchAndBound
-from controller.search.clock import CHANGED, INDEXED, LISTED, WALL, Clock
-from controller.search.four_list import FourList, FourListProof
-from controller.search.frame_rows import motions
-from controller.search.matching import load, put
-from controller.search.method import distances
-from controller.search.paths import Paths
-from controller.search.segment import Sets, build_segment, room
-from controller.search.solution import Incumbent
-from controller.search.target import SearchTarget, search_radius
-from controller.search.two_list import TwoList, rows
-from controller.workspace.hull import Hull
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.obstacles.scene import collides
+from hyperbit.controller.search.branch_and_bound import BranchAndBound
+from hyperbit.controller.search.clock import CHANGED, INDEXED, LISTED, WALL, Clock
+from hyperbit.controller.search.four_list import FourList, FourListProof
+from hyperbit.controller.search.frame_rows import motions
+from hyperbit.controller.search.matching import load, put
+from hyperbit.controller.search.method import distances
+from hyperbit.controller.search.paths import Paths
+from hyperbit.controller.search.segment import Sets, build_segment, room
+from hyperbit.controller.search.solution import Incumbent
+from hyperbit.controller.search.target import SearchTarget, search_radius
+from hyperbit.controller.search.two_list import TwoList, rows
+from hyperbit.controller.workspace.hull import Hull
 
 Array = NDArray[np.float64]
 

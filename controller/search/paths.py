@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.scene import Scene
-from controller.search.clock import CHECKED, DESCENT, FINISHED, GROWN, WALL, Clock
-from controller.search.descent import Beam, DescentTables, beam_search, descend
-from controller.search.distal_table import DistalSearch, Wanted, build_distal_table, finish
-from controller.search.method import PaperMethod, StageCosts, Variant, mean_cost, stage_costs
-from controller.search.solution import Incumbent
-from controller.search.target import SearchTarget
-from controller.workspace.densities import Densities
-from controller.workspace.reachability import levels_of, tables_of
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.obstacles.scene import Scene
+from hyperbit.controller.search.clock import CHECKED, DESCENT, FINISHED, GROWN, WALL, Clock
+from hyperbit.controller.search.descent import Beam, DescentTables, beam_search, descend
+from hyperbit.controller.search.distal_table import DistalSearch, Wanted, build_distal_table, finish
+from hyperbit.controller.search.method import PaperMethod, StageCosts, Variant, mean_cost, stage_costs
+from hyperbit.controller.search.solution import Incumbent
+from hyperbit.controller.search.target import SearchTarget
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.reachability import levels_of, tables_of
 
 Vector = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ import numpy as np
 from numba import float64, int32, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, I1, named
-from controller.manipulator.manipulator import Configuration
-from controller.search.frame_rows import Side, compose, invert
+from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, named
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.search.frame_rows import Side, compose, invert
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -7,9 +7,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from controller.manipulator.frames import Array, Frame
-from controller.manipulator.manipulator import Configuration
-from controller.search.clock import WALL, Clock, WorkClock
+from hyperbit.controller.manipulator.frames import Array, Frame
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.search.clock import WALL, Clock, WorkClock
 
 Certificate = Literal["optimal", "bound", "unreachable", "unknown"]
 

@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.frames import inverse
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.scene import scene_of
-from controller.search.clock import EFFORT, START, WALL
-from controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
-from controller.search.minimum_switch import MinimumSwitch, Problem
-from controller.search.paths import Paths
-from controller.search.solution import EPSILON, UNFOUND, Incumbent, SearchTime, Solution
-from controller.search.target import SearchTarget, distance
-from controller.search.two_list import Candidates
-from controller.workspace.densities import Densities
-from controller.workspace.hull import build_hull
+from hyperbit.controller.manipulator.frames import inverse
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.scene import scene_of
+from hyperbit.controller.search.clock import EFFORT, START, WALL
+from hyperbit.controller.search.method import MINIMUM_SWITCH, Method, cost_of_switches, switch_costs
+from hyperbit.controller.search.minimum_switch import MinimumSwitch, Problem
+from hyperbit.controller.search.paths import Paths
+from hyperbit.controller.search.solution import EPSILON, UNFOUND, Incumbent, SearchTime, Solution
+from hyperbit.controller.search.target import SearchTarget, distance
+from hyperbit.controller.search.two_list import Candidates
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.hull import build_hull
 
 Vector = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ import numpy as np
 from numba import float64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.frame_kernels import angle_between
-from controller.manipulator.frames import Frame
-from controller.manipulator.kernel_types import F2, F4, I1, named
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.manipulator.manipulator import tip as tip_of
-from controller.obstacles.scene import Scene
+from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.kernel_types import F2, F4, I1, named
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.manipulator.manipulator import tip as tip_of
+from hyperbit.controller.obstacles.scene import Scene
 
 Array = NDArray[np.float64]
 

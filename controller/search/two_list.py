@@ -5,14 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.cells import Cells, Index, filling
-from controller.search.clock import COMPARED
-from controller.search.frame_rows import coordinates, fixed, invert_all, motions
-from controller.search.matching import Matches, Sides, Span, match, put
-from controller.search.segment import Segment, Sets, build_segment, room
-from controller.search.solution import Incumbent
-from controller.search.target import SearchTarget
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.search.cells import Cells, Index, filling
+from hyperbit.controller.search.clock import COMPARED
+from hyperbit.controller.search.frame_rows import coordinates, fixed, invert_all, motions
+from hyperbit.controller.search.matching import Matches, Sides, Span, match, put
+from hyperbit.controller.search.segment import Segment, Sets, build_segment, room
+from hyperbit.controller.search.solution import Incumbent
+from hyperbit.controller.search.target import SearchTarget
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from collections.abc import Generator, Iterable
 from concurrent.futures import CancelledError
 from typing import TYPE_CHECKING, Any
 
-from controller.studies.shares import Job, StudyFailed, alone, compute, pack
+from hyperbit.controller.studies.shares import Job, StudyFailed, alone, compute, pack
 
 if TYPE_CHECKING:
     from distributed import Client, Future

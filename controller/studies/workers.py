@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from controller.studies.shares import StudyFailed, wrong_version
+from hyperbit.controller.studies.shares import StudyFailed, wrong_version
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 CONNECT = 10.0  # [s] for the connection to a scheduler
 NEEDED = ("hyperbit", "numba")  # packages of a worker
 # This process ends the study, and its workers. Stdout is for the results.
-PRELOAD = (
-    "import sys\nfrom controller.host import signals\nsignals.ignore(signals.OF_TERMINAL)\nsys.stdout = sys.stderr\n"
-)
+PRELOAD = "import sys\nfrom hyperbit.controller.host import signals\nsignals.ignore(signals.OF_TERMINAL)\nsys.stdout = sys.stderr\n"
 # What Dask records of itself takes a tenth of a processor from the workers, and keeps the last 1000 messages in memory.
 UNWATCHED = {
     "distributed.admin.low-level-log-length": 10,

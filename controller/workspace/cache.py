@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace.densities import Densities
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.mapping import map_densities
 
 log = logging.getLogger(__name__)
 

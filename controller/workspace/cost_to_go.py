@@ -13,8 +13,8 @@ import numpy as np
 from numba import float64, int16, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, I1, I2, named
-from controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, named
+from hyperbit.controller.manipulator.manipulator import Manipulator
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.frames import inverse
-from controller.manipulator.manipulator import Manipulator
-from controller.studies.shares import Run, Spread, alone
-from controller.workspace.cache import default_directory, load_or_map
-from controller.workspace.densities import Densities
-from controller.workspace.nearby_counts import CountMethod, NearbyCounts
+from hyperbit.controller.manipulator.frames import inverse
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.studies.shares import Run, Spread, alone
+from hyperbit.controller.workspace.cache import default_directory, load_or_map
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.nearby_counts import CountMethod, NearbyCounts
 
 Array = NDArray[np.float64]
 

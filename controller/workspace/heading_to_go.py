@@ -11,8 +11,8 @@ import numpy as np
 from numba import int16, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import I1, named
-from controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.kernel_types import I1, named
+from hyperbit.controller.manipulator.manipulator import Manipulator
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.manipulator import Manipulator
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.locked import LockedStates, lock_actuators, none_locked
-from controller.manipulator.manipulator import Manipulator
-from controller.studies.shares import Run, Spread, alone
-from controller.workspace.coverage import quantile
-from controller.workspace.densities import Densities
-from controller.workspace.mapping import Level, below, coarsened, tip_level
+from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, none_locked
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.studies.shares import Run, Spread, alone
+from hyperbit.controller.workspace.coverage import quantile
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.mapping import Level, below, coarsened, tip_level
 
 Array = NDArray[np.float64]
 

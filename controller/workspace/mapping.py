@@ -16,9 +16,9 @@ import numpy as np
 from numba import float64, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, F3, F4, named
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace.densities import Densities
+from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, named
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace.densities import Densities
 
 Counts = NDArray[np.float64]
 Vector = NDArray[np.float64]

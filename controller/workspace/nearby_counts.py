@@ -11,13 +11,13 @@ import numpy as np
 from numba import float64, int64, njit
 from numpy.typing import NDArray
 
-from controller.manipulator.frames import Frame
-from controller.manipulator.kernel_types import F1, F2, I1, named
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace.densities import Densities
-from controller.workspace.mapping import coarsened, grid
-from controller.workspace.orientations import OrientationSamples, draw
-from controller.workspace.reachability import levels_of, tables_of
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, named
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.mapping import coarsened, grid
+from hyperbit.controller.workspace.orientations import OrientationSamples, draw
+from hyperbit.controller.workspace.reachability import levels_of, tables_of
 
 Array = NDArray[np.float64]
 CountMethod = Literal["listing", "halves", "draws"]

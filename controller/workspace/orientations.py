@@ -18,11 +18,19 @@ import numpy as np
 from numba import njit, void
 from numpy.typing import ArrayLike, NDArray
 
-from controller.manipulator.frames import Frame, inverse
-from controller.manipulator.kernel_types import F1, F2, F3, named
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace.densities import Densities
-from controller.workspace.reachability import LEVELS, TABLES, Levels, ReachTables, levels_of, measure, tables_of
+from hyperbit.controller.manipulator.frames import Frame, inverse
+from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, named
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.reachability import (
+    LEVELS,
+    TABLES,
+    Levels,
+    ReachTables,
+    levels_of,
+    measure,
+    tables_of,
+)
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -6,9 +6,9 @@ import numpy as np
 from numba import float32, float64, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, F3, F4, I1, I2, UNCOUNTED, named
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace.densities import Densities
+from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, I1, I2, UNCOUNTED, named
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace.densities import Densities
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from drivers.canopen.pdo import INPUTS, Bit, Pdo, subs_of, union
-from drivers.canopen.wire import cia301
-from drivers.canopen.wiring import BoardId, BoardLine, NodeWiring, Wiring
+from hyperbit.drivers.canopen.pdo import INPUTS, Bit, Pdo, subs_of, union
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wiring import BoardId, BoardLine, NodeWiring, Wiring
 
 _PDO_BYTES = 8
 MOST_BYTES = 4 * _PDO_BYTES  # of one board and direction: four COB-IDs contain its node id

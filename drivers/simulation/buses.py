@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wiring import LINES, BoardId, Channel, Timing, Wiring
-from drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
-from drivers.simulation.firmware import SimulatedBoard, Wired
-from drivers.simulation.variants import STANDARD, Variant
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wiring import LINES, BoardId, Channel, Timing, Wiring
+from hyperbit.drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
+from hyperbit.drivers.simulation.firmware import SimulatedBoard, Wired
+from hyperbit.drivers.simulation.variants import STANDARD, Variant
 
 _ORDINARY = 0.5  # travel time of an actuator without faults, as a fraction of the longest travel time
 _LEAST_PULSE = 0.005  # [s] for which one of two coils must be energised

@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable
 
-from drivers.simulation.objects import Objects
-from drivers.simulation.variants import StandingError
+from hyperbit.drivers.simulation.objects import Objects
+from hyperbit.drivers.simulation.variants import StandingError
 
 _GENERIC = 0x01
 _GROUPS = {2: 0x02, 3: 0x04, 4: 0x08, 8: 0x10}  # bits of 1001h by first digit: current, voltage, temperature, CAN

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
-    from drivers.simulation.buses import SimulatedBuses
+    from hyperbit.drivers.simulation.buses import SimulatedBuses
 
 
 class Verb(NamedTuple):

@@ -10,17 +10,17 @@ from typing import NamedTuple
 
 from canopen.sdo.server import SdoServer
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, State
-from drivers.simulation import lss
-from drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
-from drivers.simulation.emergencies import Emergencies
-from drivers.simulation.lss import LssSlave
-from drivers.simulation.objects import Objects
-from drivers.simulation.outputs import SimulatedOutputs
-from drivers.simulation.pdos import Pdos
-from drivers.simulation.supervision import Supervision
-from drivers.simulation.variants import STANDARD, Variant
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.simulation import lss
+from hyperbit.drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
+from hyperbit.drivers.simulation.emergencies import Emergencies
+from hyperbit.drivers.simulation.lss import LssSlave
+from hyperbit.drivers.simulation.objects import Objects
+from hyperbit.drivers.simulation.outputs import SimulatedOutputs
+from hyperbit.drivers.simulation.pdos import Pdos
+from hyperbit.drivers.simulation.supervision import Supervision
+from hyperbit.drivers.simulation.variants import STANDARD, Variant
 
 _MASTER_LOST, _SYNC_LOST = 0x8130, 0x8100
 _EMERGENCY, _INPUTS = 0x1014, 0x6000

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from canopen.sdo.exceptions import SdoAbortedError
 
-from drivers.canopen.wire import cia301
-from drivers.simulation.dictionary import Object
-from drivers.simulation.variants import Variant
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.simulation.dictionary import Object
+from hyperbit.drivers.simulation.variants import Variant
 
 # Abort codes (CiA 301, 7.2.4.3.17).
 _UNSUPPORTED, _WRITE_ONLY, _READ_ONLY = 0x0601_0000, 0x0601_0001, 0x0601_0002

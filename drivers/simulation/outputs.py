@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import partial
 
-from drivers.canopen.wire.cia301 import State
-from drivers.simulation.objects import Objects
-from drivers.simulation.variants import Variant
+from hyperbit.drivers.canopen.wire.cia301 import State
+from hyperbit.drivers.simulation.objects import Objects
+from hyperbit.drivers.simulation.variants import Variant
 
 _POLARITY, _ERROR_MODE, _ERROR_VALUE = 0x6202, 0x6206, 0x6207
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from drivers.canopen.wire import cia301
-from drivers.simulation.emergencies import Emergencies
-from drivers.simulation.objects import Objects
-from drivers.simulation.outputs import SimulatedOutputs
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.simulation.emergencies import Emergencies
+from hyperbit.drivers.simulation.objects import Objects
+from hyperbit.drivers.simulation.outputs import SimulatedOutputs
 
 _RPDOS, _TPDOS = range(0x1400, 0x1600), range(0x1800, 0x1A00)
 _TOO_SHORT, _TOO_LONG, _SYNC_LENGTH = 0x8210, 0x8220, 0x8240

@@ -12,12 +12,12 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.wire.cia301 import BUS_OFF, REMOTE, RESTARTED, Frame
-from drivers.canopen.wiring import BusWiring, Timing, Wiring
-from drivers.simulation import fault_commands
-from drivers.simulation.buses import SimulatedBuses
-from drivers.simulation.firmware import SimulatedBoard
-from drivers.simulation.variants import Variant
+from hyperbit.drivers.canopen.wire.cia301 import BUS_OFF, REMOTE, RESTARTED, Frame
+from hyperbit.drivers.canopen.wiring import BusWiring, Timing, Wiring
+from hyperbit.drivers.simulation import fault_commands
+from hyperbit.drivers.simulation.buses import SimulatedBuses
+from hyperbit.drivers.simulation.firmware import SimulatedBoard
+from hyperbit.drivers.simulation.variants import Variant
 
 _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # the interface is down or deleted
 _LONGEST_WAIT = 0.01  # [s] for a frame, so that a fault takes effect soon

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import State
-from drivers.simulation.objects import Objects
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import State
+from hyperbit.drivers.simulation.objects import Objects
 
 _GUARD_TIME, _LIFE_FACTOR, _CONSUMER, _PRODUCER = 0x100C, 0x100D, 0x1016, 0x1017
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-from drivers.simulation import dictionary
-from drivers.simulation.dictionary import Changes, array, number, pdo
+from hyperbit.drivers.simulation import dictionary
+from hyperbit.drivers.simulation.dictionary import Changes, array, number, pdo
 
 _DISABLED = 1 << 31  # of a PDO's COB-ID
 _NO_REMOTE = 1 << 30

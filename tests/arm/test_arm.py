@@ -7,9 +7,9 @@ import msgspec
 import pytest
 from numpy.testing import assert_allclose
 
-from controller.armfile.settings import WeightSettings
-from controller.manipulator import frames
-from controller.obstacles.obstacles import sphere
+from hyperbit.controller.armfile.settings import WeightSettings
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.obstacles.obstacles import sphere
 from tests.arm_files import changed, document, listed
 
 

@@ -8,11 +8,11 @@ import pytest
 import yaml
 from numpy.testing import assert_allclose
 
-from controller.arm.arm import load
-from controller.armfile.strict import InputFaults
-from controller.manipulator import frames
-from controller.manipulator.joints import prismatic, revolute
-from controller.manipulator.platform import platform
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.joints import prismatic, revolute
+from hyperbit.controller.manipulator.platform import platform
 
 BASE, TOP = (
     [[round(0.15 * math.cos(math.radians(d)), 4), round(0.15 * math.sin(math.radians(d)), 4), 0.0] for d in degrees]

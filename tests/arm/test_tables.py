@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from controller.arm.tables import PLANAR, SPATIAL, read_table
-from controller.manipulator import frames
+from hyperbit.controller.arm.tables import PLANAR, SPATIAL, read_table
+from hyperbit.controller.manipulator import frames
 from tests.arms import planar_frames, spatial_frames
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from controller.arm.arm import load
-from controller.arm.warnings import BIT_RATES, file_warnings
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.arm.warnings import BIT_RATES, file_warnings
 from tests.arm_files import TRUSS, changed, document, listed
 
 ARMS = [

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import yaml
 
-from controller.arm.arm import load
-from controller.armfile.actuators import read_wired
-from controller.armfile.strict import InputFaults
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.armfile.actuators import read_wired
+from hyperbit.controller.armfile.strict import InputFaults
 from tests.arm_files import TRUSS, changed, document, listed
 from tests.keys import DEPLOY
 
@@ -85,9 +85,9 @@ def test_a_file_that_maps_nothing_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_file_is_read_without_the_other_rooms() -> None:
-    script = "import sys, controller.armfile.actuators; print({name.split('.')[0] for name in sys.modules})"
+    script = "import sys, hyperbit.controller.armfile.actuators; print({name.split('.')[0] for name in sys.modules})"
     loaded = eval(subprocess.run([sys.executable, "-c", script], capture_output=True, check=True, text=True).stdout)
     assert not loaded & {"numba", "scipy", "numpy", "zenoh", "typer", "rich", "can", "canopen"}
-    script = "import sys, controller.armfile.actuators; print([n for n in sys.modules if n.startswith('controller')])"
+    script = "import sys, hyperbit.controller.armfile.actuators; print([n for n in sys.modules if n.startswith('controller')])"
     loaded = eval(subprocess.run([sys.executable, "-c", script], capture_output=True, check=True, text=True).stdout)
     assert {name.split(".")[1] for name in set(loaded) - {"controller"}} == {"armfile"}

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import Meta, Struct, field
 
-from controller.armfile.choices import hint_of, plain, unknown_field
-from controller.armfile.strict import check
+from hyperbit.controller.armfile.choices import hint_of, plain, unknown_field
+from hyperbit.controller.armfile.strict import check
 
 Time = Annotated[float, Meta(gt=0, le=60, description="in seconds")]
 Name = Annotated[str, Meta(pattern="^[a-z]{1,8}$", description="1 to 8 small letters")]

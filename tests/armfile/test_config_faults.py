@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.arm.arm import load
-from controller.armfile.strict import InputFaults
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.armfile.strict import InputFaults
 from tests.arm_files import LABELS, TRUSS, changed, document, listed
 
 

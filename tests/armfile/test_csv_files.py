@@ -2,8 +2,8 @@
 
 import pytest
 
-from controller.armfile.csv_files import CsvRow, read_csv
-from controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.csv_files import CsvRow, read_csv
+from hyperbit.controller.armfile.strict import InputFaults
 
 
 def test_rows_have_the_numbers_of_their_lines(tmp_path):

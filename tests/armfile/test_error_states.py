@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from controller.armfile.strict import InputFaults
-from drivers.canopen.layout import lay_out
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.drivers.canopen.layout import lay_out
 from tests.armfile.test_kinds_of_actuators import BISTABLE, DOUBLE, loaded, with_boards, with_node
 
 INVERTED = {"bit": 0, "inverted": True}

@@ -8,9 +8,9 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from controller.armfile.strict import InputFaults
-from controller.executor.core.arm import ExecutedArm, read_arm
-from drivers.canopen.wiring import BoardId, BoardLine, BusWiring, Channel, Interlock, NodeWiring, Wiring
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.executor.core.arm import ExecutedArm, read_arm
+from hyperbit.drivers.canopen.wiring import BoardId, BoardLine, BusWiring, Channel, Interlock, NodeWiring, Wiring
 from tests.arm_files import document
 
 DOUBLE = {"output_off": 8}

@@ -9,10 +9,10 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.arm.arm import load
-from controller.armfile.places import place, placed_faults
-from controller.armfile.strict import InputFaults
-from controller.executor.core.arm import read_arm
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.armfile.places import place, placed_faults
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.executor.core.arm import read_arm
 
 TEXT = """\
 name: finger
@@ -90,7 +90,7 @@ def test_the_executor_names_the_same_lines(tmp_path):
 
 def test_a_process_prints_the_line(tmp_path):
     (tmp_path / "arm.yaml").write_text(TEXT.replace("type: vgt", "type: vtg"))
-    words = [sys.executable, "-m", "controller.executor", str(tmp_path / "arm.yaml"), "--simulate"]
+    words = [sys.executable, "-m", "hyperbit.controller.executor", str(tmp_path / "arm.yaml"), "--simulate"]
     assert (
         "arm.yaml, line 3: modules[1].type: 'vtg' is unknown"
         in subprocess.run(words, capture_output=True, text=True).stderr

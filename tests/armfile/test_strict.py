@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import Meta, Struct
 
-from controller.armfile.strict import MOST_FAULTS, InputFaults, check, read_yaml
+from hyperbit.controller.armfile.strict import MOST_FAULTS, InputFaults, check, read_yaml
 
 
 def read(tmp_path: Path, content: str | bytes):

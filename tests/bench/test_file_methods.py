@@ -6,8 +6,8 @@ import pickle
 
 import pytest
 
-from controller.bench.arm import bench_arm
-from controller.bench.methods import find_method
+from hyperbit.controller.bench.arm import bench_arm
+from hyperbit.controller.bench.methods import find_method
 
 SOURCE = """
 from __future__ import annotations

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller.arm.arm import load
-from controller.bench.arm import bench_arm
-from controller.bench.checking import check
-from controller.bench.goal_sets import FOLDER, SETS, by_arm, load_arm, read, sample_evenly
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.bench.arm import bench_arm
+from hyperbit.controller.bench.checking import check
+from hyperbit.controller.bench.goal_sets import FOLDER, SETS, by_arm, load_arm, read, sample_evenly
 from tests.benchmarks.proofs.goal_sets import RECIPES, ROUNDING, again, drawn, same
 
 DEPLOY = Path(__file__).parents[2] / "deploy"

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import hyperbit as hb
-from controller.arm.arm import Arm
-from controller.manipulator.frame_kernels import angle_between
-from controller.search.target import within
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.search.target import within
 from tests.arms import every_configuration
 from tests.benchmarks.proofs.acceptance import check_of, clear
 from tests.benchmarks.proofs.half_rows import NONE, halves, rows

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import hyperbit as hb
-from controller.bench.arm import BenchArm, bench_arm
-from controller.bench.goal_sets import Task, read, sample_evenly
-from controller.bench.methods import METHODS, find_method
-from controller.bench.running import Row, run
+from hyperbit.controller.bench.arm import BenchArm, bench_arm
+from hyperbit.controller.bench.goal_sets import Task, read, sample_evenly
+from hyperbit.controller.bench.methods import METHODS, find_method
+from hyperbit.controller.bench.running import Row, run
 
 TASKS = sample_evenly(read("lattice"), 10)
 BEST = {(task.arm, task.start.tobytes(), task.position): task for task in TASKS}

@@ -9,8 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from controller.bench import time_limit
-from controller.bench.time_limit import TooLongError, at_most
+from hyperbit.controller.bench import time_limit
+from hyperbit.controller.bench.time_limit import TooLongError, at_most
 
 
 def endless() -> None:

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from distributed import Client
 
-from controller.bench.goal_sets import read, sample_evenly
-from controller.bench.methods import METHODS, Prepare, find_method
-from controller.bench.running import PART, Row, run
-from controller.studies.shares import Job, StudyFailed, alone
-from controller.studies.stream import results
-from controller.studies.workers import local_workers
+from hyperbit.controller.bench.goal_sets import read, sample_evenly
+from hyperbit.controller.bench.methods import METHODS, Prepare, find_method
+from hyperbit.controller.bench.running import PART, Row, run
+from hyperbit.controller.studies.shares import Job, StudyFailed, alone
+from hyperbit.controller.studies.stream import results
+from hyperbit.controller.studies.workers import local_workers
 
 TASKS = sample_evenly(read("lattice"), 60) + read("planar16")[:20]
 MINE = """

@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.arm import Arm
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.solution import Solution
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.search.solution import Solution
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 
 WARM = 3  # goals before those that count
 

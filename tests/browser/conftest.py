@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import pytest
 from PIL import Image
 
-from controller.panel.access.people import digest_of
+from hyperbit.controller.panel.access.people import digest_of
 from tests import waiting
 from tests.panel.conftest import PlayedDaemon
 from tests.system.stack import arms
@@ -25,8 +25,8 @@ T = TypeVar("T")
 
 # A panel that refuses no command for its age, however slow the browser is on this machine.
 PATIENT_PANEL = """
-from controller.cli import main
-from controller.panel.arms import heartbeats
+from hyperbit.controller.cli import main
+from hyperbit.controller.panel.arms import heartbeats
 heartbeats.LONGEST = 3600.0
 main()
 """
@@ -146,7 +146,7 @@ def started(words: list[str], folder: Path, closing: ExitStack, *, patient: bool
     """Runs a command of hyperbit until the tests end; its log is in the folder."""
     environment = {**os.environ, "RUNTIME_DIRECTORY": str(folder), "STATE_DIRECTORY": str(folder)}
     log = closing.enter_context((folder / "log").open("w"))
-    program = ["-c", PATIENT_PANEL] if words[0] == "panel" and patient else ["-m", "controller.cli"]
+    program = ["-c", PATIENT_PANEL] if words[0] == "panel" and patient else ["-m", "hyperbit"]
     process = subprocess.Popen(
         [sys.executable, *program, *words], cwd=ROOT, env=environment, stdout=log, stderr=log, text=True
     )

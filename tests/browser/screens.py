@@ -20,8 +20,8 @@ from typing import Any
 import zenoh
 from PIL import Image
 
-from controller.network import session
-from controller.network.client import Client
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client
 from tests.browser.conftest import OPERATOR, Shown, World, driver, eventually, free_endpoint
 from tests.browser.test_page import type_goal
 from tests.browser.test_replay import opened

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from controller.panel.arms.heartbeats import LONGEST
+from hyperbit.controller.panel.arms.heartbeats import LONGEST
 from tests.browser.conftest import OPERATOR, Shown, Trouble, eventually
 
 pytestmark = pytest.mark.timeout(600)

@@ -9,8 +9,8 @@ import pytest
 import zenoh
 from selenium.webdriver.common.keys import Keys
 
-from controller.network import session
-from controller.network.client import Client, Unanswered
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client, Unanswered
 from tests.browser.conftest import OPERATOR, Shown, World, eventually, free_endpoint
 from tests.recorder.samples import read_unfinished
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from controller.arm.arm import Arm, load
-from controller.calibration.model import Model
-from controller.calibration.parameters import described, parameters
-from controller.calibration.samples import Samples
-from controller.manipulator import frames
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.calibration.model import Model
+from hyperbit.controller.calibration.parameters import described, parameters
+from hyperbit.controller.calibration.samples import Samples
+from hyperbit.controller.manipulator import frames
 
 NOISE, TURN = 1e-4, 1e-3  # of a coordinate, and of an angle [rad]
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from controller.calibration import calibration
-from controller.calibration.calibration import FOLDS, calibrated, folds
-from controller.calibration.fit import CannotFit
-from controller.calibration.model import Model
-from controller.calibration.parameters import described, parameters, value_at
-from controller.manipulator import frames
+from hyperbit.controller.calibration import calibration
+from hyperbit.controller.calibration.calibration import FOLDS, calibrated, folds
+from hyperbit.controller.calibration.fit import CannotFit
+from hyperbit.controller.calibration.model import Model
+from hyperbit.controller.calibration.parameters import described, parameters, value_at
+from hyperbit.controller.manipulator import frames
 from tests.calibration.making import ARMS, NOISE, TRUSSES, TURN, arm_of, erring, measured
 
 KINDS = pytest.mark.parametrize("kind", ARMS)

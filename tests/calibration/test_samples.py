@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from controller.arm.tables import PLANAR, SPATIAL
-from controller.armfile.strict import InputFaults
-from controller.calibration.samples import read_samples
-from controller.manipulator import frames
-from controller.manipulator.notation import format_configuration
+from hyperbit.controller.arm.tables import PLANAR, SPATIAL
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.calibration.samples import read_samples
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.notation import format_configuration
 from tests.arms import paper_arm, spatial_arm
 
 SEEDS = st.integers(0, 2**32 - 1)

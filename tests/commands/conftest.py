@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from controller import cli
-from controller.commands.connection import connected
-from controller.commands.operate import demo
-from controller.host.signals import ENDING
-from drivers.canopen.tools import session
+from hyperbit.controller import cli
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.operate import demo
+from hyperbit.controller.host.signals import ENDING
+from hyperbit.drivers.canopen.tools import session
 
 Told = Callable[..., str]
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"

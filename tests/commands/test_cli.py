@@ -14,12 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from controller import cli
-from controller.armfile.strict import InputFaults
-from controller.commands.common import arm_name
-from controller.commands.table import GROUPS
-from controller.commands.use import actuators
-from controller.manipulator import locked
+from hyperbit.controller import cli
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import arm_name
+from hyperbit.controller.commands.table import GROUPS
+from hyperbit.controller.commands.use import actuators
+from hyperbit.controller.manipulator import locked
 
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
 HEAVY = {"numba", "numpy", "scipy", "matplotlib", "can", "canopen"}
@@ -27,7 +27,7 @@ SLOW = {"pydantic", "rich"}  # a command that stops an arm must not wait for the
 NOWHERE = ("--connect", "tcp/127.0.0.1:1")
 RUN = """
 import json, sys
-from controller import cli
+from hyperbit.controller import cli
 sys.argv[0] = "hyperbit"
 try:
     cli.main()
@@ -44,7 +44,7 @@ def imported(*words: str) -> set[str]:
 
 def test_the_table_agrees_with_the_commands():
     for name, entry in cli.COMMANDS.items():
-        function = getattr(importlib.import_module(f"controller.commands.{entry.module}"), entry.function)
+        function = getattr(importlib.import_module(f"hyperbit.controller.commands.{entry.module}"), entry.function)
         assert (name, entry.function) == (function.__name__.rstrip("_").replace("_", "-"), function.__name__)
         assert entry.summary == inspect.getdoc(function).splitlines()[0]
 
@@ -78,7 +78,11 @@ def test_the_help_of_a_command_ends_with_its_example(hyperbit):
 )
 def test_bash_completes_commands_and_options(words, completed):
     asked = {"_HYPERBIT_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
-    run = [sys.executable, "-c", "import sys; sys.argv[0] = 'hyperbit'; from controller.cli import main; main()"]
+    run = [
+        sys.executable,
+        "-c",
+        "import sys; sys.argv[0] = 'hyperbit'; from hyperbit.controller.cli import main; main()",
+    ]
     done = subprocess.run(run, capture_output=True, text=True, timeout=100, env={**os.environ, **asked})
     assert done.stdout.split() == [completed], done.stderr
 
@@ -175,7 +179,7 @@ def test_a_command_that_finds_no_folder_says_what_to_do(hyperbit, monkeypatch):
     def refuse(path: object) -> None:
         raise RuntimeError("cannot cache function 'f': no locator available for file 'f.py'")
 
-    monkeypatch.setattr("controller.arm.arm.load", refuse)
+    monkeypatch.setattr("hyperbit.controller.arm.arm.load", refuse)
     code, _, err = hyperbit("check", str(ARM))
     assert (code, err) == (
         1,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from controller import cli
+from hyperbit.controller import cli
 
 FILE = "deploy/planar16.yaml"
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from controller.host.signals import ENDING
+from hyperbit.controller.host.signals import ENDING
 from tests.keys import DEPLOY
 from tests.network.played import PlayedArm, Router, free_endpoint
 from tests.recorder.test_recording import written
@@ -51,7 +51,9 @@ def start(tmp_path: Path, densities: Path) -> Iterator[Start]:
         **os.environ, "XDG_CACHE_HOME": str(densities), "STATE_DIRECTORY": str(tmp_path),
         "RUNTIME_DIRECTORY": str(tmp_path), "PYTHONUNBUFFERED": "1",
     }  # fmt: skip
-    begin = "import signal, sys; signal.signal(signal.SIGHUP, signal.{}); from controller.cli import main; main()"
+    begin = (
+        "import signal, sys; signal.signal(signal.SIGHUP, signal.{}); from hyperbit.controller.cli import main; main()"
+    )
     with ExitStack() as closing:
 
         def run(words: str, until: str, *, nohup: bool = False, **more: str) -> subprocess.Popen[bytes]:

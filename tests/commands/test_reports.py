@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from controller.commands.operate import wear
-from controller.planning.core.events import AcceptanceEntry, Identity, Record, ResultEntry
-from controller.planning.ledger import Ledger
-from controller.planning.ledger_file import SCHEMA
+from hyperbit.controller.commands.operate import wear
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Record, ResultEntry
+from hyperbit.controller.planning.ledger import Ledger
+from hyperbit.controller.planning.ledger_file import SCHEMA
 
 ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from controller.manipulator.notation import format_configuration
+from hyperbit.controller.manipulator.notation import format_configuration
 from tests.calibration.making import TRUSSES, arm_of, erring, measured
 
 LONG = """

@@ -1,8 +1,8 @@
 """Writes deploy/hyperbit.catalog, the explanations for `journalctl -x`. python -m tests.deploy.catalog"""
 
-from controller.host.journal import message_id
-from controller.panel.arms.faults import ADVICE
-from controller.refusals.reasons import Reason
+from hyperbit.controller.host.journal import message_id
+from hyperbit.controller.panel.arms.faults import ADVICE
+from hyperbit.controller.refusals.reasons import Reason
 from tests.keys import DEPLOY
 
 PATH = DEPLOY / "hyperbit.catalog"

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm, load
-from controller.commands.operate.demo import CURVE_WAYPOINTS, closed_curve, sample
-from controller.manipulator import frames
-from controller.manipulator.manipulator import Manipulator
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.commands.operate.demo import CURVE_WAYPOINTS, closed_curve, sample
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.keys import DEPLOY
 
 ARMS = {

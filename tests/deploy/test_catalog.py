@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from controller.executor.core import modes
-from controller.host.journal import message_id
-from controller.panel.arms.faults import ADVICE
-from controller.refusals.reasons import Reason
+from hyperbit.controller.executor.core import modes
+from hyperbit.controller.host.journal import message_id
+from hyperbit.controller.panel.arms.faults import ADVICE
+from hyperbit.controller.refusals.reasons import Reason
 from tests.deploy.catalog import OTHERS, PATH, text
 from tests.keys import DEPLOY
 

@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.commands.operate.router import router_config
-from controller.gateway.claim import AlreadyRunning, Claim
-from controller.network import session
-from controller.network.fleet import ArmAddress, Fleet, alive
-from controller.network.stop_all import stop_all
+from hyperbit.controller.commands.operate.router import router_config
+from hyperbit.controller.gateway.claim import AlreadyRunning, Claim
+from hyperbit.controller.network import session
+from hyperbit.controller.network.fleet import ArmAddress, Fleet, alive
+from hyperbit.controller.network.stop_all import stop_all
 from tests.keys import DEPLOY, certificates, made
 from tests.network.played import PlayedArm, free_endpoint
 from tests.waiting import PATIENCE, eventually

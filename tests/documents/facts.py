@@ -9,16 +9,16 @@ from typing import Any, get_args
 import msgspec
 
 import hyperbit
-from controller import cli
-from controller.armfile import settings
-from controller.gateway import outbox
-from controller.motion.decoding import goal, requests, setpoint
-from controller.motion.tracking import bias
-from controller.program.parts import Mode
-from controller.refusals import codes
-from controller.refusals.reasons import Reason
-from drivers.simulation.fault_commands import VERBS
-from drivers.simulation.variants import VARIANTS
+from hyperbit.controller import cli
+from hyperbit.controller.armfile import settings
+from hyperbit.controller.gateway import outbox
+from hyperbit.controller.motion.decoding import goal, requests, setpoint
+from hyperbit.controller.motion.tracking import bias
+from hyperbit.controller.program.parts import Mode
+from hyperbit.controller.refusals import codes
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.drivers.simulation.fault_commands import VERBS
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.documents.page import ROOT
 from tests.documents.payloads import payloads
 
@@ -51,7 +51,7 @@ def keys() -> set[str]:
 
 def faults() -> set[str]:
     """Returns the codes of faults and warnings."""
-    from controller.panel.arms.faults import ADVICE
+    from hyperbit.controller.panel.arms.faults import ADVICE
 
     return set(ADVICE)
 

@@ -12,8 +12,8 @@ from unittest import mock
 
 import yaml
 
-from controller.commands.connection import connected
-from controller.commands.operate import demo
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.operate import demo
 from tests.documents.page import ROOT
 
 WAIT = 60.0  # [s] for one message

@@ -20,10 +20,10 @@ from typing import Any
 import typer
 import yaml
 
-from controller import cli
-from controller.arm.arm import load
-from controller.commands.common import ENDPOINT
-from controller.commands.connection import connected
+from hyperbit.controller import cli
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.commands.common import ENDPOINT
+from hyperbit.controller.commands.connection import connected
 from tests.arm_files import document
 from tests.documents.page import ROOT, Example, Page
 
@@ -41,7 +41,7 @@ def prepare(folder: Path) -> None:
     script = folder / "bin" / "hyperbit"
     script.write_text(
         f'#!/bin/sh\ncase $1 in {connecting}) set -- "$@" ${{DAEMON:+--connect $DAEMON}};; esac\n'
-        f'exec {shlex.quote(sys.executable)} -m controller.cli "$@"\n'
+        f'exec {shlex.quote(sys.executable)} -m hyperbit "$@"\n'
     )
     script.chmod(0o755)
 
@@ -138,7 +138,7 @@ def compare(expected: str, printed: str, where: str) -> None:
 def options(command: str) -> Mapping[str, bool]:
     """Returns the options of a command, each with whether it takes a value."""
     entry = cli.COMMANDS[command]
-    module = importlib.import_module(f"controller.commands.{entry.module}")
+    module = importlib.import_module(f"hyperbit.controller.commands.{entry.module}")
     single = typer.Typer(add_completion=False)
     single.command()(getattr(module, entry.function))
     parameters = typer.main.get_command(single).params

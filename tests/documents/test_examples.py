@@ -8,8 +8,8 @@ from contextlib import ExitStack
 
 import pytest
 
-from controller.commands.connection import connected
-from controller.commands.operate import demo
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.operate import demo
 from tests.documents import page, running
 
 PAGES = page.find()

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from controller.commands.connection import connected
-from controller.commands.operate import demo
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.operate import demo
 
 HERE = Path(__file__).parent
 

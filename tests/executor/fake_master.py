@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from drivers.canopen.faults import ArmFault, Busy
-from drivers.canopen.status import MasterStatus
-from drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.canopen.faults import ArmFault, Busy
+from hyperbit.drivers.canopen.status import MasterStatus
+from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 
 class FakeMaster:

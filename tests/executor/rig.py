@@ -9,12 +9,12 @@ import logging
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar
 
-from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import Executor
-from controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, ToClient
-from controller.executor.process.switch_journal import MemoryJournal
-from controller.host.process import Log, Notify
-from controller.program import (
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, ToClient
+from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.host.process import Log, Notify
+from hyperbit.controller.program import (
     TICK,
     VERSION,
     Alive,
@@ -29,9 +29,9 @@ from controller.program import (
     pack,
     unpack,
 )
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.wire.events import FrameIgnored
-from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.wire.events import FrameIgnored
+from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
 from tests.executor.fake_master import FakeMaster
 from tests.simulation.agenda import Agenda
 

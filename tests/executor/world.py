@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from random import Random
 from typing import Any
 
-from controller.executor.core.core import Executor
-from controller.executor.core.events import ClientGone, ClientId, Event, FromClient
-from controller.program import TICK, VERSION, Alive, Hello, Program, Snapshot, Stage, Up, pack
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
-from drivers.simulation.variants import Variant
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.core.events import ClientGone, ClientId, Event, FromClient
+from hyperbit.controller.program import TICK, VERSION, Alive, Hello, Program, Snapshot, Stage, Up, pack
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.simulation.variants import Variant
 from tests.executor.rig import PLANNER, SIZE, small_arm
 from tests.simulation.buses.hardware import Hardware
 from tests.simulation.executor.process import WAKE_UP, ExecutorProcess, Witness

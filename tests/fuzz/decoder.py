@@ -6,9 +6,9 @@ from typing import Any
 
 import can
 
-from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wire.events import Event
-from drivers.canopen.wiring import BusWiring
+from hyperbit.drivers.canopen.wire.bus import CanBus
+from hyperbit.drivers.canopen.wire.events import Event
+from hyperbit.drivers.canopen.wiring import BusWiring
 
 
 class Decoder(CanBus):

@@ -8,10 +8,10 @@ import struct
 import can
 from hypothesis import strategies as st
 
-from controller.program import Cancel, Reset, Stop
-from drivers.canopen.wire.cia301 import Frame
-from drivers.simulation.actuator import Actuator
-from drivers.simulation.firmware import SimulatedBoard, Wired
+from hyperbit.controller.program import Cancel, Reset, Stop
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.simulation.actuator import Actuator
+from hyperbit.drivers.simulation.firmware import SimulatedBoard, Wired
 from tests.fuzz.judge import Flood, Moved
 from tests.fuzz.world import COMMANDS, NODES, World
 

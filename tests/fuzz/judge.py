@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from controller.executor.core.core import Executor
-from controller.program import (
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.program import (
     Accepted,
     Down,
     Ended,
@@ -17,9 +17,9 @@ from controller.program import (
     Up,
     unpack,
 )
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wiring import MASTER, Wiring
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wiring import MASTER, Wiring
 
 STREAM = -1  # in place of a program's number
 

@@ -7,7 +7,7 @@ import struct
 import msgspec
 from hypothesis import strategies as st
 
-from controller.program import (
+from hyperbit.controller.program import (
     VERSION,
     Acknowledge,
     Alive,

@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 from hypothesis import strategies as st
 
-from controller.arm.arm import load
-from controller.armfile.settings import MOST_OBSTACLES
-from controller.armfile.strict import InputFaults
-from controller.commands.common import parse_goal
-from controller.executor.core.arm import read_arm
-from controller.manipulator import frames
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import transforms
-from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.motion.decoding import goal, requests, setpoint
-from controller.motion.stages.pacing import Pace
-from controller.motion.tracking import bias
-from controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
-from controller.refusals.refusal import LONGEST_SENTENCE, Refusal
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.armfile.settings import MOST_OBSTACLES
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import parse_goal
+from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import transforms
+from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
+from hyperbit.controller.motion.decoding import goal, requests, setpoint
+from hyperbit.controller.motion.stages.pacing import Pace
+from hyperbit.controller.motion.tracking import bias
+from hyperbit.controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
+from hyperbit.controller.refusals.refusal import LONGEST_SENTENCE, Refusal
 from tests.fuzz.requests import NOW
 
 LONGEST = 2 * LONGEST_SENTENCE + 100  # characters of a refusal; half pairs of surrogates take six to write

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from controller.host.process import Log
-from controller.program import Setpoint, pack
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
+from hyperbit.controller.host.process import Log
+from hyperbit.controller.program import Setpoint, pack
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.fuzz.frames import KNOWN, Boards, act
 from tests.fuzz.judge import Flood, Moved
 from tests.fuzz.targets import TARGETS

@@ -11,9 +11,9 @@ from typing import Literal
 
 import can
 
-from controller.executor.core.core import Executor
-from controller.executor.core.events import ClientGone, ClientId, Event, FromClient
-from controller.program import (
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.core.events import ClientGone, ClientId, Event, FromClient
+from hyperbit.controller.program import (
     TICK,
     VERSION,
     Alive,
@@ -29,11 +29,11 @@ from controller.program import (
     Up,
     pack,
 )
-from drivers.canopen.run.master import Master
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import FrameIgnored, FrameReceived
-from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
+from hyperbit.drivers.canopen.run.master import Master
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import FrameIgnored, FrameReceived
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.executor.rig import LABELS, SIZE, small_arm
 from tests.fuzz.decoder import Decoder
 from tests.fuzz.judge import Judge, Moved, Wedged

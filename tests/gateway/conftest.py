@@ -15,14 +15,14 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.gateway.arrivals import RepeatedGoals, Reply
-from controller.gateway.outbox import Outbox, ResultHooks
-from controller.gateway.poses import Poses
-from controller.gateway.server import GatewayParts, Server
-from controller.motion.decoding.goal import GoalMessage, parse
-from controller.network import session
-from controller.network.client import Client
-from controller.planning.core.events import (
+from hyperbit.controller.gateway.arrivals import RepeatedGoals, Reply
+from hyperbit.controller.gateway.outbox import Outbox, ResultHooks
+from hyperbit.controller.gateway.poses import Poses
+from hyperbit.controller.gateway.server import GatewayParts, Server
+from hyperbit.controller.motion.decoding.goal import GoalMessage, parse
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client
+from hyperbit.controller.planning.core.events import (
     Arrival,
     LockMessage,
     Message,
@@ -32,10 +32,10 @@ from controller.planning.core.events import (
     done,
     refused,
 )
-from controller.planning.loop import Receive
-from controller.planning.planner import decode_cancel
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.planning.loop import Receive
+from hyperbit.controller.planning.planner import decode_cancel
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 from tests.waiting import PATIENCE, eventually
 
 ARM = "a"

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from controller.motion.decoding.goal import GoalMessage
-from controller.network.client import TRIES, Client, Unanswered, answer_timeout
-from controller.planning.core.events import Identity, PublishResult
+from hyperbit.controller.motion.decoding.goal import GoalMessage
+from hyperbit.controller.network.client import TRIES, Client, Unanswered, answer_timeout
+from hyperbit.controller.planning.core.events import Identity, PublishResult
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually
 

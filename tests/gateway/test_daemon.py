@@ -13,16 +13,16 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.network import session
-from controller.network.client import Client, Unanswered
-from controller.planning.ledger_file import read
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client, Unanswered
+from hyperbit.controller.planning.ledger_file import read
 from tests.waiting import PATIENCE, eventually
 
 RUN = """
 import sys
 import typer
-from controller.commands.common import CommandFailed
-from controller.commands.operate.run import run
+from hyperbit.controller.commands.common import CommandFailed
+from hyperbit.controller.commands.operate.run import run
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 app.command()(run)
@@ -31,7 +31,7 @@ try:
 except CommandFailed as error:
     sys.exit(f"failed: {error}")
 """
-EXECUTOR = "from controller.cli import main; main()"
+EXECUTOR = "from hyperbit.controller.cli import main; main()"
 HOUR = 3600.0
 FIRST, SECOND = "4646676700771206", "0000000000000001"
 

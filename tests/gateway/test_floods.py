@@ -1,6 +1,6 @@
 """A flood of refused requests is refused briefly and slowed down."""
 
-from controller.gateway.arrivals import MOST_AT_ONCE, PAUSE, PAUSE_EVERY, FloodBrake, Rate
+from hyperbit.controller.gateway.arrivals import MOST_AT_ONCE, PAUSE, PAUSE_EVERY, FloodBrake, Rate
 
 
 class Time:

@@ -8,8 +8,8 @@ from contextlib import ExitStack
 import pytest
 import zenoh
 
-from controller.gateway.claim import AlreadyRunning, Claim
-from controller.network import session
+from hyperbit.controller.gateway.claim import AlreadyRunning, Claim
+from hyperbit.controller.network import session
 from tests.gateway.conftest import ARM, Gateway
 from tests.waiting import PATIENCE, eventually
 

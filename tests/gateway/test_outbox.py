@@ -8,8 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.gateway.outbox import MOST_WAITING, POLL, RECONNECTED, SENT_WITHIN, Outbox, ResultHooks, encoded
-from controller.planning.core.events import Identity, Published, PublishResult
+from hyperbit.controller.gateway.outbox import (
+    MOST_WAITING,
+    POLL,
+    RECONNECTED,
+    SENT_WITHIN,
+    Outbox,
+    ResultHooks,
+    encoded,
+)
+from hyperbit.controller.planning.core.events import Identity, Published, PublishResult
 from tests.waiting import PATIENCE, eventually
 
 

@@ -11,10 +11,10 @@ from typing import cast
 
 import pytest
 
-from controller.gateway import poses as poses_module
-from controller.gateway.poses import Poses, PosesMessage, decode_poses
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.gateway import poses as poses_module
+from hyperbit.controller.gateway.poses import Poses, PosesMessage, decode_poses
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 from tests.gateway.conftest import Gateway
 from tests.waiting import eventually
 

@@ -5,10 +5,10 @@ import threading
 
 import pytest
 
-from controller.gateway.arrivals import MOST, REMEMBERED, RepeatedGoals, Reply, keys_of
-from controller.planning.core.events import Payload, done, refused
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.gateway.arrivals import MOST, REMEMBERED, RepeatedGoals, Reply, keys_of
+from hyperbit.controller.planning.core.events import Payload, done, refused
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 GOAL = b'{"id": "a", "waypoints": []}'
 ANONYMOUS = b'{"waypoints": []}'

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.gateway.server import MOST_NOTES, noted_content
+from hyperbit.controller.gateway.server import MOST_NOTES, noted_content
 from tests.gateway.conftest import ARM, Gateway
 from tests.gateway.test_server import PREFIX, asked
 from tests.waiting import eventually

@@ -2,7 +2,7 @@
 
 from contextlib import ExitStack
 
-from controller.network.client import Client
+from hyperbit.controller.network.client import Client
 from tests.gateway.conftest import Gateway
 
 ROW = {"ended": 1.9e9, "status": "aborted", "code": -4, "message": "stuck", "switches": 7}

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.gateway.arrivals import Rate
-from controller.gateway.server import MOST_REFUSALS, MOST_SENDERS, MOST_UNANSWERED, content
-from controller.planning.core.events import CancelMessage, refused
+from hyperbit.controller.gateway.arrivals import Rate
+from hyperbit.controller.gateway.server import MOST_REFUSALS, MOST_SENDERS, MOST_UNANSWERED, content
+from hyperbit.controller.planning.core.events import CancelMessage, refused
 from tests.gateway.conftest import ARM, NO_ACTUATOR, Gateway
 from tests.waiting import PATIENCE, eventually
 

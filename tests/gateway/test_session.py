@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from controller.network import session
-from controller.planning.core.events import Identity, PublishResult
+from hyperbit.controller.network import session
+from hyperbit.controller.planning.core.events import Identity, PublishResult
 from tests.gateway.conftest import ARM, Gateway
 from tests.keys import DEPLOY
 
 HEAR = """
 import sys, zenoh
-from controller.network import session
-from controller.planning.core.events import Identity, PublishResult
+from hyperbit.controller.network import session
+from hyperbit.controller.planning.core.events import Identity, PublishResult
 
 with zenoh.open(session.configuration("client", connect=sys.argv[1])) as it:
     it.declare_subscriber(sys.argv[2], lambda sample: print(sample.payload.to_string(), flush=True))

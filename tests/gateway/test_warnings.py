@@ -4,8 +4,8 @@ import logging
 
 import pytest
 
-from controller.gateway.daemon import REMEMBERED, Warnings
-from controller.program import Fault
+from hyperbit.controller.gateway.daemon import REMEMBERED, Warnings
+from hyperbit.controller.program import Fault
 
 
 class Bench:

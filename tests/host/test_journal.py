@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from controller.host import journal
-from controller.host.journal import (
+from hyperbit.controller.host import journal
+from hyperbit.controller.host.journal import (
     MOST_WAITING,
     JournalHandler,
     fields_of_fault,

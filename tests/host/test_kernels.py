@@ -5,26 +5,30 @@ import sys
 
 import pytest
 
-from controller.host import kernels
+from hyperbit.controller.host import kernels
 
 WITHOUT = (  # what the planner's core and clients use
-    *("controller.manipulator.frames", "controller.manipulator.locked", "controller.manipulator.notation"),
-    *("controller.motion.targets", "controller.motion.trajectory"),
-    *("controller.motion.decoding.goal", "controller.motion.decoding.setpoint"),
-    *(f"controller.motion.stages.{name}" for name in ("feed", "program", "restaging")),
-    *("controller.motion.tracking.bias", "controller.motion.tracking.tracking"),
-    "controller.planning.core.core",
+    *(
+        "hyperbit.controller.manipulator.frames",
+        "hyperbit.controller.manipulator.locked",
+        "hyperbit.controller.manipulator.notation",
+    ),
+    *("hyperbit.controller.motion.targets", "hyperbit.controller.motion.trajectory"),
+    *("hyperbit.controller.motion.decoding.goal", "hyperbit.controller.motion.decoding.setpoint"),
+    *(f"hyperbit.controller.motion.stages.{name}" for name in ("feed", "program", "restaging")),
+    *("hyperbit.controller.motion.tracking.bias", "hyperbit.controller.motion.tracking.tracking"),
+    "hyperbit.controller.planning.core.core",
 )
 
 
 def test_modules_with_kernels_come_with_those_they_depend_on():
     found = kernels.kernels()
     assert {
-        "controller.search.matching",
-        "controller.obstacles.scene",
-        "controller.obstacles.collision",
+        "hyperbit.controller.search.matching",
+        "hyperbit.controller.obstacles.scene",
+        "hyperbit.controller.obstacles.collision",
     } <= found.keys()
-    assert "controller.obstacles.collision" in found["controller.search.matching"]
+    assert "hyperbit.controller.obstacles.collision" in found["hyperbit.controller.search.matching"]
     for name, others in found.items():
         assert name not in others
         assert others <= found.keys()
@@ -48,7 +52,7 @@ def test_a_module_is_imported_after_those_it_depends_on(tmp_path, monkeypatch):
 
 def test_a_module_that_cannot_be_imported_is_named():
     with pytest.raises(RuntimeError, match=r"the kernels of controller\.missing cannot be compiled"):
-        kernels.compile_all({"controller.missing": set()}, 1)
+        kernels.compile_all({"hyperbit.controller.missing": set()}, 1)
 
 
 def test_indexes_of_machine_code_are_dropped(tmp_path, monkeypatch):

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from controller.host import machine_code
+from hyperbit.controller.host import machine_code
 from tests.commands.conftest import ARM
 
 CHECK = """
 import sys
 from pathlib import Path
-from controller.host import machine_code
+from hyperbit.controller.host import machine_code
 machine_code.usual_folders = lambda: [Path(folder) for folder in sys.argv[2:]]
 assert "numba" not in sys.modules
 machine_code.watch()

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from controller.host.signals import ENDING, OF_TERMINAL
+from hyperbit.controller.host.signals import ENDING, OF_TERMINAL
 from tests.waiting import PATIENCE
 
 ROOT = Path(__file__).parents[2]
 COUNTING = """
-from controller.host import signals
+from hyperbit.controller.host import signals
 ends = []
 signals.end_on_signals(lambda: ends.append(1))
 print("ready", flush=True)
@@ -21,7 +21,7 @@ for line in sys.stdin:
     print(len(ends), flush=True)
 """
 CLOSING = """
-from controller.host import signals
+from hyperbit.controller.host import signals
 signals.exit_on_signals()
 try:
     print("ready", flush=True)
@@ -33,7 +33,7 @@ finally:
 """
 IN_CALLBACK = """
 import ctypes
-from controller.host import signals
+from hyperbit.controller.host import signals
 signals.exit_on_signals()
 print("ready", flush=True)
 sys.stdin.readline()
@@ -41,7 +41,7 @@ ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGTERM))()  # C has 
 time.sleep(3600)
 """
 IGNORING = """
-from controller.host import signals
+from hyperbit.controller.host import signals
 signals.ignore(signals.ENDING)
 print("ready", flush=True)
 for line in sys.stdin:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hyperbit as hb
-from controller.arm import arm as config
+from hyperbit.controller.arm import arm as config
 from tests.arms import every_configuration, paper_arm
 
 DEPLOY = Path(__file__).parents[2] / "deploy"

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from controller.manipulator.frames import angle, angle_between, planar, spatial
-from controller.manipulator.joints import prismatic, revolute
-from controller.manipulator.module import transforms
-from controller.manipulator.vgt import vgt
+from hyperbit.controller.manipulator.frames import angle, angle_between, planar, spatial
+from hyperbit.controller.manipulator.joints import prismatic, revolute
+from hyperbit.controller.manipulator.module import transforms
+from hyperbit.controller.manipulator.vgt import vgt
 from tests.arms import modules
 from tests.manipulator.test_platform import KINDS, padded, platform_of
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from controller.manipulator import frames
-from controller.manipulator.notation import parse_configuration
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.notation import parse_configuration
 
 # Octal digits base first, then x, y and orientation as printed. The printed error of IPOP-previous at the third
 # target, 0.039, is a misprint.

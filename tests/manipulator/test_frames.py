@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from controller.manipulator import frames
-from controller.manipulator.frame_kernels import compose
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.frame_kernels import compose
 from tests.arms import angles, any_frames, coordinates, planar_frames, quaternions, spatial_frames
 
 TIGHT = {"atol": 1e-12}

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from controller.manipulator import frames
-from controller.manipulator.joints import prismatic, revolute
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import binary_code, gray_code
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.joints import prismatic, revolute
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import binary_code, gray_code
 from tests.arms import any_frames, coordinates, spatial_frames
 
 TIGHT = {"atol": 1e-12}

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.manipulator.joints import revolute
-from controller.manipulator.locked import lock_actuators, none_locked, require_states, transferred
-from controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.joints import revolute
+from hyperbit.controller.manipulator.locked import lock_actuators, none_locked, require_states, transferred
+from hyperbit.controller.manipulator.manipulator import Manipulator
 from tests.arms import every_configuration, paper_arm, short_arms
 
 

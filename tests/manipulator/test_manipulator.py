@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from controller.manipulator import frames
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import transforms
-from controller.manipulator.vgt import vgt
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import transforms
+from hyperbit.controller.manipulator.vgt import vgt
 from tests.arms import any_frames, paper_arm, planar_frames, short_arms, spatial_arm
 
 

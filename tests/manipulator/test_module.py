@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from controller.manipulator import frames
-from controller.manipulator.module import binary_code, transforms
-from controller.manipulator.vgt import vgt
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.module import binary_code, transforms
+from hyperbit.controller.manipulator.vgt import vgt
 from tests.arms import lengths
 
 # x, y and orientation of the top frame for the states 0 to 7, paper-notes' table.

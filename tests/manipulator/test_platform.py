@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from controller.manipulator.module import Module
-from controller.manipulator.platform import platform
+from hyperbit.controller.manipulator.module import Module
+from hyperbit.controller.manipulator.platform import platform
 from tests.arms import coordinates
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from controller.manipulator import frames
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.notation import format_configuration
-from controller.motion.targets import UNKNOWN, GoalTarget, measured_pose, measured_tip
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.notation import format_configuration
+from hyperbit.controller.motion.targets import UNKNOWN, GoalTarget, measured_pose, measured_tip
 
 
 @pytest.mark.parametrize("seed", range(5))

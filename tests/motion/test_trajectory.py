@@ -8,15 +8,15 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.point_by_point import PointByPoint
-from controller.motion.plans.points import TrajectoryPoints
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages.pacing import MOST_STAGES, Pace
-from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through, upwards
-from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
-from controller.refusals.refusal import Refusal
-from controller.search.solver import search_time
+from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.point_by_point import PointByPoint
+from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.stages.pacing import MOST_STAGES, Pace
+from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory, along, through, upwards
+from hyperbit.controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solver import search_time
 
 PACE = Pace(0.06)
 STAGED = Pace(0.06, inrush=2, rest=0.1)

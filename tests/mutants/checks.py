@@ -45,11 +45,11 @@ def warm_up() -> None:
     import pytest  # noqa: F401
     import zenoh  # noqa: F401
 
-    import controller.arm.arm
-    import controller.motion.stages.stage_sequencer
-    import controller.motion.tracking.tracking
-    import controller.search.solver
-    import controller.workspace.cache  # noqa: F401
+    import hyperbit.controller.arm.arm
+    import hyperbit.controller.motion.stages.stage_sequencer
+    import hyperbit.controller.motion.tracking.tracking
+    import hyperbit.controller.search.solver
+    import hyperbit.controller.workspace.cache  # noqa: F401
 
 
 def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:

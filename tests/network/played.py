@@ -8,7 +8,7 @@ from typing import Any
 
 import zenoh
 
-from controller.network import session
+from hyperbit.controller.network import session
 
 
 def free_endpoint() -> str:

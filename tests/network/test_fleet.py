@@ -11,16 +11,16 @@ from contextlib import ExitStack, closing
 import pytest
 import zenoh
 
-from controller.network import session
-from controller.network.fleet import LIST_TIMEOUT, ArmAddress, ArmStatus, Fleet, address_of, alive
-from controller.network.stop_all import stop_all
+from hyperbit.controller.network import session
+from hyperbit.controller.network.fleet import LIST_TIMEOUT, ArmAddress, ArmStatus, Fleet, address_of, alive
+from hyperbit.controller.network.stop_all import stop_all
 from tests.network.played import PlayedArm, Router, free_endpoint
 from tests.waiting import PATIENCE, eventually
 
 # An arm in a process of its own, until its standard input ends.
 ARM = """
 import sys, zenoh
-from controller.network import session
+from hyperbit.controller.network import session
 with zenoh.open(session.configuration("peer", listen=sys.argv[1])) as opened:
     token = opened.liveliness().declare_token("hyperbit/a/alive")
     print(flush=True)
@@ -177,7 +177,7 @@ def test_an_arm_that_starts_during_a_stop_for_all_is_stopped(
             eventually(lambda: alive(viewer) == [HERE, THERE])
         return alive(session, places)
 
-    monkeypatch.setattr("controller.network.stop_all.alive", looking)
+    monkeypatch.setattr("hyperbit.controller.network.stop_all.alive", looking)
     assert stop_all(viewer, timeout=PATIENCE).answers.keys() == {HERE, THERE}
     assert late[0].requests == ["stop"]
 

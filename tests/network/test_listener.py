@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.network import listener as listening
-from controller.network import session
-from controller.network.listener import Listener, ReceivedMessage
+from hyperbit.controller.network import listener as listening
+from hyperbit.controller.network import session
+from hyperbit.controller.network.listener import Listener, ReceivedMessage
 from tests.waiting import eventually
 
 ARM = json.dumps({"name": "a"}).encode()

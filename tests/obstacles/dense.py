@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from hypothesis import strategies as st
 
-from controller.obstacles.obstacles import Obstacles, box, half_space, sphere, together
+from hyperbit.controller.obstacles.obstacles import Obstacles, box, half_space, sphere, together
 from tests.arms import any_frames
 
 PARTS = 2000  # of each line segment

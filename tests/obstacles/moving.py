@@ -7,12 +7,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation, Slerp
 
-from controller.manipulator.frames import planar
-from controller.manipulator.joints import revolute
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import Module, transforms
-from controller.manipulator.platform import platform
-from controller.manipulator.vgt import vgt
+from hyperbit.controller.manipulator.frames import planar
+from hyperbit.controller.manipulator.joints import revolute
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import Module, transforms
+from hyperbit.controller.manipulator.platform import platform
+from hyperbit.controller.manipulator.vgt import vgt
 from tests.obstacles.dense import Shape, along, nearest
 
 Moves = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]

@@ -6,14 +6,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from controller.manipulator import frames
-from controller.manipulator.locked import lock_actuators
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import transforms
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.collision import lines_distance
-from controller.obstacles.distance import first_obstacle, segment_distance
-from controller.obstacles.obstacles import NONE, box, half_space, sphere, together
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.locked import lock_actuators
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import transforms
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.collision import lines_distance
+from hyperbit.controller.obstacles.distance import first_obstacle, segment_distance
+from hyperbit.controller.obstacles.obstacles import NONE, box, half_space, sphere, together
 from tests.arms import (
     any_frames,
     every_configuration,

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from controller.arm.arm import load
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.single_switches import arm_switches, place_arm, switch_is_clear, switch_scratch
-from controller.obstacles.sweep import Sweep
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.single_switches import arm_switches, place_arm, switch_is_clear, switch_scratch
+from hyperbit.controller.obstacles.sweep import Sweep
 from tests.benchmarks.harness import DEPLOY
 from tests.benchmarks.motion.obstacle_transitions import scene
 from tests.obstacles.dense import obstacles_of

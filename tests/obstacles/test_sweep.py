@@ -7,14 +7,14 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator import frames
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import Module, transforms
-from controller.manipulator.vgt import vgt
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.displacements import Displacements
-from controller.obstacles.obstacles import NONE, box, half_space, sphere
-from controller.obstacles.sweep import Sweep
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import Module, transforms
+from hyperbit.controller.manipulator.vgt import vgt
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.displacements import Displacements
+from hyperbit.controller.obstacles.obstacles import NONE, box, half_space, sphere
+from hyperbit.controller.obstacles.sweep import Sweep
 from tests.arms import any_frames, modules, paper_arm, planar_frames, spatial_frames
 from tests.manipulator.test_platform import hexapod as joints
 from tests.obstacles.dense import any_shape, obstacles_of

@@ -13,14 +13,14 @@ import zenoh
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
-from controller.arm.arm import Arm, load
-from controller.arm.description import description, drawing
-from controller.manipulator.notation import format_configuration, pose
-from controller.network import session
-from controller.panel.access.access import Access
-from controller.panel.access.people import PersonEntry, digest_of
-from controller.panel.app import PanelServer
-from controller.panel.serve import zenoh_configuration
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.arm.description import description, drawing
+from hyperbit.controller.manipulator.notation import format_configuration, pose
+from hyperbit.controller.network import session
+from hyperbit.controller.panel.access.access import Access
+from hyperbit.controller.panel.access.people import PersonEntry, digest_of
+from hyperbit.controller.panel.app import PanelServer
+from hyperbit.controller.panel.serve import zenoh_configuration
 from tests.keys import DEPLOY
 from tests.waiting import eventually
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.armfile.strict import InputFaults
-from controller.commands.operate.run import reachable, run
-from controller.panel.serve import parse_address, serve, zenoh_configuration
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.operate.run import reachable, run
+from hyperbit.controller.panel.serve import parse_address, serve, zenoh_configuration
 
 
 @pytest.mark.parametrize("text", ["", "7480", ":7480", "localhost", "localhost:x", "localhost:70000", "a:²"])

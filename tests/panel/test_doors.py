@@ -4,7 +4,7 @@ import pytest
 from starlette.testclient import WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
-from controller.panel.app import STATIC
+from hyperbit.controller.panel.app import STATIC
 from tests.panel.conftest import ARM, OPERATOR, ORIGIN, SOCKETS, VIEWER, Opened, Site
 
 FOREIGN = [

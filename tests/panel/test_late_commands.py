@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from controller.panel.arms.heartbeats import LONGEST
+from hyperbit.controller.panel.arms.heartbeats import LONGEST
 from tests.panel.conftest import ARM, OTHER, Opened, Site
 from tests.panel.test_live import COMMANDS, GOAL
 from tests.waiting import eventually

@@ -218,7 +218,7 @@ def test_malformed_messages_are_refused_with_a_sentence(site: Site, text: str) -
 
 
 def test_a_flood_is_refused_then_closed_and_no_other_page_notices(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("controller.panel.arm_page.RATE", 0.0)  # however long this machine takes
+    monkeypatch.setattr("hyperbit.controller.panel.arm_page.RATE", 0.0)  # however long this machine takes
     page, other = site.open(), site.open(OTHER)
     for _ in range(400):
         page.send("reset")

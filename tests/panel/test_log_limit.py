@@ -2,7 +2,7 @@
 
 import logging
 
-from controller.panel.log_limit import MOST_LINES, WITHIN, LogLimit
+from hyperbit.controller.panel.log_limit import MOST_LINES, WITHIN, LogLimit
 
 
 def test_a_flood_writes_few_lines_and_hides_no_other_line() -> None:

@@ -15,7 +15,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from controller.panel.access.people import digest_of
+from hyperbit.controller.panel.access.people import digest_of
 from tests.keys import certificates, made
 from tests.waiting import PATIENCE, eventually
 
@@ -25,7 +25,7 @@ def running(folder: Path, *words: str) -> Iterator[tuple[subprocess.Popen[str], 
     """Runs the panel without a daemon; returns after it has printed its addresses."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    command = [sys.executable, "-m", "controller.cli", "panel", "--connect", endpoint, *words]
+    command = [sys.executable, "-m", "hyperbit", "panel", "--connect", endpoint, *words]
     log = folder / "log"
     with log.open("w") as out:
         process = subprocess.Popen(command, stdout=out, stderr=out, text=True)
@@ -143,7 +143,7 @@ def test_the_printed_address_answers(tmp_path: Path, host: str) -> None:
 def test_a_port_in_use_is_told_with_the_way_out(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
-        command = [sys.executable, "-m", "controller.cli", "panel", "--listen", address]
+        command = [sys.executable, "-m", "hyperbit", "panel", "--listen", address]
         ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     assert ended.returncode == 1
     assert f"the page cannot be served at {address}: Address already in use" in ended.stderr
@@ -157,11 +157,11 @@ def test_bad_options_are_named(tmp_path: Path) -> None:
         (["--certificate", "c.pem"], "--certificate and --key go together"),
         (["--people", str(tmp_path / "nobody.yaml")], "no such file"),
     ):
-        command = [sys.executable, "-m", "controller.cli", "panel", *words]
+        command = [sys.executable, "-m", "hyperbit", "panel", *words]
         ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
         assert (ended.returncode, sentence in ended.stderr) == (2, True), ended.stderr
     made_up = subprocess.run(
-        [sys.executable, "-m", "controller.cli", "panel", "--new-token", "anna"], capture_output=True, text=True
+        [sys.executable, "-m", "hyperbit", "panel", "--new-token", "anna"], capture_output=True, text=True
     )
     token = re.findall(r"token of anna: (\S+)", made_up.stdout)[0]
     assert digest_of(token) in made_up.stdout

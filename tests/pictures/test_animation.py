@@ -5,10 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
-from controller.commands.operate.demo import Watched
-from controller.pictures.animation import END, FRAME, PAUSE, SHARES, Movement, animate, body_of, tip_of
-from controller.pictures.plots import Subplot
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.commands.operate.demo import Watched
+from hyperbit.controller.pictures.animation import END, FRAME, PAUSE, SHARES, Movement, animate, body_of, tip_of
+from hyperbit.controller.pictures.plots import Subplot
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import spatial_arm
 
 

@@ -8,15 +8,15 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.testing import assert_allclose
 
-from controller.manipulator import frames
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import transforms
-from controller.manipulator.notation import parse_configuration
-from controller.obstacles.obstacles import box, half_space, sphere, together
-from controller.pictures import figure5
-from controller.pictures.plots import COLOURS, Subplot, figure, save
-from controller.search.method import PAPER_METHODS
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import transforms
+from hyperbit.controller.manipulator.notation import parse_configuration
+from hyperbit.controller.obstacles.obstacles import box, half_space, sphere, together
+from hyperbit.controller.pictures import figure5
+from hyperbit.controller.pictures.plots import COLOURS, Subplot, figure, save
+from hyperbit.controller.search.method import PAPER_METHODS
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import spatial_arm
 
 STRAIGHT, BENT = np.full(16, 7), np.full(16, 4)
@@ -109,7 +109,7 @@ def test_a_spatial_arm_is_drawn_in_space(tmp_path):
 
 
 def test_importing_plots_does_not_import_matplotlib():
-    check = "import sys, controller.pictures.plots, controller.pictures.figure5; sys.exit('matplotlib' in sys.modules)"
+    check = "import sys, hyperbit.controller.pictures.plots, hyperbit.controller.pictures.figure5; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0
 
 

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.arm.arm import load
-from controller.manipulator import frames
-from controller.pictures.scene import MEASURED, TRAVELLING, UNKNOWN, FoxgloveScene, quaternion, rgba, turn_to
-from controller.recorder.schemas import FOXGLOVE, SCENE, TRANSFORMS
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.pictures.scene import MEASURED, TRAVELLING, UNKNOWN, FoxgloveScene, quaternion, rgba, turn_to
+from hyperbit.controller.recorder.schemas import FOXGLOVE, SCENE, TRANSFORMS
 from tests.keys import DEPLOY
 from tests.recorder.samples import planar, state, told
 from tests.recorder.shapes import misfits

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from matplotlib.contour import ContourSet
 
-from controller.manipulator.manipulator import Manipulator
-from controller.pictures.workspace_plots import Field, draw_workspace
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.pictures.workspace_plots import Field, draw_workspace
 from tests.arms import paper_arm, spatial_arm
 
 SIZE = 20

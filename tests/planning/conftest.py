@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from controller.arm.arm import Arm
-from controller.workspace.densities import Densities
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.planning.rig.desk import Desk
 
 MODULES = 4

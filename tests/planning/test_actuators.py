@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from controller.arm.arm import Arm
-from controller.motion.decoding.goal import BEGIN_WITHIN
-from controller.planning.core.tasks import BuildTables
-from controller.program import (
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN
+from hyperbit.controller.planning.core.tasks import BuildTables
+from hyperbit.controller.program import (
     Acknowledge,
     Answer,
     Lock,
@@ -18,8 +18,8 @@ from controller.program import (
     pack,
     unpack,
 )
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refused
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refused
 from tests.planning.conftest import DOCUMENT
 from tests.planning.rig.desk import Desk
 from tests.planning.test_goals import A, B, C, taken

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
-from controller.arm.arm import Arm, load
-from controller.arm.description import density, drawing, file
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.arm.description import density, drawing, file
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.keys import DEPLOY
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.planning.core.events import SetpointArrived
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.planning.core.events import SetpointArrived
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.planning.conftest import DOCUMENT
 from tests.planning.rig.core_executor import CoreExecutor
 from tests.planning.rig.executor import Inbox

@@ -4,13 +4,13 @@ from collections.abc import Callable
 
 import pytest
 
-from controller.motion.decoding.goal import BEGIN_WITHIN
-from controller.planning.core.events import Answered
-from controller.planning.core.tasks import ImprovePlan, PlanGoal
-from controller.program import Acknowledge, Cancel, Program, Replacement, Reset, Stop, unpack
-from controller.refusals import codes
-from controller.refusals.reasons import Reason
-from controller.workspace.densities import Densities
+from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN
+from hyperbit.controller.planning.core.events import Answered
+from hyperbit.controller.planning.core.tasks import ImprovePlan, PlanGoal
+from hyperbit.controller.program import Acknowledge, Cancel, Program, Replacement, Reset, Stop, unpack
+from hyperbit.controller.refusals import codes
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.workspace.densities import Densities
 from tests.planning.rig.desk import Desk
 
 A, B, C = (1, 2, 0, 0), (3, 4, 0, 1), (7, 0, 2, 0)

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from controller.planning.core.events import FromExecutor, LinkDown
-from controller.planning.link import MOST_BEHIND, MOST_QUEUED, RETRY, UNREAD, ExecutorLink
-from controller.program import (
+from hyperbit.controller.planning.core.events import FromExecutor, LinkDown
+from hyperbit.controller.planning.link import MOST_BEHIND, MOST_QUEUED, RETRY, UNREAD, ExecutorLink
+from hyperbit.controller.program import (
     VERSION,
     Alive,
     Answer,
@@ -287,7 +287,7 @@ def test_an_executor_that_does_not_read_is_dropped(line: Line, deaf: Deaf) -> No
 
 
 def test_a_flood_is_received_in_parts(line: Line, deaf: Deaf, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("controller.planning.link.MOST_RECEIVED", 2)
+    monkeypatch.setattr("hyperbit.controller.planning.link.MOST_RECEIVED", 2)
     for k in range(5):
         deaf.client.send(encode(Answer(k, "")))
     assert [len(line.link.receive()) for _ in range(4)] == [2, 2, 1, 0]

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from controller.host.process import Log, Notify, Quit
-from controller.planning.core.events import (
+from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.planning.core.events import (
     SHUTTING_DOWN,
     Abandon,
     AcceptanceEntry,
@@ -39,10 +39,10 @@ from controller.planning.core.events import (
     Wake,
     Warned,
 )
-from controller.planning.core.tasks import BuildTables, Done, Failed
-from controller.planning.link import ExecutorLink, Inbox
-from controller.planning.loop import LOOK_EVERY, STREAM_ENDS, STREAM_EVERY, WARNINGS_EVERY, Loop
-from controller.program import Answer, Fault, Hello, Snapshot, Stop
+from hyperbit.controller.planning.core.tasks import BuildTables, Done, Failed
+from hyperbit.controller.planning.link import ExecutorLink, Inbox
+from hyperbit.controller.planning.loop import LOOK_EVERY, STREAM_ENDS, STREAM_EVERY, WARNINGS_EVERY, Loop
+from hyperbit.controller.program import Answer, Fault, Hello, Snapshot, Stop
 from tests.planning.rig.executor import DIGEST, ScriptedExecutor
 from tests.planning.rig.loop_parts import Remembering, ScriptedCore
 from tests.waiting import PATIENCE

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from controller.planning.core.tasks import BuildScene, CheckStages, CheckStanding, PlanGoal
-from controller.program import (
+from hyperbit.controller.planning.core.tasks import BuildScene, CheckStages, CheckStanding, PlanGoal
+from hyperbit.controller.program import (
     Begun,
     Cancel,
     Clearance,
@@ -15,7 +15,7 @@ from controller.program import (
     Replacement,
     unpack,
 )
-from controller.refusals import codes
+from hyperbit.controller.refusals import codes
 from tests.planning.rig.desk import Desk
 from tests.planning.test_goals import A, B, taken
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from controller.planning.core.events import Arrival, CancelMessage, Request, Unsent
-from controller.planning.core.parts import Admission
-from controller.planning.core.tasks import PlanGoal
-from controller.program import Cancel, Program, Reset, pack
-from controller.refusals.reasons import Reason
+from hyperbit.controller.planning.core.events import Arrival, CancelMessage, Request, Unsent
+from hyperbit.controller.planning.core.parts import Admission
+from hyperbit.controller.planning.core.tasks import PlanGoal
+from hyperbit.controller.program import Cancel, Program, Reset, pack
+from hyperbit.controller.refusals.reasons import Reason
 from tests.planning.rig.desk import Desk
 from tests.planning.test_goals import A, B
 

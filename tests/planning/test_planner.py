@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from controller.arm.arm import Arm
-from controller.host.process import Quit
-from controller.planning.core.events import (
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.planning.core.events import (
     Arrival,
     CancelMessage,
     FromExecutor,
@@ -23,11 +23,11 @@ from controller.planning.core.events import (
     ToExecutor,
     Unsent,
 )
-from controller.planning.core.requests import CANCELED
-from controller.planning.link import ExecutorLink, Inbox
-from controller.planning.planner import Planner
-from controller.program import Acknowledge, Cancel, Hello, Stop, Welcome
-from controller.workspace.densities import Densities
+from hyperbit.controller.planning.core.requests import CANCELED
+from hyperbit.controller.planning.link import ExecutorLink, Inbox
+from hyperbit.controller.planning.planner import Planner
+from hyperbit.controller.program import Acknowledge, Cancel, Hello, Stop, Welcome
+from hyperbit.controller.workspace.densities import Densities
 from tests.planning.rig.executor import DIGEST, ScriptedExecutor
 from tests.planning.rig.loop_parts import Remembering, ScriptedCore
 from tests.waiting import PATIENCE

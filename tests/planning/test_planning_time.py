@@ -2,9 +2,9 @@
 
 import pytest
 
-from controller.planning.core.tasks import PlanGoal
-from controller.program import Program
-from controller.refusals.reasons import Reason
+from hyperbit.controller.planning.core.tasks import PlanGoal
+from hyperbit.controller.program import Program
+from hyperbit.controller.refusals.reasons import Reason
 from tests.planning.rig.desk import Desk
 from tests.planning.test_goals import A, B, C
 

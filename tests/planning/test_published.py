@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.planning import ledger as published
-from controller.planning.core.events import Identity, ResultEntry
-from controller.planning.ledger import PublishedResults, published_path
+from hyperbit.controller.planning import ledger as published
+from hyperbit.controller.planning.core.events import Identity, ResultEntry
+from hyperbit.controller.planning.ledger import PublishedResults, published_path
 
 PAYLOAD = {"id": "a", "status": "aborted", "code": -4, "message": "of \udc80\nlines", "switches": 3, "where": [1.0]}
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from controller.motion.plans import whole
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages.pacing import pace_of
-from controller.planning.core.tasks import DescribePlan
-from controller.program import Program
-from controller.search.solver import Solver
+from hyperbit.controller.motion.plans import whole
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.planning.core.tasks import DescribePlan
+from hyperbit.controller.program import Program
+from hyperbit.controller.search.solver import Solver
 from tests.planning.rig.desk import Desk
 
 A, B = (1, 2, 0, 0), (3, 4, 0, 1)

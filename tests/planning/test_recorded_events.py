@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from controller.flight_recorder import FlightRecorder, Label
-from controller.flight_recorder.keeper import save
-from controller.flight_recorder.loading import load
-from controller.planning.core.core import OPAQUE, Core
-from controller.planning.core.events import Action, Event
-from controller.program import Program
+from hyperbit.controller.flight_recorder import FlightRecorder, Label
+from hyperbit.controller.flight_recorder.keeper import save
+from hyperbit.controller.flight_recorder.loading import load
+from hyperbit.controller.planning.core.core import OPAQUE, Core
+from hyperbit.controller.planning.core.events import Action, Event
+from hyperbit.controller.program import Program
 from tests.planning.rig.desk import Desk
 from tests.simulation.events import replay
 

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.arm.arm import Arm
-from controller.motion.decoding.goal import BEGIN_WITHIN, GoalMessage, Jog
-from controller.planning.core.events import CancelMessage, FaultToPlay, Key, LockMessage, SentObstacles
-from controller.planning.planner import RequestDecoder
-from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN, GoalMessage, Jog
+from hyperbit.controller.planning.core.events import CancelMessage, FaultToPlay, Key, LockMessage, SentObstacles
+from hyperbit.controller.planning.planner import RequestDecoder
+from hyperbit.controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
+from hyperbit.controller.refusals.refusal import Refusal
 from tests.fuzz.requests import CONFIGURATIONS, DEGRADE, GOAL, JOG, LINE, OBSTACLES, SETPOINT, wrong
 
 KEYS: tuple[Key, ...] = get_args(Key)

@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from controller.motion.stages.feed import PlanProof
-from controller.planning.core.events import Identity, OpenGoal, ResultEntry
-from controller.planning.core.outcomes import why_not_as_planned
-from controller.program import Acknowledge, Cancel, Program, Replacement
-from controller.workspace.densities import Densities
+from hyperbit.controller.motion.stages.feed import PlanProof
+from hyperbit.controller.planning.core.events import Identity, OpenGoal, ResultEntry
+from hyperbit.controller.planning.core.outcomes import why_not_as_planned
+from hyperbit.controller.program import Acknowledge, Cancel, Program, Replacement
+from hyperbit.controller.workspace.densities import Densities
 from tests.planning.rig.desk import Desk
 from tests.planning.test_goals import A, B, C, taken
 

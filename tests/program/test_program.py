@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller import program
-from controller.program import (
+from hyperbit.controller import program
+from hyperbit.controller.program import (
     MOST_ACTUATORS,
     MOST_BYTES,
     MOST_STAGES,

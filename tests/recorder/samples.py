@@ -9,9 +9,9 @@ import small_mcap
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 
-from controller.arm.arm import Arm, load
-from controller.arm.description import description, drawing, file
-from controller.network.listener import ReceivedMessage
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.arm.description import description, drawing, file
+from hyperbit.controller.network.listener import ReceivedMessage
 from tests.keys import DEPLOY
 
 SECOND = 1_000_000_000  # [ns]

@@ -5,9 +5,9 @@ from pathlib import Path
 import can
 import pytest
 
-from controller.armfile.settings import BusSettings
-from controller.recorder import can_log
-from controller.recorder.can_log import CanLog
+from hyperbit.controller.armfile.settings import BusSettings
+from hyperbit.controller.recorder import can_log
+from hyperbit.controller.recorder.can_log import CanLog
 from tests.waiting import eventually
 
 FRAMES = [

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from controller.recorder.folder import CAN_LOG, Folder, FolderInUse
-from controller.recorder.repair import unfinished
+from hyperbit.controller.recorder.folder import CAN_LOG, Folder, FolderInUse
+from hyperbit.controller.recorder.repair import unfinished
 from tests.recorder.samples import read
 from tests.recorder.test_recording import numbers, written
 

@@ -9,9 +9,9 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.json_format import ParseDict
 
-from controller.arm.arm import load
-from controller.pictures.scene import FoxgloveScene
-from controller.recorder.schemas import FOXGLOVE, LOG, SCENE, TIME, TRANSFORMS, Schema
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.pictures.scene import FoxgloveScene
+from hyperbit.controller.recorder.schemas import FOXGLOVE, LOG, SCENE, TIME, TRANSFORMS, Schema
 from tests.keys import DEPLOY
 from tests.recorder.samples import state, told
 

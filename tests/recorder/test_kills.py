@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.network import session
-from controller.recorder.folder import Folder
-from controller.recorder.recording import FLUSH_EVERY
+from hyperbit.controller.network import session
+from hyperbit.controller.recorder.folder import Folder
+from hyperbit.controller.recorder.recording import FLUSH_EVERY
 from tests.recorder.samples import planar, read, read_by_another, read_unfinished, recovered_by_another, state, told
 from tests.waiting import eventually
 
@@ -29,8 +29,8 @@ LATEST = 2.5  # [s] after the first message, that a kill comes
 # `hyperbit record` which notes the log time of each message that it takes, before it writes the message.
 NOTING = """
 import os, struct, sys
-from controller.recorder.recording import Recording
-from controller.cli import main
+from hyperbit.controller.recorder.recording import Recording
+from hyperbit.controller.cli import main
 notes, write = os.open(sys.argv.pop(1), os.O_WRONLY | os.O_CREAT | os.O_APPEND), Recording.write
 def noting(self, topic, kind, data, log_time, publish_time):
     os.write(notes, struct.pack("<q", log_time))

@@ -12,14 +12,14 @@ from unittest import mock
 import pytest
 import zenoh
 
-from controller.arm.arm import Arm
-from controller.network import session
-from controller.network.client import Client
-from controller.recorder import player
-from controller.recorder.folder import Folder
-from controller.recorder.player import Player, Timeline
-from controller.recorder.reader import RecordingReader
-from controller.recorder.recorder import Limits, Recorder
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client
+from hyperbit.controller.recorder import player
+from hyperbit.controller.recorder.folder import Folder
+from hyperbit.controller.recorder.player import Player, Timeline
+from hyperbit.controller.recorder.reader import RecordingReader
+from hyperbit.controller.recorder.recorder import Limits, Recorder
 from tests.recorder.samples import heard, planar, state, told
 from tests.waiting import PATIENCE, eventually
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from controller.recorder.reader import BadRecording, RecordingReader
-from controller.recorder.recording import Recording
+from hyperbit.controller.recorder.reader import BadRecording, RecordingReader
+from hyperbit.controller.recorder.recording import Recording
 from tests.recorder.samples import SECOND
 from tests.recorder.test_recording import written
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from controller.arm.arm import Arm
-from controller.recorder import recorder as module
-from controller.recorder.folder import Folder
-from controller.recorder.recorder import MOST_TOPICS, Limits, Recorder
-from controller.recorder.recording import Recording
-from controller.recorder.schemas import FOXGLOVE, LOG, TOPICS
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.recorder import recorder as module
+from hyperbit.controller.recorder.folder import Folder
+from hyperbit.controller.recorder.recorder import MOST_TOPICS, Limits, Recorder
+from hyperbit.controller.recorder.recording import Recording
+from hyperbit.controller.recorder.schemas import FOXGLOVE, LOG, TOPICS
 from tests.recorder.samples import Read, heard, names, planar, read, read_by_another, state, told
 from tests.recorder.shapes import misfits
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from controller.recorder.recording import LogClock, Recording
-from controller.recorder.repair import repair, unfinished
+from hyperbit.controller.recorder.recording import LogClock, Recording
+from hyperbit.controller.recorder.repair import repair, unfinished
 from tests.recorder.samples import SECOND, names, read, read_by_another, read_unfinished, recovered_by_another
 
 TOPIC = "hyperbit/a/state"

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 import yaml
 
-from controller.arm.arm import load
-from controller.network.listener import Listener
-from controller.recorder.folder import Folder
-from controller.recorder.history import RecordedChange, RecordedGoal, history
-from controller.recorder.reader import RecordingReader
-from controller.recorder.recorder import Limits, Recorder
-from controller.recorder.regression import ArmFailed, Compared, arm_file, compare, compared, simulated
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.network.listener import Listener
+from hyperbit.controller.recorder.folder import Folder
+from hyperbit.controller.recorder.history import RecordedChange, RecordedGoal, history
+from hyperbit.controller.recorder.reader import RecordingReader
+from hyperbit.controller.recorder.recorder import Limits, Recorder
+from hyperbit.controller.recorder.regression import ArmFailed, Compared, arm_file, compare, compared, simulated
 from tests.keys import DEPLOY
 from tests.recorder.samples import heard, planar, told
 from tests.waiting import eventually

@@ -6,7 +6,7 @@ import ast
 from pathlib import Path
 from typing import NamedTuple
 
-from controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.reasons import Reason
 
 CONTROLLER = Path(__file__).parents[2] / "controller"
 

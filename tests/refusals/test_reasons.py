@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.refusals import codes
-from controller.refusals.reasons import Reason, advice
-from controller.refusals.refusal import LONGEST_SENTENCE, Refusal, Refused, no_motion
+from hyperbit.controller.refusals import codes
+from hyperbit.controller.refusals.reasons import Reason, advice
+from hyperbit.controller.refusals.refusal import LONGEST_SENTENCE, Refusal, Refused, no_motion
 from tests.refusals.raised import calls, made
 
 FACTS = st.one_of(st.text(), st.integers(), st.floats(), st.just("{size}"), st.just("\ud800"), st.just("x" * 2_000))

@@ -8,9 +8,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from controller.ros2.wire import qos
-from controller.ros2.wire.node import Node
-from controller.ros2.wire.session import Session
+from hyperbit.controller.ros2.wire import qos
+from hyperbit.controller.ros2.wire.node import Node
+from hyperbit.controller.ros2.wire.session import Session
 from tests.ros2.client import Client, Result, trajectory
 from tests.ros2.wire.conftest import Router
 from tests.system.stack import arms
@@ -63,7 +63,7 @@ class Rig:
         environment = {**os.environ, "RUNTIME_DIRECTORY": str(self._folder), "STATE_DIRECTORY": str(self._folder)}
         with (self._folder / f"{name}.log").open("ab") as log:
             self._processes[name] = subprocess.Popen(
-                [sys.executable, "-m", "controller.cli", *words],
+                [sys.executable, "-m", "hyperbit", *words],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,

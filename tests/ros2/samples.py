@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from controller.arm.arm import load
-from controller.arm.description import description, drawing
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.notation import format_configuration, pose
-from controller.ros2.poses import Place
-from controller.ros2.wire.cdr import message
-from controller.ros2.wire.types import Types
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.arm.description import description, drawing
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.notation import format_configuration, pose
+from hyperbit.controller.ros2.poses import Place
+from hyperbit.controller.ros2.wire.cdr import message
+from hyperbit.controller.ros2.wire.types import Types
 from tests.keys import DEPLOY
 
 TYPES = Types("jazzy")

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from controller.ros2 import goal_book
-from controller.ros2.answers import GoalResult
-from controller.ros2.arm_node import MOST_LETTERS
-from controller.ros2.goal_book import BookedGoal, GoalBook
-from controller.ros2.poses import BadGoal, waypoint
-from controller.ros2.trajectories import actuator_goal, tip_goal
-from controller.ros2.wire.cdr import serialize
+from hyperbit.controller.ros2 import goal_book
+from hyperbit.controller.ros2.answers import GoalResult
+from hyperbit.controller.ros2.arm_node import MOST_LETTERS
+from hyperbit.controller.ros2.goal_book import BookedGoal, GoalBook
+from hyperbit.controller.ros2.poses import BadGoal, waypoint
+from hyperbit.controller.ros2.trajectories import actuator_goal, tip_goal
+from hyperbit.controller.ros2.wire.cdr import serialize
 from tests.ros2.client import CANCELED, SUCCEEDED
 from tests.ros2.fuzz.inputs import ACTUATORS, TIP, Input, Inputs, payloads
 from tests.ros2.fuzz.places import entries

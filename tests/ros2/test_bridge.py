@@ -15,11 +15,11 @@ import pytest
 import zenoh
 import zenoh.ext
 
-from controller.ros2.wire import qos
-from controller.ros2.wire.node import Node
-from controller.ros2.wire.services import NoReply
-from controller.ros2.wire.session import Session
-from controller.ros2.wire.tokens import Kind
+from hyperbit.controller.ros2.wire import qos
+from hyperbit.controller.ros2.wire.node import Node
+from hyperbit.controller.ros2.wire.services import NoReply
+from hyperbit.controller.ros2.wire.session import Session
+from hyperbit.controller.ros2.wire.tokens import Kind
 from tests.ros2.client import ABORTED, CANCELED, SUCCEEDED, Client, Result, trajectory
 from tests.ros2.rig import PATIENCE, TIP, Rig, begin, result_of
 from tests.waiting import eventually

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from controller.network.client import Unanswered
-from controller.ros2 import goals
-from controller.ros2.goal_book import MOST_OWED
-from controller.ros2.wire.cdr import serialize
+from hyperbit.controller.network.client import Unanswered
+from hyperbit.controller.ros2 import goals
+from hyperbit.controller.ros2.goal_book import MOST_OWED
+from hyperbit.controller.ros2.wire.cdr import serialize
 from tests.ros2.client import ABORTED, CANCELED, CANCELING, SUCCEEDED
 from tests.ros2.fuzz.inputs import TIP, Input, Inputs
 from tests.ros2.fuzz.stand_ins import Killed

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from controller.ros2.wire import tokens
+from hyperbit.controller.ros2.wire import tokens
 from tests.ros2.fuzz.inputs import KINDS, Input, Inputs
 from tests.ros2.fuzz.world import World
 from tests.ros2.judge.reader import Arm, Invalid, goal_of

@@ -5,8 +5,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from controller.ros2 import goal_book
-from controller.ros2.goal_book import BookedGoal, GoalBook
+from hyperbit.controller.ros2 import goal_book
+from hyperbit.controller.ros2.goal_book import BookedGoal, GoalBook
 
 FIRST = BookedGoal("00" * 16, "tip", ("tip_x", "tip_y"), 1_700_000_000_000_000_000)
 SECOND = BookedGoal("11" * 16, "actuators", ("5.left",), 1_700_000_001_000_000_000)

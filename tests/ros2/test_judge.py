@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import msgspec
 import pytest
 
-from controller.ros2 import goals, jobs, messages, requests
-from controller.ros2.goal_book import TOPICS, GoalBook
-from controller.ros2.goals import ActionGoals
-from controller.ros2.jobs import Order, Task
-from controller.ros2.requests import Ending, Requests
-from controller.ros2.wire.action_events import Status
-from controller.ros2.wire.action_server import ActionServer, GoalHandle
+from hyperbit.controller.ros2 import goals, jobs, messages, requests
+from hyperbit.controller.ros2.goal_book import TOPICS, GoalBook
+from hyperbit.controller.ros2.goals import ActionGoals
+from hyperbit.controller.ros2.jobs import Order, Task
+from hyperbit.controller.ros2.requests import Ending, Requests
+from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle
 from tests.ros2.fuzz.inputs import Inputs
 from tests.ros2.fuzz.world import MOTION, World
 from tests.ros2.judge import judge

@@ -6,10 +6,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from controller.pictures.scene import FoxgloveScene
-from controller.ros2 import messages
-from controller.ros2.robot import angles, urdf
-from controller.ros2.wire.cdr import deserialize, serialize
+from hyperbit.controller.pictures.scene import FoxgloveScene
+from hyperbit.controller.ros2 import messages
+from hyperbit.controller.ros2.robot import angles, urdf
+from hyperbit.controller.ros2.wire.cdr import deserialize, serialize
 from tests.ros2.samples import TYPES, chain, state, told
 
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.manipulator.frames import quaternion
-from controller.ros2 import poses
-from controller.ros2.poses import BadGoal, check_stamp, pose, rotation, waypoint, yaw
+from hyperbit.controller.manipulator.frames import quaternion
+from hyperbit.controller.ros2 import poses
+from hyperbit.controller.ros2.poses import BadGoal, check_stamp, pose, rotation, waypoint, yaw
 from tests.ros2.samples import place, pose_stamped
 
 ANGLES = st.floats(-3.1, 3.1)

@@ -5,12 +5,12 @@ from typing import Any, cast
 
 import yaml
 
-from controller.network.client import Client
-from controller.ros2.arm_node import ArmNode, Settings
-from controller.ros2.goal_book import GoalBook
-from controller.ros2.wire.qos import Durability, Reliability
-from controller.ros2.wire.session import Session
-from controller.ros2.wire.tokens import Kind, Token
+from hyperbit.controller.network.client import Client
+from hyperbit.controller.ros2.arm_node import ArmNode, Settings
+from hyperbit.controller.ros2.goal_book import GoalBook
+from hyperbit.controller.ros2.wire.qos import Durability, Reliability
+from hyperbit.controller.ros2.wire.session import Session
+from hyperbit.controller.ros2.wire.tokens import Kind, Token
 from tests.keys import DEPLOY
 from tests.ros2.samples import told
 from tests.ros2.wire.conftest import Router

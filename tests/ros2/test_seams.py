@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from controller.ros2 import goals
-from controller.ros2.goal_book import BookedGoal, GoalBook
-from controller.ros2.goals import LOST
-from controller.ros2.messages import STALE
-from controller.ros2.wire.cdr import deserialize, serialize
+from hyperbit.controller.ros2 import goals
+from hyperbit.controller.ros2.goal_book import BookedGoal, GoalBook
+from hyperbit.controller.ros2.goals import LOST
+from hyperbit.controller.ros2.messages import STALE
+from hyperbit.controller.ros2.wire.cdr import deserialize, serialize
 from tests.ros2.client import ABORTED, SUCCEEDED
 from tests.ros2.fuzz.inputs import TIP, Input, Inputs, payloads
 from tests.ros2.fuzz.stand_ins import Pool

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.manipulator.notation import parse_configuration
-from controller.motion.decoding.goal import parse
-from controller.ros2.poses import BadGoal
-from controller.ros2.trajectories import actuator_goal, tip_goal, tip_positions
+from hyperbit.controller.manipulator.notation import parse_configuration
+from hyperbit.controller.motion.decoding.goal import parse
+from hyperbit.controller.ros2.poses import BadGoal
+from hyperbit.controller.ros2.trajectories import actuator_goal, tip_goal, tip_positions
 from tests.ros2.samples import chain, message_bytes, place, state, trajectory_goal
 
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from controller.manipulator.locked import lock_actuators
-from controller.manipulator.manipulator import Manipulator
-from controller.obstacles.clearance import BodyClearance
-from controller.search.branch_and_bound import BranchAndBound
-from controller.search.method import switch_costs
-from controller.search.solution import Incumbent
-from controller.search.solver import Solver
-from controller.workspace import cost_to_go
-from controller.workspace.hull import build_hull
+from hyperbit.controller.manipulator.locked import lock_actuators
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.search.branch_and_bound import BranchAndBound
+from hyperbit.controller.search.method import switch_costs
+from hyperbit.controller.search.solution import Incumbent
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace import cost_to_go
+from hyperbit.controller.workspace.hull import build_hull
 from tests.arms import paper_arm
 from tests.search.test_certificates import (
     any_arm,

@@ -7,17 +7,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from controller.manipulator.frames import Frame, planar, spatial, turned
-from controller.manipulator.joints import prismatic, revolute
-from controller.manipulator.locked import lock_actuators
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import Module, transforms
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.obstacles import NONE, Obstacles, box, sphere
-from controller.search import four_list, minimum_switch
-from controller.search.solution import Solution
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.frames import Frame, planar, spatial, turned
+from hyperbit.controller.manipulator.joints import prismatic, revolute
+from hyperbit.controller.manipulator.locked import lock_actuators
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import Module, transforms
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.obstacles import NONE, Obstacles, box, sphere
+from hyperbit.controller.search import four_list, minimum_switch
+from hyperbit.controller.search.solution import Solution
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, spatial_arm
 
 QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator.manipulator import Manipulator
-from controller.search.descent import DescentTables, descend
-from controller.search.method import stage_costs
-from controller.workspace.densities import Densities
-from controller.workspace.mapping import map_densities
-from controller.workspace.reachability import Levels, levels_of, measure, tables_of
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.search.descent import DescentTables, descend
+from hyperbit.controller.search.method import stage_costs
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.mapping import map_densities
+from hyperbit.controller.workspace.reachability import Levels, levels_of, measure, tables_of
 from tests.arms import paper_arm, spatial_arm
 
 LEVEL = np.array([[[0.5, 1.5, 2.5], [3.5, -0.1, 5.5]]], dtype=np.float32)  # pixel 0.1, first centre at (1, 2, 0)

@@ -8,12 +8,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from controller.manipulator import frames
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import transforms
-from controller.search import distal_table as table_module
-from controller.search.distal_table import DistalSearch, Wanted, build_distal_table, finish, lowest, nearest
-from controller.workspace.reachability import tables_of
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import transforms
+from hyperbit.controller.search import distal_table as table_module
+from hyperbit.controller.search.distal_table import DistalSearch, Wanted, build_distal_table, finish, lowest, nearest
+from hyperbit.controller.workspace.reachability import tables_of
 from tests.arms import (
     any_frames,
     coordinates,

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from controller.manipulator.manipulator import Manipulator
-from controller.obstacles.clearance import BodyClearance
-from controller.search.clock import WorkClock
-from controller.search.method import MINIMUM_SWITCH, Method
-from controller.search.solver import Solver, search_effort
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.search.clock import WorkClock
+from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
+from hyperbit.controller.search.solver import Solver, search_effort
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm, spatial_arm
 from tests.obstacles.dense import Disc, obstacles_of
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.search.solver import Solver
-from controller.workspace.hull import Hull
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.hull import Hull
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
 
 

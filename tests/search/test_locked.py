@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator.locked import lock_actuators, transferred
-from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.points import TrajectoryPoints
-from controller.motion.trajectory import through
-from controller.search.method import METHODS
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.locked import lock_actuators, transferred
+from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.trajectory import through
+from hyperbit.controller.search.method import METHODS
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
 from tests.manipulator.test_locked import locked_arms
 from tests.search.test_minimum_switch import brute_force, solver_of

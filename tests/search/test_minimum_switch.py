@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator.frames import planar
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import transforms
-from controller.manipulator.vgt import vgt
-from controller.search.frame_rows import motions
-from controller.search.matching import put
-from controller.search.segment import Sets, build_segment, room
-from controller.search.solver import Solver
-from controller.search.two_list import middle
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.frames import planar
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import transforms
+from hyperbit.controller.manipulator.vgt import vgt
+from hyperbit.controller.search.frame_rows import motions
+from hyperbit.controller.search.matching import put
+from hyperbit.controller.search.segment import Sets, build_segment, room
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.search.two_list import middle
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, modules, paper_arm, short_arms, spatial_arm
 
 SURE = 1e-7  # a tip nearer to the tolerance than this may count as within or not

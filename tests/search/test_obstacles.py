@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator.frame_kernels import angle_between
-from controller.manipulator.frames import turned
-from controller.manipulator.manipulator import Manipulator
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.obstacles import NONE
-from controller.search.method import METHODS
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.manipulator.frames import turned
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.obstacles import NONE
+from hyperbit.controller.search.method import METHODS
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, planar_frames, short_arms, spatial_arm
 from tests.obstacles.dense import Box, Disc, HalfPlane, Shape, nearest, obstacles_of
 

@@ -7,18 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.bench import goal_sets
-from controller.manipulator.frame_kernels import angle_between
-from controller.manipulator.frames import Frame, turned
-from controller.manipulator.manipulator import Manipulator
-from controller.search import two_list
-from controller.search.branch_and_bound import BranchAndBound
-from controller.search.method import METHODS, switch_costs
-from controller.search.solution import Incumbent, SearchTime
-from controller.search.solver import Solver
-from controller.search.target import SearchTarget
-from controller.search.two_list import TwoList
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.bench import goal_sets
+from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.manipulator.frames import Frame, turned
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.search import two_list
+from hyperbit.controller.search.branch_and_bound import BranchAndBound
+from hyperbit.controller.search.method import METHODS, switch_costs
+from hyperbit.controller.search.solution import Incumbent, SearchTime
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.search.target import SearchTarget
+from hyperbit.controller.search.two_list import TwoList
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, planar_frames, short_arms, spatial_arm
 
 SURE = 1e-7  # a tip nearer to a tolerance than this may count as within or not

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.search.solution import UNFOUND, Incumbent, SearchTime
-from controller.search.solver import Solver, search_time
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.search.solution import UNFOUND, Incumbent, SearchTime
+from hyperbit.controller.search.solver import Solver, search_time
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
 
 seconds = st.floats(0.0, 100.0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from controller.program import Snapshot, unpack
+from hyperbit.controller.program import Snapshot, unpack
 from tests.second_opinion.board import MODULE, OPERATIONAL, PLAIN, PRE_OPERATIONAL, READY, STOPPED, Kind
 from tests.second_opinion.world import A, B, World
 

@@ -15,7 +15,7 @@ import can
 import pytest
 import yaml
 
-from controller.program import Ended, Program, Snapshot, Stage, pack
+from hyperbit.controller.program import Ended, Program, Snapshot, Stage, pack
 from tests import vcan
 from tests.emulated import Interface
 from tests.executor.process.test_process import SIZE, Planner
@@ -27,7 +27,7 @@ from tests.waiting import eventually
 RUN = """
 import runpy, can, tests.emulated
 can.interfaces.BACKENDS["virtual"] = "tests.emulated", "EmulatedBus"
-runpy.run_module("controller.executor", run_name="__main__")
+runpy.run_module("hyperbit.controller.executor", run_name="__main__")
 """
 ON_BOARD = 12  # actuators
 

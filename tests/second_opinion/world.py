@@ -9,14 +9,26 @@ from typing import Any
 
 import can
 
-from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import Executor
-from controller.executor.core.events import ClientId, ExecutorTick, FromClient, SendFrame, ToClient
-from controller.executor.process.switch_journal import MemoryJournal
-from controller.host.process import Log
-from controller.program import TICK, VERSION, Alive, Ended, Hello, Program, Reset, Snapshot, Stage, pack, unpack
-from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.core.events import ClientId, ExecutorTick, FromClient, SendFrame, ToClient
+from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.host.process import Log
+from hyperbit.controller.program import (
+    TICK,
+    VERSION,
+    Alive,
+    Ended,
+    Hello,
+    Program,
+    Reset,
+    Snapshot,
+    Stage,
+    pack,
+    unpack,
+)
+from hyperbit.drivers.canopen.wire.bus import CanBus
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.second_opinion.board import MODULE, Board, Change, Kind
 
 NODES = (1, 2)

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING, Any
 
-from controller.executor.core.events import Health
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import BusOverrun
+from hyperbit.controller.executor.core.events import Health
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import BusOverrun
 from tests.simulation.judge.expected import Expected
 from tests.simulation.judge.traffic import PACE, SHARE
 from tests.simulation.planner import ScriptedPlanner

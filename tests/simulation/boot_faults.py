@@ -6,8 +6,8 @@ from dataclasses import replace
 from random import Random
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame, State
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, State
 from tests.simulation.judge.boards import MASTER
 from tests.simulation.judge.verdict import require
 

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from controller.arm import arm as config
-from controller.flight_recorder.loading import Generation, RecordedStep, load
+from hyperbit.controller.arm import arm as config
+from hyperbit.controller.flight_recorder.loading import Generation, RecordedStep, load
 
 
 class Difference(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.judge.account import Commit
 
 

@@ -7,10 +7,10 @@ from functools import partial
 from random import Random
 from typing import TYPE_CHECKING
 
-from controller.executor.core.events import Defect
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame
-from drivers.canopen.wire.events import BusOverrun, FrameReceived
+from hyperbit.controller.executor.core.events import Defect
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
+from hyperbit.drivers.canopen.wire.events import BusOverrun, FrameReceived
 from tests.simulation.board_faults import BoardFaults
 from tests.simulation.executor.process import LOOP_FAILS
 from tests.simulation.judge.expected import Expected

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from controller.executor.core.events import ClientGone, ClientId, Event, ExecutorTick, FaultPlayed, FromClient, Health
-from controller.host.process import Quit
-from controller.program import Counts, Goodbye, Hello, Up, Welcome
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import FrameEchoed, FrameReceived
+from hyperbit.controller.executor.core.events import (
+    ClientGone,
+    ClientId,
+    Event,
+    ExecutorTick,
+    FaultPlayed,
+    FromClient,
+    Health,
+)
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.program import Counts, Goodbye, Hello, Up, Welcome
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import FrameEchoed, FrameReceived
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import Witness
 from tests.simulation.judge.clients import Client

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from controller.arm.arm import Arm
-from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import Event, FromClient
-from controller.host.process import Quit
-from controller.program import Hello, Stop, Up
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.core.events import Event, FromClient
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.program import Hello, Stop, Up
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import Witness
 from tests.simulation.judge.interface.interface import InterfaceJudge

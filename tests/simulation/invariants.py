@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from controller.program import TICK
+from hyperbit.controller.program import TICK
 from tests.simulation.buses.board_side import FOREIGN_START
 from tests.simulation.buses.bus_model import RPDOS
 from tests.simulation.judge.account import EPSILON

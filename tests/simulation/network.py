@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
-from controller.executor.core.events import ClientGone, ClientId, FromClient
-from controller.planning.link import RETRY, Connection, ExecutorLink
-from controller.program import VERSION, Down, Goodbye, Hello, Stop, Up, decode_down, decode_up, encode
+from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
+from hyperbit.controller.planning.link import RETRY, Connection, ExecutorLink
+from hyperbit.controller.program import VERSION, Down, Goodbye, Hello, Stop, Up, decode_down, decode_up, encode
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 

@@ -7,9 +7,9 @@ from random import Random
 
 from msgspec.structs import replace
 
-from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import ClientId, FromClient
-from controller.program import (
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.core.events import ClientId, FromClient
+from hyperbit.controller.program import (
     ALIVE_EVERY,
     Accepted,
     Acknowledge,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
-from drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire import cia301
 from tests.simulation.judge.expected import Expected
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.single_fault import ASKED, AT_ONCE, NO_FAULT, READ_BACK, Fault, codes, nothing

@@ -6,11 +6,11 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 
-from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import Event, FromClient
-from controller.program import Accepted, Ended, Program, Replaced, Replacement, Snapshot, Up
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.core.events import Event, FromClient
+from hyperbit.controller.program import Accepted, Ended, Program, Replaced, Replacement, Snapshot, Up
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import RPDOS
 from tests.simulation.executor.process import LOOP_FAILS, Witness

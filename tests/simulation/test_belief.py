@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from controller.executor.motion.actuation import Actuation
-from drivers.canopen.run.outputs import OutputLines
-from drivers.canopen.run.verification import Verification
-from drivers.canopen.wire.link import Link
+from hyperbit.controller.executor.motion.actuation import Actuation
+from hyperbit.drivers.canopen.run.outputs import OutputLines
+from hyperbit.drivers.canopen.run.verification import Verification
+from hyperbit.drivers.canopen.wire.link import Link
 from tests.simulation.fault_kinds import FaultKinds
 from tests.simulation.judge.verdict import Violation
 from tests.simulation.single_fault import Fault

@@ -9,23 +9,23 @@ from typing import Any
 import msgspec
 import pytest
 
-from controller.gateway.arrivals import RepeatedGoals
-from controller.gateway.claim import Claim
-from controller.gateway.outbox import Outbox
-from controller.motion.decoding.goal import BEGIN_WITHIN
-from controller.motion.stages.feed import Feed
-from controller.motion.tracking.tracking import GoalTracker
-from controller.planning.core import goals, offers, parts, results
-from controller.planning.core.arm import ArmState, ExecutorView
-from controller.planning.core.events import PublishResult, Reply, Request, ToExecutor
-from controller.planning.core.goals import Goals
-from controller.planning.core.obstacles import ObstacleOwner
-from controller.planning.core.parts import Admission, Jobs
-from controller.planning.core.programs import Programs
-from controller.planning.core.requests import ExecutorRequests, Queries
-from controller.planning.core.results import Results
-from controller.planning.core.stream import Stream
-from controller.program import Acknowledge, Alive, Clearance, Reset
+from hyperbit.controller.gateway.arrivals import RepeatedGoals
+from hyperbit.controller.gateway.claim import Claim
+from hyperbit.controller.gateway.outbox import Outbox
+from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN
+from hyperbit.controller.motion.stages.feed import Feed
+from hyperbit.controller.motion.tracking.tracking import GoalTracker
+from hyperbit.controller.planning.core import goals, offers, parts, results
+from hyperbit.controller.planning.core.arm import ArmState, ExecutorView
+from hyperbit.controller.planning.core.events import PublishResult, Reply, Request, ToExecutor
+from hyperbit.controller.planning.core.goals import Goals
+from hyperbit.controller.planning.core.obstacles import ObstacleOwner
+from hyperbit.controller.planning.core.parts import Admission, Jobs
+from hyperbit.controller.planning.core.programs import Programs
+from hyperbit.controller.planning.core.requests import ExecutorRequests, Queries
+from hyperbit.controller.planning.core.results import Results
+from hyperbit.controller.planning.core.stream import Stream
+from hyperbit.controller.program import Acknowledge, Alive, Clearance, Reset
 from tests.simulation.judge.verdict import Violation
 from tests.simulation.network import SimulatedLink
 from tests.simulation.whole.planner_storage import Storage

@@ -12,19 +12,19 @@ from typing import Any
 
 import pytest
 
-from controller.arm import arm as config
-from controller.executor.core.events import SendFrame
-from controller.executor.process.server import ExecutorServer
-from controller.flight_recorder import FlightRecorder, Label, keeper, pickling
-from controller.flight_recorder import recorder as recording
-from controller.flight_recorder.keeper import KEPT, LENGTH, RefusedFile, save
-from controller.flight_recorder.loading import load
-from controller.flight_recorder.pickling import LEFT_OUT, unpickle
-from controller.host.process import Log
-from controller.obstacles.obstacles import sphere
-from controller.planning.core.core import OPAQUE
-from controller.planning.core.events import Answered, Start
-from controller.planning.core.tasks import BuildScene, SceneBuilt, Tables, VersionedScene
+from hyperbit.controller.arm import arm as config
+from hyperbit.controller.executor.core.events import SendFrame
+from hyperbit.controller.executor.process.server import ExecutorServer
+from hyperbit.controller.flight_recorder import FlightRecorder, Label, keeper, pickling
+from hyperbit.controller.flight_recorder import recorder as recording
+from hyperbit.controller.flight_recorder.keeper import KEPT, LENGTH, RefusedFile, save
+from hyperbit.controller.flight_recorder.loading import load
+from hyperbit.controller.flight_recorder.pickling import LEFT_OUT, unpickle
+from hyperbit.controller.host.process import Log
+from hyperbit.controller.obstacles.obstacles import sphere
+from hyperbit.controller.planning.core.core import OPAQUE
+from hyperbit.controller.planning.core.events import Answered, Start
+from hyperbit.controller.planning.core.tasks import BuildScene, SceneBuilt, Tables, VersionedScene
 from tests.keys import DEPLOY
 from tests.simulation.events import arm_objects, main, replay, same
 from tests.simulation.world import World

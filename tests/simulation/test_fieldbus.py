@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.boot import configuration, pdo_search
-from drivers.canopen.boot.undo import Undo
-from drivers.canopen.run.board import BeatCount
-from drivers.canopen.run.outputs import OutputLines
-from drivers.canopen.run.verification import Verification
-from drivers.canopen.sdo.objects import Need
+from hyperbit.drivers.canopen.boot import configuration, pdo_search
+from hyperbit.drivers.canopen.boot.undo import Undo
+from hyperbit.drivers.canopen.run.board import BeatCount
+from hyperbit.drivers.canopen.run.outputs import OutputLines
+from hyperbit.drivers.canopen.run.verification import Verification
+from hyperbit.drivers.canopen.sdo.objects import Need
 from tests.simulation.fieldbus.world import BoardWorld
 from tests.simulation.judge.verdict import Violation
 

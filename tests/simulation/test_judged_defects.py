@@ -9,30 +9,30 @@ from typing import Any
 import msgspec
 import pytest
 
-from controller.executor.core.ending import Ending
-from controller.executor.core.modes import Modes
-from controller.executor.core.reports import Reports
-from controller.executor.core.requests import ClientRequests
-from controller.executor.core.results import ProgramResults
-from controller.executor.motion import program_execution
-from controller.executor.motion.actuation import Actuation
-from controller.executor.motion.clearance import ClearanceQuestions
-from controller.executor.motion.motion import ArmMotion
-from controller.executor.motion.motion_supervision import MotionSupervision
-from controller.executor.motion.program_execution import ProgramExecution
-from controller.executor.motion.readings import Readings
-from controller.executor.motion.travel_times import TravelTimes
-from controller.executor.process.clients import Clients
-from controller.executor.process.switch_journal import MemoryJournal
-from controller.program import Replacement, pack
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from drivers.canopen.run.board import Board
-from drivers.canopen.run.commit import BusCommit
-from drivers.canopen.run.heartbeat import Heartbeat
-from drivers.canopen.run.input_watch import InputWatch
-from drivers.canopen.run.verification import Verification
-from drivers.canopen.sdo.procedure import Wait
+from hyperbit.controller.executor.core.ending import Ending
+from hyperbit.controller.executor.core.modes import Modes
+from hyperbit.controller.executor.core.reports import Reports
+from hyperbit.controller.executor.core.requests import ClientRequests
+from hyperbit.controller.executor.core.results import ProgramResults
+from hyperbit.controller.executor.motion import program_execution
+from hyperbit.controller.executor.motion.actuation import Actuation
+from hyperbit.controller.executor.motion.clearance import ClearanceQuestions
+from hyperbit.controller.executor.motion.motion import ArmMotion
+from hyperbit.controller.executor.motion.motion_supervision import MotionSupervision
+from hyperbit.controller.executor.motion.program_execution import ProgramExecution
+from hyperbit.controller.executor.motion.readings import Readings
+from hyperbit.controller.executor.motion.travel_times import TravelTimes
+from hyperbit.controller.executor.process.clients import Clients
+from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.program import Replacement, pack
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.drivers.canopen.run.board import Board
+from hyperbit.drivers.canopen.run.commit import BusCommit
+from hyperbit.drivers.canopen.run.heartbeat import Heartbeat
+from hyperbit.drivers.canopen.run.input_watch import InputWatch
+from hyperbit.drivers.canopen.run.verification import Verification
+from hyperbit.drivers.canopen.sdo.procedure import Wait
 from tests.simulation.judge.verdict import Violation
 from tests.simulation.world import World
 

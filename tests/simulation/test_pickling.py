@@ -6,8 +6,8 @@ import pickle
 
 import pytest
 
-from controller.executor.core.core import Executor
-from controller.executor.core.events import Action, Event
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.core.events import Action, Event
 from tests.simulation.world import World
 
 STEPS, EVERY = 6_000, 50  # steps of a world, and between two pickles

@@ -8,21 +8,21 @@ from typing import Any
 
 import pytest
 
-from controller.executor.core.core import Executor
-from controller.executor.core.kinds import Kinds
-from controller.executor.core.locked import LockedActuators
-from controller.executor.core.modes import Modes
-from controller.executor.core.results import ProgramResults
-from controller.executor.motion.actuation import Actuation
-from controller.executor.motion.motion import ArmMotion
-from controller.executor.motion.program_execution import STARVED, End, ProgramExecution
-from controller.executor.motion.readings import Readings
-from controller.executor.process.switch_journal import MemoryJournal
-from controller.program import Replacement
-from drivers.canopen.run.commit import BusCommit
-from drivers.canopen.run.heartbeat import Heartbeat
-from drivers.canopen.wire.cia301 import State
-from drivers.simulation.firmware import SimulatedBoard
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.core.kinds import Kinds
+from hyperbit.controller.executor.core.locked import LockedActuators
+from hyperbit.controller.executor.core.modes import Modes
+from hyperbit.controller.executor.core.results import ProgramResults
+from hyperbit.controller.executor.motion.actuation import Actuation
+from hyperbit.controller.executor.motion.motion import ArmMotion
+from hyperbit.controller.executor.motion.program_execution import STARVED, End, ProgramExecution
+from hyperbit.controller.executor.motion.readings import Readings
+from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.program import Replacement
+from hyperbit.drivers.canopen.run.commit import BusCommit
+from hyperbit.drivers.canopen.run.heartbeat import Heartbeat
+from hyperbit.drivers.canopen.wire.cia301 import State
+from hyperbit.drivers.simulation.firmware import SimulatedBoard
 from tests.simulation.judge.verdict import Violation
 from tests.simulation.world import World
 

@@ -6,10 +6,10 @@ from collections import Counter, deque
 from collections.abc import Callable
 from random import Random
 
-from controller.executor.core.kinds import Kinds
-from controller.program import unpack
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Event
+from hyperbit.controller.executor.core.kinds import Kinds
+from hyperbit.controller.program import unpack
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import Event
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.board_side import BoardSide
 from tests.simulation.buses.bus_model import BusModel, OnItsWay

@@ -15,10 +15,10 @@ import pytest
 from distributed import Client
 
 import hyperbit as hb
-from controller.studies import stream, workers
-from controller.studies.shares import Run, StudyFailed, compute, pack
-from controller.studies.stream import results
-from controller.studies.workers import check_workers, cluster_workers, local_workers
+from hyperbit.controller.studies import stream, workers
+from hyperbit.controller.studies.shares import Run, StudyFailed, compute, pack
+from hyperbit.controller.studies.stream import results
+from hyperbit.controller.studies.workers import check_workers, cluster_workers, local_workers
 from tests.waiting import PATIENCE
 
 ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")
@@ -144,7 +144,7 @@ def test_plan_prints_the_same_bytes_from_one_process_and_from_a_cluster(client, 
 
 @pytest.fixture
 def run_plan(monkeypatch, capsys):
-    from controller import cli
+    from hyperbit.controller import cli
 
     def run(*words: str) -> tuple[int, str, str]:
         monkeypatch.setattr("sys.argv", ["hyperbit", "plan", ARM, *words])

@@ -9,8 +9,8 @@ from typing import Any
 import can
 import pytest
 
-from controller.arm.arm import Arm
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests import vcan
 from tests.conftest import buses_of
 from tests.emulated import Interface

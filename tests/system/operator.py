@@ -5,7 +5,7 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
-from controller.program import VERSION, Diagnostics, Hello, Snapshot, Up, Welcome, decode_up, encode
+from hyperbit.controller.program import VERSION, Diagnostics, Hello, Snapshot, Up, Welcome, decode_up, encode
 from tests.waiting import eventually
 
 

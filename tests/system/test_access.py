@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.network.client import Client, Unanswered
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.network.client import Client, Unanswered
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.keys import DEPLOY, certificates, made
 from tests.system.stack.guard import (
     AT_ONCE,

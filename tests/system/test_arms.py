@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.manipulator.notation import format_configuration
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator.notation import format_configuration
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer
 from tests.waiting import eventually

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.network import session
-from controller.network.client import Client
-from controller.planning.ledger_file import read
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client
+from hyperbit.controller.planning.ledger_file import read
 from tests.system.stack import arms
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
@@ -22,7 +22,7 @@ from tests.waiting import PATIENCE, eventually
 
 pytestmark = pytest.mark.buses("virtual")  # the boards are in the executor
 
-RUN = "import sys, typer; from controller.commands.operate.run import run; typer.run(run)"
+RUN = "import sys, typer; from hyperbit.controller.commands.operate.run import run; typer.run(run)"
 NAME = "demonstrated"
 
 
@@ -120,7 +120,7 @@ def test_faults_of_simulated_boards_are_made_by_lines_on_the_standard_input_and_
         process.stdin.flush()
 
     def fault(*words: str) -> tuple[int, str]:
-        command = [sys.executable, "-m", "controller.cli", "fault", NAME, *words, "--connect", endpoint(folder)]
+        command = [sys.executable, "-m", "hyperbit", "fault", NAME, *words, "--connect", endpoint(folder)]
         run = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
         return run.returncode, (run.stdout + run.stderr).replace("\n", " ")
 

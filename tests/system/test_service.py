@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.arm.arm import Arm
-from controller.gateway import daemon
-from controller.gateway.claim import AlreadyRunning
-from controller.network.client import Client, Message, Unanswered
-from controller.network.session import configuration
-from controller.planning.ledger import LedgerInUse
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.gateway import daemon
+from hyperbit.controller.gateway.claim import AlreadyRunning
+from hyperbit.controller.network.client import Client, Message, Unanswered
+from hyperbit.controller.network.session import configuration
+from hyperbit.controller.planning.ledger import LedgerInUse
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
@@ -103,7 +103,7 @@ def test_a_second_daemon_of_the_arm_does_not_start(client: Observer, system: Sys
 
 
 def test_a_second_executor_of_the_arm_does_not_start(client: Observer, system: System) -> None:
-    command = [sys.executable, "-m", "controller.executor", str(system.file), "--socket", str(system.socket)]
+    command = [sys.executable, "-m", "hyperbit.controller.executor", str(system.file), "--socket", str(system.socket)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, cwd=ROOT)
     assert (done.returncode, "an executor is running on" in done.stderr) == (1, True)
     client.move(RIGHT)
@@ -125,7 +125,7 @@ def test_a_flood_is_refused_and_a_stop_gets_through(client: Observer, system: Sy
 
 FROZEN = """
 import sys, zenoh
-from controller.network import session
+from hyperbit.controller.network import session
 
 def hear(sample):
     print("heard", flush=True)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import can
 
-from controller.planning.ledger_file import read
+from hyperbit.controller.planning.ledger_file import read
 from tests.waiting import eventually
 
 T = TypeVar("T")

@@ -45,7 +45,7 @@ mkdir -p -m 700 "$memory/files/var/cache/private"
 export NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR="$memory/files/var/cache/private/hyperbit/numba"
 rm -rf "$project/build/lib" # an earlier build must not be installed
 PATH=/usr/sbin:/usr/bin:/sbin:/bin SYSTEMD_OFFLINE=1 "$project/deploy/install.sh"
-/opt/hyperbit/bin/python -P -m controller.host.kernels
+/opt/hyperbit/bin/python -P -m hyperbit.controller.host.kernels
 
 # Six times the units' own times, as the tests' times.
 for service in hyperbit hyperbit-executor; do mkdir "/etc/systemd/system/$service.service.d"; done

@@ -18,8 +18,8 @@ import can
 import pytest
 import zenoh
 
-from controller.network import session
-from controller.network.client import Client, Message
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client, Message
 from tests import vcan
 from tests.system.stack import arms
 from tests.system.stack.observer import Observer

@@ -6,10 +6,10 @@ import logging
 import numpy as np
 import pytest
 
-from controller.manipulator import frames
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace.cache import default_directory, key, load, load_or_map, store
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace.cache import default_directory, key, load, load_or_map, store
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm, spatial_arm
 
 ARM = paper_arm(3)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from controller.manipulator.frames import planar
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import transforms
-from controller.workspace.cost_to_go import UNREACHABLE, CostToGo, Maps
-from controller.workspace.hull import Hull
+from hyperbit.controller.manipulator.frames import planar
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import transforms
+from hyperbit.controller.workspace.cost_to_go import UNREACHABLE, CostToGo, Maps
+from hyperbit.controller.workspace.hull import Hull
 from tests.arms import every_configuration, paper_arm
 
 

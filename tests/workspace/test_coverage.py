@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from controller.manipulator.frames import planar, spatial
-from controller.manipulator.joints import prismatic, revolute
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace import nearby_counts
-from controller.workspace.coverage import Coverage, coverage_of
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.frames import planar, spatial
+from hyperbit.controller.manipulator.joints import prismatic, revolute
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace import nearby_counts
+from hyperbit.controller.workspace.coverage import Coverage, coverage_of
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_tip
 
 WITHIN = 0.1  # of the area, and of the median count

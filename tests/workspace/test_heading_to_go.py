@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace.cost_to_go import UNREACHABLE, in_levels
-from controller.workspace.heading_to_go import BINS, PART_BITS, HeadingToGo, parts
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace.cost_to_go import UNREACHABLE, in_levels
+from hyperbit.controller.workspace.heading_to_go import BINS, PART_BITS, HeadingToGo, parts
 from tests.arms import every_configuration, paper_arm
 from tests.workspace.test_cost_to_go import any_planar_arm
 

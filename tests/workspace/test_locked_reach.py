@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from controller.manipulator.locked import lock_actuators
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace.locked_reach import LockChoices, choices, reach_when_locked
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.locked import lock_actuators
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace.locked_reach import LockChoices, choices, reach_when_locked
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, spatial_arm
 
 TOLERANCE = 0.02

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial import KDTree
 
-from controller.manipulator import frames
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import transforms
-from controller.workspace.densities import Densities
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import transforms
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import (
     coordinates,
     every_tip,

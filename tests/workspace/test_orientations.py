@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator.frames import planar, spatial
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace import orientations as module
-from controller.workspace.mapping import map_densities
-from controller.workspace.orientations import Orientations, orientations_at
+from hyperbit.controller.manipulator.frames import planar, spatial
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace import orientations as module
+from hyperbit.controller.workspace.mapping import map_densities
+from hyperbit.controller.workspace.orientations import Orientations, orientations_at
 from tests.arms import any_frames, every_configuration, paper_arm, short_arms, spatial_arm
 
 

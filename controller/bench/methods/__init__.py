@@ -1,6 +1,6 @@
 """The methods of the benchmark, by name.
 
-A method is a function `prepare(arm)`. It takes a controller.bench.arm.BenchArm and returns a function
+A method is a function `prepare(arm)`. It takes a hyperbit.controller.bench.arm.BenchArm and returns a function
 `solve(goal, start)`. `solve` takes a hyperbit.Goal and a configuration, integers (B,). It returns a configuration, None
 if it finds none, or an object with the attribute `configuration`. The benchmark also checks the object's `certificate`
 ("optimal", "unreachable") and `bound` (no valid configuration has fewer switches), if it has them. A method raises
@@ -15,12 +15,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from controller.search.method import MINIMUM_SWITCH
+from hyperbit.controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
-    from controller.bench.arm import BenchArm
-    from controller.library.goals import Goal
-    from controller.manipulator.manipulator import Configuration
+    from hyperbit.controller.bench.arm import BenchArm
+    from hyperbit.controller.library.goals import Goal
+    from hyperbit.controller.manipulator.manipulator import Configuration
 
 Solve = Callable[["Goal", "Configuration"], Any]
 Prepare = Callable[["BenchArm"], Solve]
@@ -33,7 +33,7 @@ class Entry(NamedTuple):
     summary: str
 
 
-ROOM = "controller.bench.methods"
+ROOM = "hyperbit.controller.bench.methods"
 METHODS = {
     MINIMUM_SWITCH: Entry(f"{ROOM}.hyperbit:minimum_switch", "hyperbit's search for fewest switches"),
     "ipop-previous": Entry(

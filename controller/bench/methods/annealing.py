@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import boolean, float64, int64, njit, uint64
 
-from controller.bench.methods.planar import PLANAR, Array, Index, Planar, moved, planar, tips_above
-from controller.bench.methods.two_list import NONE
-from controller.manipulator.kernel_types import F1, I1, named
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.workspace.densities import Densities
+from hyperbit.controller.bench.methods.planar import PLANAR, Array, Index, Planar, moved, planar, tips_above
+from hyperbit.controller.bench.methods.two_list import NONE
+from hyperbit.controller.manipulator.kernel_types import F1, I1, named
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.workspace.densities import Densities
 
 
 class Schedule(NamedTuple):

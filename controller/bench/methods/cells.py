@@ -4,10 +4,10 @@ import numpy as np
 from numba import int64, njit, types
 from numpy.typing import NDArray
 
-from controller.bench.methods.half_list import HalfList
-from controller.bench.methods.matching import CELL_TABLE, CellTable
-from controller.bench.methods.planar import Array
-from controller.manipulator.kernel_types import S1
+from hyperbit.controller.bench.methods.half_list import HalfList
+from hyperbit.controller.bench.methods.matching import CELL_TABLE, CellTable
+from hyperbit.controller.bench.methods.planar import Array
+from hyperbit.controller.manipulator.kernel_types import S1
 
 CELLS = 1 << 20
 

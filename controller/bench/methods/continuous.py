@@ -11,10 +11,10 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
-from controller.bench.methods import k_switch
-from controller.bench.methods.planar import Array
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.workspace.densities import Densities
+from hyperbit.controller.bench.methods import k_switch
+from hyperbit.controller.bench.methods.planar import Array
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.workspace.densities import Densities
 
 STAY = 1e-4  # weight of the change of lengths, relative to the tip's error
 

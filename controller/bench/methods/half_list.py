@@ -4,8 +4,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.bench.methods.planar import Array, Index, Planar, moved
-from controller.manipulator.manipulator import Configuration
+from hyperbit.controller.bench.methods.planar import Array, Index, Planar, moved
+from hyperbit.controller.manipulator.manipulator import Configuration
 
 
 class HalfList:

@@ -2,10 +2,10 @@
 
 from functools import partial
 
-from controller.bench.arm import BenchArm
-from controller.bench.methods import Solve
-from controller.library.solver import Solver
-from controller.search.method import MINIMUM_SWITCH, Method
+from hyperbit.controller.bench.arm import BenchArm
+from hyperbit.controller.bench.methods import Solve
+from hyperbit.controller.library.solver import Solver
+from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
 
 
 def solver(arm: BenchArm, method: Method) -> Solve:

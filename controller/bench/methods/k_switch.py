@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import float64, int64, njit, types
 
-from controller.bench.methods.planar import PLANAR, Array, Index, Planar, moved, planar, tips_above
-from controller.manipulator.kernel_types import F1, I1
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.workspace.densities import Densities
+from hyperbit.controller.bench.methods.planar import PLANAR, Array, Index, Planar, moved, planar, tips_above
+from hyperbit.controller.manipulator.kernel_types import F1, I1
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.workspace.densities import Densities
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ import numpy as np
 from numba import float64, int8, int64, njit, types
 from numpy.typing import NDArray
 
-from controller.bench.methods.planar import Array
-from controller.manipulator.kernel_types import F1, F2, S1, named
+from hyperbit.controller.bench.methods.planar import Array
+from hyperbit.controller.manipulator.kernel_types import F1, F2, S1, named
 
 
 class CellTable(NamedTuple):

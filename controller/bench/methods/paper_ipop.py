@@ -10,9 +10,9 @@ The variant counts actuators instead of modules. The paper does not have it.
 
 import numpy as np
 
-from controller.bench.methods.paper_pop import PopProblem, descent, prepare
-from controller.bench.methods.planar import Array
-from controller.manipulator.manipulator import Configuration
+from hyperbit.controller.bench.methods.paper_pop import PopProblem, descent, prepare
+from hyperbit.controller.bench.methods.planar import Array
+from hyperbit.controller.manipulator.manipulator import Configuration
 
 __all__ = ["prepare", "solve", "solve_by_switches"]
 

@@ -10,11 +10,11 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from controller.bench.methods.planar import PLANAR, Array, Index, Planar, moved, planar
-from controller.manipulator.kernel_types import F1, I1, I2
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.workspace.densities import Densities
-from controller.workspace.reachability import LEVELS, Levels, levels_of
+from hyperbit.controller.bench.methods.planar import PLANAR, Array, Index, Planar, moved, planar
+from hyperbit.controller.manipulator.kernel_types import F1, I1, I2
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.reachability import LEVELS, Levels, levels_of
 
 
 @dataclass(frozen=True, eq=False)

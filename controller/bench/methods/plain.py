@@ -5,11 +5,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.bench.arm import BenchArm
-from controller.bench.methods import Solve
-from controller.library.goals import Goal
-from controller.manipulator.frame_kernels import angle_between
-from controller.manipulator.manipulator import Configuration
+from hyperbit.controller.bench.arm import BenchArm
+from hyperbit.controller.bench.methods import Solve
+from hyperbit.controller.library.goals import Goal
+from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.manipulator.manipulator import Configuration
 
 SAMPLES = 2_000
 

@@ -6,8 +6,8 @@ import numpy as np
 from numba import int64, njit
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F3, I1, named
-from controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.manipulator.kernel_types import F3, I1, named
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -5,10 +5,19 @@ from typing import Any
 
 import numpy as np
 
-from controller.bench.arm import BenchArm
-from controller.bench.methods import Solve, annealing, continuous, k_switch, paper_ipop, paper_pop, two_by_two, two_list
-from controller.library.goals import Goal
-from controller.manipulator.manipulator import Configuration
+from hyperbit.controller.bench.arm import BenchArm
+from hyperbit.controller.bench.methods import (
+    Solve,
+    annealing,
+    continuous,
+    k_switch,
+    paper_ipop,
+    paper_pop,
+    two_by_two,
+    two_list,
+)
+from hyperbit.controller.library.goals import Goal
+from hyperbit.controller.manipulator.manipulator import Configuration
 
 
 def suited(arm: BenchArm) -> BenchArm:
@@ -23,7 +32,7 @@ def suited(arm: BenchArm) -> BenchArm:
 
 
 def solving(tables: Any, solve: Callable[[Any, Any, Configuration, float], Configuration]) -> Solve:
-    """Returns `solve` of a method, see controller.bench.methods."""
+    """Returns `solve` of a method, see hyperbit.controller.bench.methods."""
 
     def solved(goal: Goal, start: Configuration) -> Configuration:
         if goal.orientation is not None or goal.tolerance is None:

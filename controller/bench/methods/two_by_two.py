@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from controller.bench.methods.planar import Array, Index, Planar, moved, planar, tips_above
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.workspace.densities import Densities
+from hyperbit.controller.bench.methods.planar import Array, Index, Planar, moved, planar, tips_above
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.workspace.densities import Densities
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.bench.methods import paper_pop
-from controller.bench.methods.cells import SquareCells
-from controller.bench.methods.half_list import HalfList
-from controller.bench.methods.matching import match
-from controller.bench.methods.planar import Array, Planar, planar
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.workspace.densities import Densities
+from hyperbit.controller.bench.methods import paper_pop
+from hyperbit.controller.bench.methods.cells import SquareCells
+from hyperbit.controller.bench.methods.half_list import HalfList
+from hyperbit.controller.bench.methods.matching import match
+from hyperbit.controller.bench.methods.planar import Array, Planar, planar
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.workspace.densities import Densities
 
 SWITCHES = 5
 NONE = 1 << 30

@@ -7,16 +7,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from controller.armfile.actuators import read_wired
-from controller.armfile.strict import InputFaults
-from controller.armfile.terminals import named_boards
-from controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
-from controller.commands.configure.executor_absence import session_without_executor
-from controller.commands.configure.probe import errors
-from drivers.canopen.tools.probe import ProbedNode, probe_bus
-from drivers.canopen.tools.session import Node, Session, stopped
-from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wiring import BusWiring
+from hyperbit.controller.armfile.actuators import read_wired
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.terminals import named_boards
+from hyperbit.controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
+from hyperbit.controller.commands.configure.executor_absence import session_without_executor
+from hyperbit.controller.commands.configure.probe import errors
+from hyperbit.drivers.canopen.tools.probe import ProbedNode, probe_bus
+from hyperbit.drivers.canopen.tools.session import Node, Session, stopped
+from hyperbit.drivers.canopen.wire.cia301 import State
+from hyperbit.drivers.canopen.wiring import BusWiring
 
 BOARD = "Bus and node id, such as can0/5."
 ACTION = "errors: read 1001h and the error history 1003h. reset: NMT reset; outputs go off, actuators may move."

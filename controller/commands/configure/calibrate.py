@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import yaml
 
-from controller.arm.arm import load
-from controller.armfile.places import counted
-from controller.armfile.strict import InputFaults, read_yaml
-from controller.commands.common import (
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.armfile.places import counted
+from hyperbit.controller.armfile.strict import InputFaults, read_yaml
+from hyperbit.controller.commands.common import (
     ArmFile,
     AsJson,
     CommandFailed,
@@ -22,7 +22,7 @@ from controller.commands.common import (
     print_table,
     results_table,
 )
-from controller.commands.sharing import (
+from hyperbit.controller.commands.sharing import (
     Dask,
     Sharing,
     Workers,
@@ -33,7 +33,7 @@ from controller.commands.sharing import (
 )
 
 if TYPE_CHECKING:
-    from controller.calibration.calibration import Calibration, PoseResiduals
+    from hyperbit.controller.calibration.calibration import Calibration, PoseResiduals
 
 
 def calibrate(
@@ -57,9 +57,9 @@ def calibrate(
 
     `--workers` and `--dask` share the fits: one to all samples, and one without each fold. The numbers stay the same.
     """
-    from controller.calibration.calibration import calibrated
-    from controller.calibration.fit import CannotFit
-    from controller.calibration.samples import read_samples
+    from hyperbit.controller.calibration.calibration import calibrated
+    from hyperbit.controller.calibration.fit import CannotFit
+    from hyperbit.controller.calibration.samples import read_samples
 
     check_sharing(sharing := Sharing(workers, dask))
     arm = load(file)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.armfile.terminals import named_boards
-from controller.commands import common
-from controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.terminals import named_boards
+from hyperbit.controller.commands import common
+from hyperbit.controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
 
 if TYPE_CHECKING:
-    from controller.arm.arm import Arm
+    from hyperbit.controller.arm.arm import Arm
 
 SOCKET = "Socket of the arm's executor, or its folder; with --bus the command checks that no executor answers there."
 SILENT = ("does not answer", "do not answer")
@@ -77,8 +77,8 @@ def checked_arm(file: Path, as_json: bool) -> Arm:
         InputFaults: the file is wrong.
         typer.Exit: likewise; the faults were printed as JSON.
     """
-    from controller.arm.arm import load
-    from controller.executor.core.arm import read_arm
+    from hyperbit.controller.arm.arm import load
+    from hyperbit.controller.executor.core.arm import read_arm
 
     try:
         arm = load(file)
@@ -94,8 +94,8 @@ def checked_arm(file: Path, as_json: bool) -> Arm:
 
 def summarize_file(arm: Arm) -> tuple[dict[str, Any], list[str]]:
     """Returns the summary of an arm, and the warnings about its file."""
-    from controller.arm.summary import summarize
-    from controller.arm.warnings import file_warnings
+    from hyperbit.controller.arm.summary import summarize
+    from hyperbit.controller.arm.warnings import file_warnings
 
     return summarize(arm), file_warnings(arm)
 
@@ -106,7 +106,7 @@ def draw(arm: Arm, picture: Path) -> None:
     Raises:
         InputFaults: the picture cannot be written.
     """
-    from controller.pictures import plots
+    from hyperbit.controller.pictures import plots
 
     drawn = {
         "first state of each module": arm.manipulator.states * 0,
@@ -121,7 +121,7 @@ def draw(arm: Arm, picture: Path) -> None:
 
 def print_arm(file: Path, arm: Arm, fields: dict[str, Any], warnings: list[str]) -> None:
     """Prints the size of a correct arm, the warnings about its file, and its summary."""
-    from controller.arm.summary import summary_lines
+    from hyperbit.controller.arm.summary import summary_lines
 
     common.console.print(
         f"{file}: arm {arm.settings.name}, {len(arm.manipulator.modules)} modules,"
@@ -157,9 +157,9 @@ def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
     Raises:
         CommandFailed: a bus cannot be used, or an executor runs.
     """
-    from controller.commands.configure.executor_absence import session_without_executor
-    from controller.executor.core.arm import timing_of, wiring_of
-    from drivers.canopen.tools.bus_check import check_bus
+    from hyperbit.controller.commands.configure.executor_absence import session_without_executor
+    from hyperbit.controller.executor.core.arm import timing_of, wiring_of
+    from hyperbit.drivers.canopen.tools.bus_check import check_bus
 
     wiring, timing = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings)
     with session_without_executor(wiring.buses, arm.settings.name, socket, timing.heartbeat) as session:
@@ -178,11 +178,11 @@ def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
     Raises:
         InputFaults: the file is no EDS, or the arm has no such board.
     """
-    from controller.executor.core.arm import timing_of, wiring_of
-    from drivers.canopen.layout import lay_out
-    from drivers.canopen.tools.eds import Eds
-    from drivers.canopen.tools.eds_check import lacks, unmet
-    from drivers.canopen.tools.eds_file import UnreadableEds
+    from hyperbit.controller.executor.core.arm import timing_of, wiring_of
+    from hyperbit.drivers.canopen.layout import lay_out
+    from hyperbit.drivers.canopen.tools.eds import Eds
+    from hyperbit.drivers.canopen.tools.eds_check import lacks, unmet
+    from hyperbit.drivers.canopen.tools.eds_file import UnreadableEds
 
     wiring = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring)
     boards = {board.name: board for board in lay_out(wiring).boards}

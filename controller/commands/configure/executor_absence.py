@@ -7,13 +7,13 @@ import socket
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from controller.commands.common import CommandFailed
-from controller.host.sockets import found_sockets, socket_path
-from controller.program import VERSION, Hello, encode
-from drivers.canopen.faults import BusError
-from drivers.canopen.tools.session import MasterHeard, Session
-from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wiring import MASTER, BusWiring
+from hyperbit.controller.commands.common import CommandFailed
+from hyperbit.controller.host.sockets import found_sockets, socket_path
+from hyperbit.controller.program import VERSION, Hello, encode
+from hyperbit.drivers.canopen.faults import BusError
+from hyperbit.drivers.canopen.tools.session import MasterHeard, Session
+from hyperbit.drivers.canopen.wire.bus import CanBus
+from hyperbit.drivers.canopen.wiring import MASTER, BusWiring
 
 ANSWER_WITHIN = 1.0  # [s]
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands import common
-from controller.commands.common import (
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import common
+from hyperbit.controller.commands.common import (
     ENDPOINT,
     ArmName,
     AsJson,
@@ -23,11 +23,11 @@ from controller.commands.common import (
     print_json,
     results_table,
 )
-from controller.commands.connection import connected
-from controller.commands.use.actuators import STATES
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.use.actuators import STATES
 
 if TYPE_CHECKING:
-    from controller.network.client import Client
+    from hyperbit.controller.network.client import Client
 
 ONLY = "Only these actuators, such as 5.left. Default: all."
 RESERVE = 1.25  # proposed travel time over the longest measured time

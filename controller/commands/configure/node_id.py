@@ -7,12 +7,12 @@ from typing import Annotated, NamedTuple
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import AsJson, CommandFailed, print_json
-from controller.commands.configure.probe import Bitrate, Channel, Interface, session_on
-from drivers.canopen.tools.lss import BIT_TIMINGS, Lss, LssIdentity, LssRefused, over
-from drivers.canopen.tools.probe import probe_bus
-from drivers.canopen.wiring import MASTER, BusWiring
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import AsJson, CommandFailed, print_json
+from hyperbit.controller.commands.configure.probe import Bitrate, Channel, Interface, session_on
+from hyperbit.drivers.canopen.tools.lss import BIT_TIMINGS, Lss, LssIdentity, LssRefused, over
+from hyperbit.drivers.canopen.tools.probe import probe_bus
+from hyperbit.drivers.canopen.wiring import MASTER, BusWiring
 
 NEW = f"The new node id, 1 to {MASTER - 1}."
 RATE = "The new bit rate [bit/s]."

@@ -8,17 +8,17 @@ from typing import Annotated, Any
 
 import typer
 
-from controller.commands import common
-from controller.commands.common import AsJson, CommandFailed, print_json
-from controller.commands.configure.executor_absence import session_without_executor
-from drivers.canopen.boot.pdo_setup import PdoState, pdo_words
-from drivers.canopen.pdo import carries
-from drivers.canopen.sdo import objects
-from drivers.canopen.tools.probe import TEXTS, ProbedNode, probe_bus
-from drivers.canopen.tools.session import Session, stopped
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wiring import MASTER, BusWiring
+from hyperbit.controller.commands import common
+from hyperbit.controller.commands.common import AsJson, CommandFailed, print_json
+from hyperbit.controller.commands.configure.executor_absence import session_without_executor
+from hyperbit.drivers.canopen.boot.pdo_setup import PdoState, pdo_words
+from hyperbit.drivers.canopen.pdo import carries
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.tools.probe import TEXTS, ProbedNode, probe_bus
+from hyperbit.drivers.canopen.tools.session import Session, stopped
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import State
+from hyperbit.drivers.canopen.wiring import MASTER, BusWiring
 
 RATE = "Bit rate of the bus [bit/s]; ignored with socketcan, whose bit rate the system sets."
 

@@ -24,18 +24,18 @@ from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from controller.arm.arm import Arm
-from controller.armfile.patience import patient_copy
-from controller.commands.common import CommandFailed, console, densities_of, errors, load_wired, shipped
-from controller.commands.connection import connected
-from controller.commands.operate.endpoints import accepts
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.manipulator.notation import parse_configuration
-from controller.pictures import plots
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.patience import patient_copy
+from hyperbit.controller.commands.common import CommandFailed, console, densities_of, errors, load_wired, shipped
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.operate.endpoints import accepts
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.manipulator.notation import parse_configuration
+from hyperbit.controller.pictures import plots
+from hyperbit.controller.workspace.densities import Densities
 
 if TYPE_CHECKING:
-    from controller.network.client import Client, Message
+    from hyperbit.controller.network.client import Client, Message
 
 PAPER_TARGETS = [[3.0, 0.7], [0.55, 2.9], [0.4, 2.9]]
 CURVE_WAYPOINTS = 36
@@ -136,7 +136,7 @@ def draw(arm: Arm, goals: DemoGoals, shown: Shown, picture: Path, animation: Pat
     plots.save(picture, arm.manipulator, goals.densities, subplots, obstacles=arm.obstacles)
     console.print(f"picture: {picture}")
     if animation is not None:
-        from controller.pictures.animation import Movement, animate
+        from hyperbit.controller.pictures.animation import Movement, animate
 
         subplot = plots.Subplot(title, targets=goals.targets, curve=goals.curve)
         movement = Movement(shown.states, shown.pauses)
@@ -246,7 +246,7 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
         address = "127.0.0.1", free.getsockname()[1]
     endpoint = f"tcp/127.0.0.1:{address[1]}"
     file = patient_copy(file, folder)
-    command = [sys.executable, "-m", "controller.cli", "run", str(file), "--simulate", "--listen", endpoint]
+    command = [sys.executable, "-m", "hyperbit", "run", str(file), "--simulate", "--listen", endpoint]
     with (folder / "log").open("w+") as log:
         command += ["--ledger", str(folder / "ledger.sqlite")]
         environment = {**os.environ, "RUNTIME_DIRECTORY": str(folder)}

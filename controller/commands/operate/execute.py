@@ -24,4 +24,6 @@ def execute(
     flags = ["--simulate"] * simulate + ["--list-modules"] * list_modules
     # exec, because the executor's process must not contain the command line's modules; the process id stays the same.
     sys.stdout.flush()
-    os.execv(sys.executable, [sys.executable, "-P", "-m", "controller.executor", *options, *flags, "--", str(file)])
+    os.execv(
+        sys.executable, [sys.executable, "-P", "-m", "hyperbit.controller.executor", *options, *flags, "--", str(file)]
+    )

@@ -38,7 +38,7 @@ class ExecutorProcess:
     def __init__(
         self, file: Path, path: Path, *, simulate: bool, journal: Path | None = None, board: Sequence[str] = ()
     ) -> None:
-        command = [sys.executable, "-m", "controller.cli", "execute", str(file), "--socket", str(path)]
+        command = [sys.executable, "-m", "hyperbit", "execute", str(file), "--socket", str(path)]
         command += ["--journal", str(journal)] if journal else []
         command += [f"--board={word}" for word in board]
         self._process = start_child(

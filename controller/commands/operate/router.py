@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, CommandFailed, ZenohFile
-from controller.commands.operate.endpoints import port_taken
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import ENDPOINT, CommandFailed, ZenohFile
+from hyperbit.controller.commands.operate.endpoints import port_taken
 
 if TYPE_CHECKING:
     import zenoh
@@ -30,10 +30,10 @@ def router(
     """Run a Zenoh router until SIGTERM: it connects arms, pages and commands of several computers."""
     import zenoh
 
-    from controller.host.journal import start_logging
-    from controller.host.notify import Notifier
-    from controller.host.signals import end_on_signals
-    from controller.network.session import reason
+    from hyperbit.controller.host.journal import start_logging
+    from hyperbit.controller.host.notify import Notifier
+    from hyperbit.controller.host.signals import end_on_signals
+    from hyperbit.controller.network.session import reason
 
     config = router_config(listen, connect, zenoh_file)
     start_logging({})
@@ -59,7 +59,7 @@ def router_config(listen: str, connect: str | None, file: Path | None) -> zenoh.
     Raises:
         InputFaults: the file is wrong, or not that of a router.
     """
-    from controller.network import session
+    from hyperbit.controller.network import session
 
     if file is None:
         return session.configuration("router", listen=listen, connect=connect)

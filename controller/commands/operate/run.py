@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.armfile.terminals import named_boards
-from controller.commands.common import ENDPOINT, ArmFile, CommandFailed, ZenohFile, densities_of, load_wired
-from controller.commands.operate.endpoints import port_taken, wait_for_router
-from controller.commands.operate.simulate import variants_of
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.terminals import named_boards
+from hyperbit.controller.commands.common import ENDPOINT, ArmFile, CommandFailed, ZenohFile, densities_of, load_wired
+from hyperbit.controller.commands.operate.endpoints import port_taken, wait_for_router
+from hyperbit.controller.commands.operate.simulate import variants_of
 
 if TYPE_CHECKING:
     import zenoh
@@ -95,7 +95,7 @@ class Network(NamedTuple):
         Raises:
             InputFaults: the file is wrong.
         """
-        from controller.network import session
+        from hyperbit.controller.network import session
 
         if self.connect is not None:
             return session.configuration("client", connect=self.connect)
@@ -106,7 +106,7 @@ class Network(NamedTuple):
 
     def failure(self, error: zenoh.ZError) -> str:
         """Returns why there is no session, and what to do."""
-        from controller.network import session
+        from hyperbit.controller.network import session
 
         taken = port_taken(self.listen) if self.connect is None and self.file is None else None
         return taken or f"no Zenoh session at {self.file or self.connect or self.listen}: {session.reason(error)}"
@@ -130,7 +130,7 @@ def check_options(
 
 def prepare_process() -> None:
     """Sets the process's time slices, so that a stop waits for no thread that plans, and its use of memory."""
-    from controller.host.scheduling import shorten_slice
+    from hyperbit.controller.host.scheduling import shorten_slice
 
     sys.setswitchinterval(0.0005)  # a stop must not wait 5 ms for each thread that plans
     return_large_blocks()
@@ -154,10 +154,10 @@ def started_executor(
     Raises:
         InputFaults: the arm's file is wrong, or there is no such board or kind of boards.
     """
-    from controller.armfile.actuators import ending_time, read_wired
-    from controller.commands.operate.executor_process import END_TIMEOUT, ExecutorProcess
-    from controller.host.journal import start_logging
-    from controller.host.sockets import socket_path
+    from hyperbit.controller.armfile.actuators import ending_time, read_wired
+    from hyperbit.controller.commands.operate.executor_process import END_TIMEOUT, ExecutorProcess
+    from hyperbit.controller.host.journal import start_logging
+    from hyperbit.controller.host.sockets import socket_path
 
     settings, actuators, _ = read_wired(file)
     start_logging({"HYPERBIT_ARM": settings.name})
@@ -182,13 +182,13 @@ def started_page(endpoint: str, port: int | None) -> Iterator[None]:
         endpoint: Zenoh endpoint at which the daemon listens, or of its router.
         port: of the page; None: there is no page.
     """
-    from controller.commands.operate.executor_process import end_child, start_child
+    from hyperbit.controller.commands.operate.executor_process import end_child, start_child
 
     if port is None:
         yield
         return
     words = ["panel", "--connect", reachable(endpoint), "--listen", f"127.0.0.1:{port}"]
-    page = start_child([sys.executable, "-m", "controller.cli", *words])
+    page = start_child([sys.executable, "-m", "hyperbit", *words])
     try:
         yield
     finally:
@@ -235,11 +235,11 @@ def serve(
     """
     import zenoh
 
-    from controller.gateway.claim import AlreadyRunning
-    from controller.gateway.daemon import ServedArm, running
-    from controller.host.signals import end_on_signals
-    from controller.planning.ledger import LedgerInUse
-    from controller.planning.ledger_file import default_path
+    from hyperbit.controller.gateway.claim import AlreadyRunning
+    from hyperbit.controller.gateway.daemon import ServedArm, running
+    from hyperbit.controller.host.signals import end_on_signals
+    from hyperbit.controller.planning.ledger import LedgerInUse
+    from hyperbit.controller.planning.ledger_file import default_path
 
     arm = load_wired(file)
     config = network.config()

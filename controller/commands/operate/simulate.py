@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import ArmFile, CommandFailed, console, errors
-from drivers.simulation.variants import VARIANTS, Variant, choose
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import ArmFile, CommandFailed, console, errors
+from hyperbit.drivers.simulation.variants import VARIANTS, Variant, choose
 
 if TYPE_CHECKING:
-    from drivers.simulation.simulation import Simulation
+    from hyperbit.drivers.simulation.simulation import Simulation
 
 
 WIDEST = max(map(len, VARIANTS))
@@ -24,16 +24,16 @@ def simulate(
     board: Annotated[list[str], typer.Option(metavar="[BOARD=]KIND", help=BOARD, show_default=False)] = [],  # noqa: B006  # typer needs a list
 ) -> None:
     """Run simulated boards on the arm's own bus, in place of the real boards, until SIGTERM."""
-    from controller.executor.core.arm import read_arm
+    from hyperbit.controller.executor.core.arm import read_arm
 
     arm = read_arm(file)
 
     import can
 
-    from controller.host.signals import end_on_signals
-    from drivers.simulation import fault_commands
-    from drivers.simulation.buses import board_names
-    from drivers.simulation.simulation import Simulation
+    from hyperbit.controller.host.signals import end_on_signals
+    from hyperbit.drivers.simulation import fault_commands
+    from hyperbit.drivers.simulation.buses import board_names
+    from hyperbit.drivers.simulation.simulation import Simulation
 
     variants = variants_of(board, board_names(arm.wiring))
     ending = threading.Event()

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands import common
-from controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import common
+from hyperbit.controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
 
 # StateDirectory of the service, and its link target under DynamicUser, which only root can read.
 SERVICE_FOLDERS = (Path("/var/lib/hyperbit"), Path("/var/lib/private/hyperbit"))
@@ -47,8 +47,8 @@ def name_and_labels(file: Path) -> tuple[str, tuple[str, ...]]:
     Raises:
         InputFaults: the file is wrong.
     """
-    from controller.armfile.actuators import actuator_names, labels
-    from controller.armfile.settings import read_settings
+    from hyperbit.controller.armfile.actuators import actuator_names, labels
+    from hyperbit.controller.armfile.settings import read_settings
 
     settings, faults = read_settings(file)
     actuators = labels(actuator_names(settings.modules, file.parent, faults))
@@ -59,8 +59,8 @@ def name_and_labels(file: Path) -> tuple[str, tuple[str, ...]]:
 
 def ledger_of(name: str, *, simulated: bool = False) -> Path:
     """Returns the path of an arm's ledger: of those of services and of this user the one that was written last."""
-    from controller.host.folders import SIMULATED
-    from controller.planning.ledger_file import default_path
+    from hyperbit.controller.host.folders import SIMULATED
+    from hyperbit.controller.planning.ledger_file import default_path
 
     services = [*SERVICE_FOLDERS, *(instance / "planner" for instance in INSTANCES.glob("*"))]
     folders = [folder / SIMULATED if simulated else folder for folder in services]
@@ -76,7 +76,7 @@ def read_ledger(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
     """
     import sqlite3
 
-    from controller.planning.ledger_file import read
+    from hyperbit.controller.planning.ledger_file import read
 
     try:
         return read(path)

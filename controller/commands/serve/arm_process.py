@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from controller.armfile.strict import InputFaults
-from controller.commands.connection import LOG
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.connection import LOG
 
 if TYPE_CHECKING:
     import zenoh
@@ -31,9 +31,9 @@ class ArmProcess:
     """
 
     def __init__(self, arm: str) -> None:
-        from controller.host.journal import start_logging
-        from controller.host.notify import Notifier
-        from controller.host.signals import end_on_signals
+        from hyperbit.controller.host.journal import start_logging
+        from hyperbit.controller.host.notify import Notifier
+        from hyperbit.controller.host.signals import end_on_signals
 
         start_logging({"HYPERBIT_ARM": arm})
         self.arm, self.ending, self.notifier = arm, threading.Event(), Notifier()
@@ -61,7 +61,7 @@ def opened_session(connect: str, zenoh_file: Path | None, process: ArmProcess) -
     """
     import zenoh
 
-    from controller.network import session
+    from hyperbit.controller.network import session
 
     zenoh.init_log_from_env_or(LOG)
     warned = False

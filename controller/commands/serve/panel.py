@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, CommandFailed, ZenohFile
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import ENDPOINT, CommandFailed, ZenohFile
 
 if TYPE_CHECKING:
     import zenoh
@@ -43,8 +43,8 @@ def panel(
     if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
         raise InputFaults(Path("panel"), ["--certificate and --key go together; --client-ca needs both"])
     try:
-        from controller.panel.log_limit import LogLimit
-        from controller.panel.serve import Tls, parse_address, serve
+        from hyperbit.controller.panel.log_limit import LogLimit
+        from hyperbit.controller.panel.serve import Tls, parse_address, serve
     except ImportError as error:
         raise CommandFailed(str(error), "install the page's libraries: pip install 'hyperbit[panel]'") from None
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
@@ -63,7 +63,7 @@ def zenoh_config(connect: list[str], file: Path | None) -> zenoh.Config:
     Raises:
         InputFaults: the file is no Zenoh configuration.
     """
-    from controller.panel.serve import zenoh_configuration
+    from hyperbit.controller.panel.serve import zenoh_configuration
 
     try:
         return zenoh_configuration(connect, file)
@@ -73,8 +73,8 @@ def zenoh_config(connect: list[str], file: Path | None) -> zenoh.Config:
 
 def print_token(name: str) -> None:
     """Prints a new token for a person, and the entry for the file of people, which holds only the token's digest."""
-    from controller.panel.access.people import digest_of
-    from controller.panel.access.people import new_token as make
+    from hyperbit.controller.panel.access.people import digest_of
+    from hyperbit.controller.panel.access.people import new_token as make
 
     token = make()
     sys.stdout.write(

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, ArmName, CommandFailed, Connect, ZenohFile, arm_name
-from controller.commands.serve.arm_process import ArmProcess, opened_session
-from controller.commands.serve.recorder_process import can_log, new_recorder, opened_folder, record_messages
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import ENDPOINT, ArmName, CommandFailed, Connect, ZenohFile, arm_name
+from hyperbit.controller.commands.serve.arm_process import ArmProcess, opened_session
+from hyperbit.controller.commands.serve.recorder_process import can_log, new_recorder, opened_folder, record_messages
 
 UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 SMALLEST = 100_000  # bytes; least value of --size and --keep
@@ -59,7 +59,7 @@ def save_events(arm: str, folder: Path) -> None:
     Raises:
         CommandFailed: nothing was saved.
     """
-    from controller.commands.serve.record_events import record_events
+    from hyperbit.controller.commands.serve.record_events import record_events
 
     saved, missing = record_events(arm, folder)
     for path in saved:

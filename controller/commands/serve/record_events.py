@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from controller.commands.common import CommandFailed
-from controller.flight_recorder.keeper import KINDS, SHARED, RefusedFile, about, read_generation, save
+from hyperbit.controller.commands.common import CommandFailed
+from hyperbit.controller.flight_recorder.keeper import KINDS, SHARED, RefusedFile, about, read_generation, save
 
 
 def record_events(arm: str, folder: Path) -> tuple[list[Path], list[str]]:

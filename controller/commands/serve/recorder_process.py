@@ -8,23 +8,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import CommandFailed
-from controller.commands.serve.arm_process import ArmProcess
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import CommandFailed
+from hyperbit.controller.commands.serve.arm_process import ArmProcess
 
 if TYPE_CHECKING:
     import zenoh
 
-    from controller.recorder.can_log import CanLog
-    from controller.recorder.folder import Folder
-    from controller.recorder.recorder import Recorder
+    from hyperbit.controller.recorder.can_log import CanLog
+    from hyperbit.controller.recorder.folder import Folder
+    from hyperbit.controller.recorder.recorder import Recorder
 
 FLUSH_EVERY = 1.0  # [s] between two writes of frames
 
 
 def record_messages(session: zenoh.Session, recorder: Recorder, frames: CanLog | None, process: ArmProcess) -> None:
     """Records the messages of the arm, and writes its frames once a second, until the process is to end."""
-    from controller.network.listener import Listener
+    from hyperbit.controller.network.listener import Listener
 
     flushed = time.monotonic()
 
@@ -49,7 +49,7 @@ def opened_folder(path: Path, arm: str, most: int | None) -> Iterator[Folder]:
     Raises:
         CommandFailed: another recorder uses the folder, or the folder cannot be written.
     """
-    from controller.recorder.folder import Folder, FolderInUse
+    from hyperbit.controller.recorder.folder import Folder, FolderInUse
 
     try:
         folder = Folder(path, arm, most)
@@ -73,8 +73,8 @@ def can_log(file: Path | None) -> Iterator[CanLog | None]:
         return
     if not file.is_file():
         raise InputFaults(Path("--can"), [f"{file}: no such file; --can needs the arm's file, which names its buses"])
-    from controller.armfile.actuators import read_wired
-    from controller.recorder.can_log import CanLog
+    from hyperbit.controller.armfile.actuators import read_wired
+    from hyperbit.controller.recorder.can_log import CanLog
 
     settings, _, _ = read_wired(file)
     with contextlib.closing(CanLog(settings.buses)) as frames:
@@ -93,8 +93,8 @@ def new_recorder(
         process: of the recorder.
         fsync: whether each flush waits for the disk.
     """
-    from controller.recorder.folder import CAN_LOG
-    from controller.recorder.recorder import Limits, Recorder
+    from hyperbit.controller.recorder.folder import CAN_LOG
+    from hyperbit.controller.recorder.recorder import Limits, Recorder
 
     def began(recording: Path) -> None:
         if frames is not None:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands import common
-from controller.commands.common import AsJson, CommandFailed, arm_name, print_json
-from controller.commands.serve.record import require
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import common
+from hyperbit.controller.commands.common import AsJson, CommandFailed, arm_name, print_json
+from hyperbit.controller.commands.serve.record import require
 
 if TYPE_CHECKING:
-    from controller.recorder.reader import RecordingReader
+    from hyperbit.controller.recorder.reader import RecordingReader
 
 LISTEN = "tcp/127.0.0.1:7457"
 
@@ -80,7 +80,7 @@ def check_times(speed: float, begin: float) -> None:
     Raises:
         InputFaults: a number is out of range.
     """
-    from controller.recorder.player import FASTEST
+    from hyperbit.controller.recorder.player import FASTEST
 
     if not 0.0 < speed <= FASTEST:
         raise InputFaults(Path("--speed"), [f"a number above 0 and up to {FASTEST:g} is needed, got {speed:g}"])
@@ -108,7 +108,7 @@ def opened_recording(file: Path) -> Iterator[RecordingReader]:
         InputFaults: the file is no recording.
         CommandFailed: the recording is found damaged inside the context.
     """
-    from controller.recorder.reader import BadRecording, RecordingReader
+    from hyperbit.controller.recorder.reader import BadRecording, RecordingReader
 
     try:
         past = RecordingReader(file)
@@ -137,9 +137,9 @@ def play(past: RecordingReader, keys: ReplayKeys, times: tuple[float, float], *,
     """
     import zenoh
 
-    from controller.host.signals import end_on_signals
-    from controller.network import session
-    from controller.recorder.player import Player, Timeline
+    from hyperbit.controller.host.signals import end_on_signals
+    from hyperbit.controller.network import session
+    from hyperbit.controller.recorder.player import Player, Timeline
 
     zenoh.init_log_from_env_or("error")
     ending = threading.Event()
@@ -168,7 +168,7 @@ def compare_goals(past: RecordingReader, file: Path | None, as_json: bool) -> No
         CommandFailed: a configuration differs, no goal can be compared, or the arm does not start.
         InputFaults: the arm's file is wrong, or describes another arm.
     """
-    from controller.recorder.regression import ArmFailed, Compared, compare
+    from hyperbit.controller.recorder.regression import ArmFailed, Compared, compare
 
     if file is not None:
         common.load_wired(file)

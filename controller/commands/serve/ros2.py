@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, ArmName, CommandFailed, Connect, ZenohFile, arm_name
-from controller.commands.serve.arm_process import RETRY, ArmProcess, opened_session
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import ENDPOINT, ArmName, CommandFailed, Connect, ZenohFile, arm_name
+from hyperbit.controller.commands.serve.arm_process import RETRY, ArmProcess, opened_session
 
 if TYPE_CHECKING:
     import zenoh
 
-    from controller.ros2.arm_node import Settings
-    from controller.ros2.wire.session import Session
+    from hyperbit.controller.ros2.arm_node import Settings
+    from hyperbit.controller.ros2.wire.session import Session
 
 ROS = "Zenoh endpoint of ROS 2's router, which `ros2 run rmw_zenoh_cpp rmw_zenohd` starts."
 DOMAIN = "ROS_DOMAIN_ID of the ROS 2 system."
@@ -47,9 +47,9 @@ def ros2(
     """Show an arm to a ROS 2 system as a node, without ROS on this computer, until SIGTERM."""
     name = arm_name(arm)
     try:
-        from controller.ros2.arm_node import Settings, node_name
-        from controller.ros2.wire import names
-        from controller.ros2.wire.types import Types, UnknownType
+        from hyperbit.controller.ros2.arm_node import Settings, node_name
+        from hyperbit.controller.ros2.wire import names
+        from hyperbit.controller.ros2.wire.types import Types, UnknownType
     except ImportError as error:
         raise CommandFailed(str(error), "install the libraries of ROS 2: pip install 'hyperbit[ros2]'") from None
     try:
@@ -74,11 +74,11 @@ def ros2(
 
 def serve(session: zenoh.Session, network: Session, arm: str, settings: Settings, process: ArmProcess) -> None:
     """Runs the bridge until the process is to end."""
-    from controller.host.folders import state_folder
-    from controller.network.client import Client
-    from controller.network.listener import Listener
-    from controller.ros2.bridge import Bridge
-    from controller.ros2.goal_book import GoalBook
+    from hyperbit.controller.host.folders import state_folder
+    from hyperbit.controller.network.client import Client
+    from hyperbit.controller.network.listener import Listener
+    from hyperbit.controller.ros2.bridge import Bridge
+    from hyperbit.controller.ros2.goal_book import GoalBook
 
     book = GoalBook(state_folder() / f"{arm}.ros2.json")
     with contextlib.ExitStack() as closing:
@@ -92,8 +92,8 @@ def serve(session: zenoh.Session, network: Session, arm: str, settings: Settings
 @contextlib.contextmanager
 def ros_session(endpoint: str, process: ArmProcess) -> Iterator[Session | None]:
     """Opens a session of ROS 2's network once its router is there; yields None if the process is to end before."""
-    from controller.ros2.wire.session import NoRouter
-    from controller.ros2.wire.session import Session as RosSession
+    from hyperbit.controller.ros2.wire.session import NoRouter
+    from hyperbit.controller.ros2.wire.session import Session as RosSession
 
     warned = False
     while not process.ending.is_set():
@@ -118,8 +118,8 @@ def check_alone(network: Session, arm: str, settings: Settings, process: ArmProc
     Raises:
         CommandFailed: there is another bridge. /rosout says so, too.
     """
-    from controller.ros2.arm_node import node_name, tell
-    from controller.ros2.wire.tokens import Kind
+    from hyperbit.controller.ros2.arm_node import node_name, tell
+    from hyperbit.controller.ros2.wire.tokens import Kind
 
     node, namespace = node_name(arm, settings.namespace)
     until = time.monotonic() + GONE_WITHIN

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.bench.methods import METHODS, find_method
-from controller.commands import common
-from controller.commands.common import CommandFailed
-from controller.commands.sharing import (
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.bench.methods import METHODS, find_method
+from hyperbit.controller.commands import common
+from hyperbit.controller.commands.common import CommandFailed
+from hyperbit.controller.commands.sharing import (
     Dask,
     Sharing,
     Workers,
@@ -27,15 +27,15 @@ from controller.commands.sharing import (
     progress_bar,
     spread_over,
 )
-from controller.search.method import MINIMUM_SWITCH
+from hyperbit.controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
     from distributed import Client
     from rich.table import Table
 
-    from controller.bench.goal_sets import Task
-    from controller.bench.methods import Prepare
-    from controller.bench.running import Row
+    from hyperbit.controller.bench.goal_sets import Task
+    from hyperbit.controller.bench.methods import Prepare
+    from hyperbit.controller.bench.running import Row
 
 LEGEND = """solved: within the tolerances and clear of obstacles. fewest: with the certified minimum of switches.
 proven: claimed to be optimal, not contradicted. switches: mean over solved goals. above: switches above the certified
@@ -86,7 +86,7 @@ def bench(
     `--workers` and `--dask` share the goals. All but the times stays the same, except for methods that search by time.
     Methods run in this process, or in the workers: run only programs that you trust.
     """  # noqa: D301 - \b keeps click from filling the lines
-    from controller.bench.goal_sets import SETS
+    from hyperbit.controller.bench.goal_sets import SETS
 
     if names:
         print_names(SETS)
@@ -155,7 +155,7 @@ def remedy(results: Iterable[SetResult]) -> str:
 
 def run_set(name: str, scale: Scale, client: Client | None) -> SetResult:
     """Runs all methods on a goal set, by the workers of a client, or by this process."""
-    from controller.bench.goal_sets import SETS, read, sample_evenly
+    from hyperbit.controller.bench.goal_sets import SETS, read, sample_evenly
 
     tasks = read(name)
     tasks = sample_evenly(tasks, len(tasks) if scale.most is None else scale.most)
@@ -216,7 +216,7 @@ def chosen_methods(wanted: str | None, own: list[str]) -> dict[str, Prepare]:
 
 def measured(name: str, tasks: list[Task], scale: Scale, client: Client | None) -> list[Row]:
     """Runs each method on a goal set, with a progress bar on stderr; returns a row for each method."""
-    from controller.bench.running import run
+    from hyperbit.controller.bench.running import run
 
     rows = []
     with progress_bar("goals") as progress, contextlib.redirect_stdout(sys.stderr):  # stdout is for the figures

@@ -7,14 +7,20 @@ from typing import Annotated
 
 import typer
 
-from controller.arm.arm import load
-from controller.commands.common import ArmFile, AsJson, CommandFailed, shown
-from controller.commands.sharing import Dask, Sharing, Workers
-from controller.commands.study.plan_goals import PlanOptions, PlanTask, read_task
-from controller.commands.study.plan_results import print_results, shown_result
-from controller.commands.study.plan_search import GoalSearch, PointSolution, described, prepared_search, search_one
-from controller.commands.study.plan_study import PlanJob, StudyOptions, check_study, study_goals
-from controller.search.method import Method
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.commands.common import ArmFile, AsJson, CommandFailed, shown
+from hyperbit.controller.commands.sharing import Dask, Sharing, Workers
+from hyperbit.controller.commands.study.plan_goals import PlanOptions, PlanTask, read_task
+from hyperbit.controller.commands.study.plan_results import print_results, shown_result
+from hyperbit.controller.commands.study.plan_search import (
+    GoalSearch,
+    PointSolution,
+    described,
+    prepared_search,
+    search_one,
+)
+from hyperbit.controller.commands.study.plan_study import PlanJob, StudyOptions, check_study, study_goals
+from hyperbit.controller.search.method import Method
 
 ONE_GOAL = "One goal, optionally with an orientation; spatial arms: X,Y,Z[,QX,QY,QZ,QW]."
 MANY_GOALS = "Goals with columns x,y[,th] or x,y,z[,qx,qy,qz,qw], and optionally `previous`."

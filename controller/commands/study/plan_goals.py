@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.arm.arm import Arm
-from controller.armfile.strict import InputFaults
-from controller.commands.common import configuration, parse_goal
-from controller.commands.goal_rows import Orientation, goal_rows
-from controller.manipulator import frames
-from controller.manipulator.locked import transferred
-from controller.manipulator.manipulator import Configuration
-from controller.search.method import Method
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import configuration, parse_goal
+from hyperbit.controller.commands.goal_rows import Orientation, goal_rows
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.locked import transferred
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.search.method import Method
 
 
 class PlanOptions(NamedTuple):

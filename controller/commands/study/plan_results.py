@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from controller.arm.arm import Arm
-from controller.commands.common import console, print_json, print_table, results_table, shown
-from controller.commands.goal_rows import Orientation
-from controller.commands.study.plan_goals import PlanOptions
-from controller.commands.study.plan_search import PointSolution
-from controller.motion.plans.description import describe_solution
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.commands.common import console, print_json, print_table, results_table, shown
+from hyperbit.controller.commands.goal_rows import Orientation
+from hyperbit.controller.commands.study.plan_goals import PlanOptions
+from hyperbit.controller.commands.study.plan_search import PointSolution
+from hyperbit.controller.motion.plans.description import describe_solution
 
 MOST_ROWS = 300  # of a table, which is printed at the end
 

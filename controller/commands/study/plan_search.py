@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from controller.arm.arm import Arm
-from controller.commands.common import CommandFailed, densities_of, errors
-from controller.commands.goal_rows import Orientation
-from controller.commands.study.plan_goals import PlanOptions, WantedGoal
-from controller.manipulator.manipulator import Configuration
-from controller.refusals.refusal import Refusal
-from controller.search.method import Method
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.commands.common import CommandFailed, densities_of, errors
+from hyperbit.controller.commands.goal_rows import Orientation
+from hyperbit.controller.commands.study.plan_goals import PlanOptions, WantedGoal
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.method import Method
 
 if TYPE_CHECKING:  # the search's kernels take a second to import
-    from controller.motion.plans.plan import TrajectoryPlan
-    from controller.motion.plans.whole import TipGoals
-    from controller.motion.trajectory import Trajectory
-    from controller.search.solution import SearchTime, Solution
-    from controller.search.solver import Solver
+    from hyperbit.controller.motion.plans.plan import TrajectoryPlan
+    from hyperbit.controller.motion.plans.whole import TipGoals
+    from hyperbit.controller.motion.trajectory import Trajectory
+    from hyperbit.controller.search.solution import SearchTime, Solution
+    from hyperbit.controller.search.solver import Solver
 
 
 class PointSolution(NamedTuple):
@@ -67,7 +67,7 @@ class GoalSearch(NamedTuple):
     @property
     def allowed(self) -> SearchTime:
         """Time or work of the search for one goal."""
-        from controller.search.solver import TIMEOUT, search_effort, search_time
+        from hyperbit.controller.search.solver import TIMEOUT, search_effort, search_time
 
         if self.effort is not None:
             return search_effort(self.effort)
@@ -76,7 +76,7 @@ class GoalSearch(NamedTuple):
 
 def prepared_search(arm: Arm, options: PlanOptions, *, silent: bool) -> GoalSearch:
     """Returns a search with the options, the arm's values as defaults; `silent` hides the progress bar."""
-    from controller.search.solver import Solver
+    from hyperbit.controller.search.solver import Solver
 
     solver = Solver(arm.reduced, densities_of(arm, silent=silent), arm.weights(), arm.clearance(arm.reduced))
     solver.prepare()
@@ -134,10 +134,10 @@ def follow(search: GoalSearch, goals: list[WantedGoal], start: Configuration) ->
     Raises:
         CommandFailed: the lines between the goals cannot be followed.
     """
-    from controller.motion.plans.transitions import TransitionPlanner
-    from controller.motion.plans.whole import first_time, plan_whole, unhurried
-    from controller.motion.stages.pacing import pace_of
-    from controller.search.solver import search_time
+    from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+    from hyperbit.controller.motion.plans.whole import first_time, plan_whole, unhurried
+    from hyperbit.controller.motion.stages.pacing import pace_of
+    from hyperbit.controller.search.solver import search_time
 
     pace, per_switch = pace_of(search.arm.settings), search.arm.settings.planning.seconds_per_switch
     start = start if goals[0].previous is None else goals[0].previous
@@ -178,7 +178,7 @@ def points(goals: list[WantedGoal], trajectory: Trajectory, found: TrajectoryPla
 
 def as_arrays(search: GoalSearch, goals: list[WantedGoal]) -> TipGoals:
     """Returns goals as arrays with their tolerances; the orientation tolerance is infinite without an orientation."""
-    from controller.motion.plans.whole import TipGoals
+    from hyperbit.controller.motion.plans.whole import TipGoals
 
     positions = np.array([goal.position for goal in goals], dtype=np.float64)
     rotations = [np.eye(3) if goal.orientation is None else goal.target()[:3, :3] for goal in goals]

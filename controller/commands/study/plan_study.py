@@ -8,17 +8,17 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from controller.arm.arm import Arm
-from controller.armfile.strict import InputFaults
-from controller.commands.common import errors
-from controller.commands.sharing import Sharing, check_sharing, open_workers, progress_bar
-from controller.commands.study.plan_goals import PlanOptions, PlanTask, WantedGoal, read_goals
-from controller.commands.study.plan_results import MOST_ROWS, ShownResult, print_results, shown_result
-from controller.commands.study.plan_search import follow, prepared_search, search_one, trajectories
-from controller.commands.study.results_file import ResultsFile, open_results
-from controller.manipulator.manipulator import Configuration
-from controller.studies.shares import Run, goals_a_share
-from controller.studies.stream import results
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import errors
+from hyperbit.controller.commands.sharing import Sharing, check_sharing, open_workers, progress_bar
+from hyperbit.controller.commands.study.plan_goals import PlanOptions, PlanTask, WantedGoal, read_goals
+from hyperbit.controller.commands.study.plan_results import MOST_ROWS, ShownResult, print_results, shown_result
+from hyperbit.controller.commands.study.plan_search import follow, prepared_search, search_one, trajectories
+from hyperbit.controller.commands.study.results_file import ResultsFile, open_results
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.studies.shares import Run, goals_a_share
+from hyperbit.controller.studies.stream import results
 
 if TYPE_CHECKING:
     from distributed import Client

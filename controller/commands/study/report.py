@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from controller.arm.arm import load
-from controller.commands.common import (
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.commands.common import (
     ArmFile,
     AsJson,
     configuration,
@@ -19,7 +19,7 @@ from controller.commands.common import (
     shipped,
     shown,
 )
-from controller.manipulator.notation import pose
+from hyperbit.controller.manipulator.notation import pose
 
 
 def fk(
@@ -44,7 +44,7 @@ def map_(
     as_json: AsJson = False,
 ) -> None:
     """Compute the point densities of all intermediate workspaces and store them in the cache."""
-    from controller.workspace.cache import default_directory
+    from hyperbit.controller.workspace.cache import default_directory
 
     arm = load(file)
     began = time.perf_counter()
@@ -76,7 +76,7 @@ def figure5(
     as_json: AsJson = False,
 ) -> None:
     """Repeat the paper's experiment of section 4: three targets, three algorithms."""
-    from controller.pictures.figure5 import experiment, save
+    from hyperbit.controller.pictures.figure5 import experiment, save
 
     arm = load(shipped("planar16.yaml"))
     densities = densities_of(arm, silent=as_json)

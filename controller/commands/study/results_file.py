@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
 
-from controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.strict import InputFaults
 
 WORDS = {
     "study": "another command",

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from controller.arm.arm import Arm, load
-from controller.armfile.strict import InputFaults
-from controller.commands.common import (
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import (
     ArmFile,
     AsJson,
     console,
@@ -20,7 +20,7 @@ from controller.commands.common import (
     results_table,
     shown,
 )
-from controller.commands.sharing import (
+from hyperbit.controller.commands.sharing import (
     Dask,
     Sharing,
     Workers,
@@ -29,15 +29,15 @@ from controller.commands.sharing import (
     progress_bar,
     spread_over,
 )
-from controller.commands.study.workspace_report import FIGURES, WorkspaceStudy, describe_study
+from hyperbit.controller.commands.study.workspace_report import FIGURES, WorkspaceStudy, describe_study
 
 if TYPE_CHECKING:
     from distributed import Client
     from rich.progress import Progress
 
-    from controller.workspace.coverage import Coverage
-    from controller.workspace.densities import Densities
-    from controller.workspace.locked_reach import LockChoices, LockedReach
+    from hyperbit.controller.workspace.coverage import Coverage
+    from hyperbit.controller.workspace.densities import Densities
+    from hyperbit.controller.workspace.locked_reach import LockChoices, LockedReach
 
 
 def workspace(
@@ -60,8 +60,8 @@ def workspace(
 
     `--workers` and `--dask` share the positions, and the choices of locked actuators. The figures stay the same.
     """
-    from controller.workspace.locked_reach import LockChoices
-    from controller.workspace.orientations import orientations_at
+    from hyperbit.controller.workspace.locked_reach import LockChoices
+    from hyperbit.controller.workspace.orientations import orientations_at
 
     arm = load(file)
     own = arm.tolerance if tolerance is None else tolerance
@@ -113,7 +113,7 @@ def save_picture(file: Path, study: WorkspaceStudy) -> None:
     Raises:
         InputFaults: the file cannot be written.
     """
-    from controller.pictures.workspace_plots import draw_workspace, locked_field, positions_field
+    from hyperbit.controller.pictures.workspace_plots import draw_workspace, locked_field, positions_field
 
     arm, reach = study.arm, study.locked_reach
     fields = [positions_field(study.densities, arm.manipulator.dimension, study.tolerance)]
@@ -129,7 +129,7 @@ def coverage(
     arm: Arm, densities: Densities, tolerance: float, seed: int, client: Client | None, progress: Progress
 ) -> Coverage:
     """Returns the coverage of the reduced arm, counted by the workers."""
-    from controller.workspace.coverage import CountJob, coverage_of
+    from hyperbit.controller.workspace.coverage import CountJob, coverage_of
 
     spread = spread_over(client, progress, "positions", lambda part: 1)
     job = None if client is None else CountJob(arm.reduced, arm.pixel, arm.level_pixels, tolerance)
@@ -144,7 +144,7 @@ def locked_reach(
     Raises:
         InputFaults: the arm has too few actuators to lock.
     """
-    from controller.workspace.locked_reach import reach_when_locked
+    from hyperbit.controller.workspace.locked_reach import reach_when_locked
 
     spread = spread_over(client, progress, "choices of locked actuators")
     try:

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from controller.arm.arm import Arm
-from controller.manipulator.frames import quaternion
-from controller.manipulator.locked import STATES
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator.frames import quaternion
+from hyperbit.controller.manipulator.locked import STATES
 
 if TYPE_CHECKING:
-    from controller.workspace.coverage import Coverage, Range
-    from controller.workspace.densities import Densities
-    from controller.workspace.locked_reach import LockedReach, Reach
-    from controller.workspace.orientations import Orientations
+    from hyperbit.controller.workspace.coverage import Coverage, Range
+    from hyperbit.controller.workspace.densities import Densities
+    from hyperbit.controller.workspace.locked_reach import LockedReach, Reach
+    from hyperbit.controller.workspace.orientations import Orientations
 
 FIGURES = ("reach", "covered", "log10_redundancy")
 DRAWN = "random draws, weighted by the Mapping Algorithm's densities; a grid over orientations would be far too coarse"
@@ -84,7 +84,7 @@ def limits(figure: Range) -> dict[str, float]:
 
 def orientations(found: Orientations, *, planar: bool) -> dict[str, Any]:
     """Returns the figures of the density of orientations at a point."""
-    from controller.pictures.orientation_plots import angles_of, arcs, directions, twists
+    from hyperbit.controller.pictures.orientation_plots import angles_of, arcs, directions, twists
 
     exact = found.draws == 0
     fields: dict[str, Any] = {

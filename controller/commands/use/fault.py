@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, ArmName, AsJson, Connect, ZenohFile
-from controller.commands.connection import ask, connected
-from drivers.simulation.fault_commands import described
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import ENDPOINT, ArmName, AsJson, Connect, ZenohFile
+from hyperbit.controller.commands.connection import ask, connected
+from hyperbit.drivers.simulation.fault_commands import described
 
 WORDS = "Verb, what it applies to, and for some verbs a number, such as: silence can0/5, or: stick 5.left 1."
 

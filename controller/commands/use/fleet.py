@@ -16,8 +16,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from controller.commands import common
-from controller.commands.common import (
+from hyperbit.controller.commands import common
+from hyperbit.controller.commands.common import (
     ENDPOINT,
     AsJson,
     Connect,
@@ -26,12 +26,12 @@ from controller.commands.common import (
     print_table,
     results_table,
 )
-from controller.commands.connection import client_config, open_session
-from controller.commands.use.list import arms_now, fields_of, line_of_arm
-from controller.commands.use.watch import COLOURS
+from hyperbit.controller.commands.connection import client_config, open_session
+from hyperbit.controller.commands.use.list import arms_now, fields_of, line_of_arm
+from hyperbit.controller.commands.use.watch import COLOURS
 
 if TYPE_CHECKING:
-    from controller.network.fleet import ArmAddress, ArmStatus, Fleet
+    from hyperbit.controller.network.fleet import ArmAddress, ArmStatus, Fleet
 
 COLUMNS = ("namespace", "arm", "host", "version", "mode", "goal", "faults")
 FOLLOW = "In a pipe or with --json: print a line for each change until Ctrl-C, instead of all arms once."
@@ -58,8 +58,8 @@ def fleet(
 
 def follow_arms(connect: str, zenoh_file: Path | None, *, as_json: bool) -> None:
     """Shows the arms until Ctrl-C: in a terminal a table, otherwise a line for each change."""
-    from controller.network.fleet import Fleet
-    from controller.network.session import reachable
+    from hyperbit.controller.network.fleet import Fleet
+    from hyperbit.controller.network.session import reachable
 
     with (
         open_session(connect, zenoh_file) as session,

@@ -13,10 +13,10 @@ from typing import Annotated
 
 import typer
 
-from controller.host.sockets import found_sockets, socket_path
-from controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Hello, Malformed, Stop, decode_up, encode
+from hyperbit.controller.host.sockets import found_sockets, socket_path
+from hyperbit.controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Hello, Malformed, Stop, decode_up, encode
 
-ENDPOINT = "tcp/127.0.0.1:7447"  # as in controller.commands.common, which takes longer to import
+ENDPOINT = "tcp/127.0.0.1:7447"  # as in hyperbit.controller.commands.common, which takes longer to import
 ARM = "The arm's file, or its name. With --local it may be absent: all arms of this computer."
 LOCAL = "Ask the executor of this computer directly at its socket, without planner and Zenoh."
 ALL = "Stop all arms of the network, also below namespaces, and tell which have stopped."  # as in `stop`
@@ -39,8 +39,8 @@ def halt(
     if local and not (arm and all_arms):
         halt_here(arm, socket, as_json)
         return
-    from controller.armfile.strict import InputFaults
-    from controller.commands.use.requests import stop
+    from hyperbit.controller.armfile.strict import InputFaults
+    from hyperbit.controller.commands.use.requests import stop
 
     if bool(arm) == all_arms:
         raise InputFaults(Path("halt"), ["give either the arm's name, --all or --local"])
@@ -56,7 +56,7 @@ def halt_here(arm: str, socket: Path | None, as_json: bool) -> None:
         CommandFailed: an executor did not answer, or there is none.
     """
     if arm.endswith((".yaml", ".yml")) or Path(arm).is_file():
-        from controller.commands.common import arm_name
+        from hyperbit.controller.commands.common import arm_name
 
         arm = arm_name(arm)
     answer = halt_local(arm, socket)
@@ -92,7 +92,7 @@ def halt_local(name: str = "", path: Path | None = None) -> str:
         except Malformed as error:
             failures.append(f"{own}: {error}")
     if failures or not paths:
-        from controller.commands.common import CommandFailed
+        from hyperbit.controller.commands.common import CommandFailed
 
         lines = "\n".join([*answers, *failures])
         raise CommandFailed(lines or "no executor is running: there is no socket", step if lines else SEARCH)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from controller.commands.common import ENDPOINT, AsJson, CommandFailed, Connect, ZenohFile, print_json
-from controller.commands.connection import START, open_session
+from hyperbit.controller.commands.common import ENDPOINT, AsJson, CommandFailed, Connect, ZenohFile, print_json
+from hyperbit.controller.commands.connection import START, open_session
 
 if TYPE_CHECKING:
-    from controller.network.fleet import ArmStatus
+    from hyperbit.controller.network.fleet import ArmStatus
 
 STATE_TIMEOUT = 2.0  # [s] for the states of all arms; each arm publishes several a second
 
@@ -32,7 +32,7 @@ def arms_now(connect: str, zenoh_file: Path | None, *, described: bool = False) 
     Raises:
         CommandFailed: no arm is alive.
     """
-    from controller.network.fleet import LIST_TIMEOUT, Fleet, alive
+    from hyperbit.controller.network.fleet import LIST_TIMEOUT, Fleet, alive
 
     with (
         open_session(connect, zenoh_file) as session,

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, ArmName, AsJson, Connect, ZenohFile, print_json
-from controller.commands.connection import ask, connected, read_payload
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import ENDPOINT, ArmName, AsJson, Connect, ZenohFile, print_json
+from hyperbit.controller.commands.connection import ask, connected, read_payload
 
 REGIONS = "Obstacles, YAML or JSON: a list `regions`, written as `obstacles` in the arm's file. Without it: list."
 KINDS = ("disc", "sphere", "box", "half_plane", "half_space")

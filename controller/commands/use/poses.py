@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import ENDPOINT, ArmName, AsJson, CommandFailed, Connect, ZenohFile, print_json
-from controller.commands.connection import ask, connected
-from controller.commands.use.send import read_goal
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import ENDPOINT, ArmName, AsJson, CommandFailed, Connect, ZenohFile, print_json
+from hyperbit.controller.commands.connection import ask, connected
+from hyperbit.controller.commands.use.send import read_goal
 
 if TYPE_CHECKING:
-    from controller.network.client import Client
+    from hyperbit.controller.network.client import Client
 
 SAVE = "Save a pose under this name, in place of an earlier one: the goal of FILE, or the arm's present configuration."
 FILE = "File of the goal to save: YAML, JSON or CSV, as `send` takes it."

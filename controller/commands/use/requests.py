@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands.common import (
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import (
     ENDPOINT,
     ArmName,
     AsJson,
@@ -17,8 +17,8 @@ from controller.commands.common import (
     ZenohFile,
     print_json,
 )
-from controller.commands.completion import complete_arms
-from controller.commands.connection import START, ask, connected, open_session
+from hyperbit.controller.commands.completion import complete_arms
+from hyperbit.controller.commands.connection import START, ask, connected, open_session
 
 ALL = "Stop all arms of the network, also below namespaces, and tell which have stopped."
 ANY_ARM = "The arm's file, or its name. With --all it is absent."
@@ -55,7 +55,7 @@ def stop_arms(connect: str, zenoh_file: Path | None, as_json: bool) -> None:
     Raises:
         CommandFailed: an arm did not answer, or refused; or no arm is there.
     """
-    from controller.network.stop_all import stop_all
+    from hyperbit.controller.network.stop_all import stop_all
 
     with open_session(connect, zenoh_file) as session:
         report = stop_all(session)

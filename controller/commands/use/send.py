@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from controller.armfile.strict import InputFaults
-from controller.commands import common
-from controller.commands.common import (
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import common
+from hyperbit.controller.commands.common import (
     ENDPOINT,
     ArmName,
     AsJson,
@@ -21,11 +21,11 @@ from controller.commands.common import (
     print_json,
     refusal,
 )
-from controller.commands.connection import connected, read_payload
-from controller.commands.goal_rows import read_goal_rows
+from hyperbit.controller.commands.connection import connected, read_payload
+from hyperbit.controller.commands.goal_rows import read_goal_rows
 
 if TYPE_CHECKING:
-    from controller.network.client import Client
+    from hyperbit.controller.network.client import Client
 
 FILE = "File of a goal: YAML or JSON with `waypoints`, or CSV with a waypoint in each row (x, y[, z][, th], t)."
 ONE_GOAL = "Position to go to, optionally with an orientation; spatial arms: X,Y,Z[,QX,QY,QZ,QW]."

@@ -16,8 +16,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from controller.commands import common
-from controller.commands.common import (
+from hyperbit.controller.commands import common
+from hyperbit.controller.commands.common import (
     ENDPOINT,
     ArmName,
     AsJson,
@@ -27,8 +27,8 @@ from controller.commands.common import (
     arm_name,
     print_json,
 )
-from controller.commands.connection import START, connected
-from controller.commands.use.list import reason_and_faults
+from hyperbit.controller.commands.connection import START, connected
+from hyperbit.controller.commands.use.list import reason_and_faults
 
 COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}
 

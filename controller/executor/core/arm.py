@@ -6,15 +6,15 @@ from pathlib import Path
 
 import msgspec
 
-from controller.armfile.actuators import ending_time, longest_travel, read_wired, travel_times
-from controller.armfile.error_states import error_state
-from controller.armfile.locks import WORDS
-from controller.armfile.places import placed_faults
-from controller.armfile.settings import ActuatorSettings, ArmSettings, BusSettings, RealTimeSettings
-from controller.armfile.strict import InputFaults
-from controller.armfile.terminals import actuator_terminals, owned_terminals
-from drivers.canopen.layout import Unfit, lay_out
-from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
+from hyperbit.controller.armfile.actuators import ending_time, longest_travel, read_wired, travel_times
+from hyperbit.controller.armfile.error_states import error_state
+from hyperbit.controller.armfile.locks import WORDS
+from hyperbit.controller.armfile.places import placed_faults
+from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, BusSettings, RealTimeSettings
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.armfile.terminals import actuator_terminals, owned_terminals
+from hyperbit.drivers.canopen.layout import Unfit, lay_out
+from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
 
 
 @dataclass(frozen=True)

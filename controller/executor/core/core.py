@@ -6,9 +6,9 @@ import traceback
 from collections.abc import Callable
 from typing import ParamSpec
 
-from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.ending import Ending
-from controller.executor.core.events import (
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.core.ending import Ending
+from hyperbit.controller.executor.core.events import (
     Action,
     ClientGone,
     ClientId,
@@ -21,22 +21,33 @@ from controller.executor.core.events import (
     SendFrame,
     ToClient,
 )
-from controller.executor.core.locked import LockedActuators
-from controller.executor.core.modes import Modes
-from controller.executor.core.parts import ExecutorParts
-from controller.executor.core.reports import Reports
-from controller.executor.core.requests import ClientRequests
-from controller.executor.core.results import ProgramResults
-from controller.executor.motion.motion import ArmMotion
-from controller.executor.process.clients import Clients
-from controller.executor.process.switch_journal import SwitchJournal
-from controller.host.process import Log, Notify, Quit
-from controller.program import TICK, VERSION, Acknowledge, Counts, Down, Goodbye, Hello, PlayableFaults, Up, Welcome
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.run.master import Master
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import FrameEchoed, FrameReceived
+from hyperbit.controller.executor.core.locked import LockedActuators
+from hyperbit.controller.executor.core.modes import Modes
+from hyperbit.controller.executor.core.parts import ExecutorParts
+from hyperbit.controller.executor.core.reports import Reports
+from hyperbit.controller.executor.core.requests import ClientRequests
+from hyperbit.controller.executor.core.results import ProgramResults
+from hyperbit.controller.executor.motion.motion import ArmMotion
+from hyperbit.controller.executor.process.clients import Clients
+from hyperbit.controller.executor.process.switch_journal import SwitchJournal
+from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.program import (
+    TICK,
+    VERSION,
+    Acknowledge,
+    Counts,
+    Down,
+    Goodbye,
+    Hello,
+    PlayableFaults,
+    Up,
+    Welcome,
+)
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.master import Master
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
 LONGEST_TICK = 2 * TICK  # [s] that supervision counts at most, so that a late tick is no delay
 DEFECT = ArmFault("internal-error", "executor", "internal error, see the log; the arm holds")

@@ -2,11 +2,11 @@
 
 import logging
 
-from controller.executor.core.bits import first
-from controller.executor.core.parts import ExecutorParts
-from controller.executor.motion.setpoint_stream import SetpointStream
-from controller.host.process import Log, Notify
-from controller.program import Setpoint, pack
+from hyperbit.controller.executor.core.bits import first
+from hyperbit.controller.executor.core.parts import ExecutorParts
+from hyperbit.controller.executor.motion.setpoint_stream import SetpointStream
+from hyperbit.controller.host.process import Log, Notify
+from hyperbit.controller.program import Setpoint, pack
 
 
 class Ending:

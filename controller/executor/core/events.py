@@ -2,10 +2,10 @@
 
 from typing import NamedTuple
 
-from controller.host.process import Log, Notify, Quit
-from controller.program import Down, Up
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Event as CanEvent
+from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.program import Down, Up
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import Event as CanEvent
 
 
 class ClientId(NamedTuple):

@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from controller.executor.core.bits import indices, merged
-from drivers.canopen.wiring import Interlock, Timing, Wiring
+from hyperbit.controller.executor.core.bits import indices, merged
+from hyperbit.drivers.canopen.wiring import Interlock, Timing, Wiring
 
 
 class Ends(NamedTuple):

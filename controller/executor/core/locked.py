@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 
-from controller.armfile.locks import WORDS, lock_warning, locks_in_words
-from controller.executor.core.bits import first, indices, merged
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from drivers.canopen.faults import ArmFault
+from hyperbit.controller.armfile.locks import WORDS, lock_warning, locks_in_words
+from hyperbit.controller.executor.core.bits import first, indices, merged
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.drivers.canopen.faults import ArmFault
 
 
 class LockedActuators:

@@ -3,17 +3,17 @@
 import logging
 from collections.abc import Callable
 
-from controller.executor.core.events import Action
-from controller.executor.core.locked import LockedActuators
-from controller.executor.core.reports import Reports
-from controller.executor.motion.motion import ArmMotion
-from controller.executor.motion.program_execution import ProgramExecution
-from controller.executor.motion.setpoint_stream import SetpointStream
-from controller.host.journal import fields_of_fault, fields_of_mode
-from controller.host.process import Log, Notify
-from controller.program import Mode
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.run.master import Master
+from hyperbit.controller.executor.core.events import Action
+from hyperbit.controller.executor.core.locked import LockedActuators
+from hyperbit.controller.executor.core.reports import Reports
+from hyperbit.controller.executor.motion.motion import ArmMotion
+from hyperbit.controller.executor.motion.program_execution import ProgramExecution
+from hyperbit.controller.executor.motion.setpoint_stream import SetpointStream
+from hyperbit.controller.host.journal import fields_of_fault, fields_of_mode
+from hyperbit.controller.host.process import Log, Notify
+from hyperbit.controller.program import Mode
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.master import Master
 
 RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
 # Codes of faults that clear by themselves.

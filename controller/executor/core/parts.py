@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.events import Action
-from controller.executor.core.locked import LockedActuators
-from controller.executor.core.modes import Modes
-from controller.executor.motion.motion import ArmMotion
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.core.events import Action
+from hyperbit.controller.executor.core.locked import LockedActuators
+from hyperbit.controller.executor.core.modes import Modes
+from hyperbit.controller.executor.motion.motion import ArmMotion
 
 
 class ExecutorParts(NamedTuple):

@@ -2,16 +2,16 @@
 
 from dataclasses import asdict
 
-from controller.armfile.locks import WORDS
-from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.bits import indices
-from controller.executor.core.events import Health
-from controller.executor.core.locked import LockedActuators
-from controller.executor.motion.motion import ArmMotion
-from controller.executor.process.switch_journal import SwitchJournal
-from controller.program import Diagnostics, Fault, Mode, Snapshot, pack
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.run.master import Master
+from hyperbit.controller.armfile.locks import WORDS
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.core.bits import indices
+from hyperbit.controller.executor.core.events import Health
+from hyperbit.controller.executor.core.locked import LockedActuators
+from hyperbit.controller.executor.motion.motion import ArmMotion
+from hyperbit.controller.executor.process.switch_journal import SwitchJournal
+from hyperbit.controller.program import Diagnostics, Fault, Mode, Snapshot, pack
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.master import Master
 
 SNAPSHOT_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
 MOST_FAULTS, MOST_TEXT = 50, 300  # faults, and characters of each, so that a snapshot fits one message

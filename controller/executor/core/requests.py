@@ -3,13 +3,18 @@
 import logging
 from typing import NamedTuple
 
-from controller.executor.core.events import ClientId, FaultPlayed, ToClient, ToSimulation
-from controller.executor.core.parts import ExecutorParts
-from controller.executor.motion.program_execution import ProgramExecution, StageMisfit, check_stages, checked_states
-from controller.executor.motion.setpoint_stream import SetpointStream
-from controller.executor.process.clients import Clients
-from controller.host.process import Log
-from controller.program import (
+from hyperbit.controller.executor.core.events import ClientId, FaultPlayed, ToClient, ToSimulation
+from hyperbit.controller.executor.core.parts import ExecutorParts
+from hyperbit.controller.executor.motion.program_execution import (
+    ProgramExecution,
+    StageMisfit,
+    check_stages,
+    checked_states,
+)
+from hyperbit.controller.executor.motion.setpoint_stream import SetpointStream
+from hyperbit.controller.executor.process.clients import Clients
+from hyperbit.controller.host.process import Log
+from hyperbit.controller.program import (
     TICK,
     Accepted,
     Answer,
@@ -27,8 +32,8 @@ from controller.program import (
     Setpoint,
     Stop,
 )
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal, no_motion
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
 
 class HeldAnswer(NamedTuple):

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-from controller.executor.motion.program_execution import ProgramExecution
-from controller.executor.process.switch_journal import SwitchJournal
-from controller.program import MOST_TRAVELS, Counted, Ended, Up
+from hyperbit.controller.executor.motion.program_execution import ProgramExecution
+from hyperbit.controller.executor.process.switch_journal import SwitchJournal
+from hyperbit.controller.program import MOST_TRAVELS, Counted, Ended, Up
 
 MOST_STORED = 1_000
 

@@ -3,12 +3,12 @@
 import math
 from typing import NamedTuple
 
-from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.bits import indices, merged
-from controller.executor.core.kinds import Kinds
-from controller.executor.process.switch_journal import SwitchJournal
-from drivers.canopen.faults import ArmFault, Busy
-from drivers.canopen.run.master import Master
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.core.bits import indices, merged
+from hyperbit.controller.executor.core.kinds import Kinds
+from hyperbit.controller.executor.process.switch_journal import SwitchJournal
+from hyperbit.drivers.canopen.faults import ArmFault, Busy
+from hyperbit.drivers.canopen.run.master import Master
 
 BUSY_FOR = 0.25  # [s]; a bus that accepts no command for longer is a fault
 LATE = 0.1  # [s] after its end at which a pulse is overdue, and no longer waited for: its bus accepts no frames

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from controller.program import Clearance, Question, pack
+from hyperbit.controller.program import Clearance, Question, pack
 
 ANSWER_WITHIN = 10.0  # [s]; without an answer the stage counts as not clear
 

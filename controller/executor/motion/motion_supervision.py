@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from controller.armfile.locks import WORDS
-from controller.executor.core.bits import indices, merged
-from controller.executor.core.kinds import Ends, Kinds
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.run.master import Master
+from hyperbit.controller.armfile.locks import WORDS
+from hyperbit.controller.executor.core.bits import indices, merged
+from hyperbit.controller.executor.core.kinds import Ends, Kinds
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.master import Master
 
 MOST_MISSED = 3  # successive commands that an actuator may miss, each reversed before it counts as stuck
 ASK_EVERY = 0.01  # [s] between two questions to a board

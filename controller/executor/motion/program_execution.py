@@ -4,8 +4,8 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from controller.executor.core.locked import LockedActuators
-from controller.program import MOST_PROGRAM_STAGES, Program, Replacement, Stage, Travel, unpack
+from hyperbit.controller.executor.core.locked import LockedActuators
+from hyperbit.controller.program import MOST_PROGRAM_STAGES, Program, Replacement, Stage, Travel, unpack
 
 EPSILON = 1e-9  # [s]
 MOST_AHEAD = 1_000  # stages that may be skipped at once

@@ -1,12 +1,12 @@
 """The readings of an arm: what end-stops and outputs tell about its actuators and interlocks."""
 
-from controller.executor.core.bits import merged
-from controller.executor.core.kinds import Ends, Kinds
-from controller.executor.core.locked import LockedActuators
-from controller.executor.motion.actuation import Actuation
-from controller.program import pack
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.run.master import Master
+from hyperbit.controller.executor.core.bits import merged
+from hyperbit.controller.executor.core.kinds import Ends, Kinds
+from hyperbit.controller.executor.core.locked import LockedActuators
+from hyperbit.controller.executor.motion.actuation import Actuation
+from hyperbit.controller.program import pack
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.master import Master
 
 
 class Readings:

@@ -1,8 +1,8 @@
 """The stream of set-points: the stages of the latest set-point."""
 
-from controller.executor.core.locked import LockedActuators
-from controller.executor.motion.program_execution import StageMisfit, checked_states
-from controller.program import Setpoint
+from hyperbit.controller.executor.core.locked import LockedActuators
+from hyperbit.controller.executor.motion.program_execution import StageMisfit, checked_states
+from hyperbit.controller.program import Setpoint
 
 
 class SetpointStream:

@@ -1,8 +1,8 @@
 """Travel times of actuators, from the SYNC that switched an actuator to the frame that reports its end-stop."""
 
-from controller.executor.core.bits import indices
-from controller.executor.core.kinds import Ends
-from controller.program import Travel
+from hyperbit.controller.executor.core.bits import indices
+from hyperbit.controller.executor.core.kinds import Ends
+from hyperbit.controller.program import Travel
 
 
 class TravelTimes:

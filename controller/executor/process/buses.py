@@ -7,13 +7,13 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
 
-from drivers.canopen.faults import BusError
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wire.cia301 import Frame, State
-from drivers.canopen.wire.events import Event, FrameEchoed, FrameReceived, SendFailed
-from drivers.canopen.wire.interface_lock import InterfaceInUse
-from drivers.canopen.wiring import MASTER, BusWiring
+from hyperbit.drivers.canopen.faults import BusError
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.bus import CanBus
+from hyperbit.drivers.canopen.wire.cia301 import Frame, State
+from hyperbit.drivers.canopen.wire.events import Event, FrameEchoed, FrameReceived, SendFailed
+from hyperbit.drivers.canopen.wire.interface_lock import InterfaceInUse
+from hyperbit.drivers.canopen.wiring import MASTER, BusWiring
 
 log = logging.getLogger(__name__)
 

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from typing import Literal
 
-from controller.executor.core.events import ClientId
-from controller.program import VERSION, Goodbye, Hello, Up
+from hyperbit.controller.executor.core.events import ClientId
+from hyperbit.controller.program import VERSION, Goodbye, Hello, Up
 
 Role = Literal["planner", "operator"]
 

@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from typing import Literal
 
-from controller.executor.core.events import ClientId
+from hyperbit.controller.executor.core.events import ClientId
 
 HELLO_TIMEOUT = 1.0  # [s] from the connection to its Hello
 PLACES = {"silent": 16, "operator": 15}  # the core refuses a second planner, and its connection ends at once

@@ -9,15 +9,15 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from controller.armfile.strict import InputFaults
-from controller.executor.core.arm import ExecutedArm
-from controller.program import FaultVerb, PlayableFaults
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
-from drivers.canopen.wiring import Timing, Wiring
-from drivers.simulation.buses import SimulatedBuses, board_names
-from drivers.simulation.fault_commands import VERBS, play
-from drivers.simulation.variants import Variant, choose
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.program import FaultVerb, PlayableFaults
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
+from hyperbit.drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.simulation.buses import SimulatedBuses, board_names
+from hyperbit.drivers.simulation.fault_commands import VERBS, play
+from hyperbit.drivers.simulation.variants import Variant, choose
 
 INPUT = 0  # file descriptor of the standard input
 MOST_STEPS = 500  # of the boards in one poll, as a socket buffers a limited number of frames

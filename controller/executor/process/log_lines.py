@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from logging.handlers import QueueHandler, QueueListener
 
-from controller.host.journal import JournalHandler, is_journal
+from hyperbit.controller.host.journal import JournalHandler, is_journal
 
 MOST_WAITING = 1_000  # log lines; more are dropped
 MOST_WRITTEN = 4_096  # bytes in one write; a writable pipe accepts them without blocking

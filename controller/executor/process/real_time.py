@@ -6,8 +6,8 @@ import os
 import resource
 from pathlib import Path
 
-from controller.armfile.settings import RealTimeSettings
-from controller.host.scheduling import shorten_slice
+from hyperbit.controller.armfile.settings import RealTimeSettings
+from hyperbit.controller.host.scheduling import shorten_slice
 
 log = logging.getLogger(__name__)
 

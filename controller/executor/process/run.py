@@ -10,8 +10,8 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 
-from controller.executor.core.core import Executor
-from controller.executor.core.events import (
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.core.events import (
     Action,
     Defect,
     Event,
@@ -22,13 +22,13 @@ from controller.executor.core.events import (
     ToClient,
     ToSimulation,
 )
-from controller.executor.process.buses import Buses
-from controller.executor.process.server import ExecutorServer
-from controller.flight_recorder import FlightRecorder
-from controller.host.notify import Notifier
-from controller.host.process import Log, Notify, Quit
-from controller.host.signals import ENDING, end_on_signals, ignore
-from controller.program import TICK
+from hyperbit.controller.executor.process.buses import Buses
+from hyperbit.controller.executor.process.server import ExecutorServer
+from hyperbit.controller.flight_recorder import FlightRecorder
+from hyperbit.controller.host.notify import Notifier
+from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.host.signals import ENDING, end_on_signals, ignore
+from hyperbit.controller.program import TICK
 
 log = logging.getLogger("executor")
 

@@ -8,9 +8,19 @@ import time
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from controller.executor.core.events import ClientGone, ClientId, FromClient
-from controller.executor.process.connections import ClientConnection, LimitedLog, late, superfluous
-from controller.program import MOST_BYTES, Diagnostics, Goodbye, Hello, Malformed, Snapshot, Up, decode_down, encode
+from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
+from hyperbit.controller.executor.process.connections import ClientConnection, LimitedLog, late, superfluous
+from hyperbit.controller.program import (
+    MOST_BYTES,
+    Diagnostics,
+    Goodbye,
+    Hello,
+    Malformed,
+    Snapshot,
+    Up,
+    decode_down,
+    encode,
+)
 
 log = logging.getLogger(__name__)
 BACKLOG = 128  # connections that wait to be accepted

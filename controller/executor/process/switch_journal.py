@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Protocol
 
-from controller.executor.core.bits import indices
-from controller.executor.process.copier import Copier
-from controller.executor.process.journal_copy import (
+from hyperbit.controller.executor.core.bits import indices
+from hyperbit.controller.executor.process.copier import Copier
+from hyperbit.controller.executor.process.journal_copy import (
     MAGIC,
     PAGE,
     DiskCopy,
@@ -28,7 +28,7 @@ from controller.executor.process.journal_copy import (
     locked_file,
     packed,
 )
-from controller.host.folders import state_folder
+from hyperbit.controller.host.folders import state_folder
 
 log = logging.getLogger(__name__)
 

@@ -1,5 +1,5 @@
 """The public Python API; see controller/library, whose names these are."""
 
-from controller.library import *  # noqa: F403
-from controller.library import __all__ as __all__
-from controller.library import __doc__ as __doc__
+from hyperbit.controller.library import *  # noqa: F403
+from hyperbit.controller.library import __all__ as __all__
+from hyperbit.controller.library import __doc__ as __doc__

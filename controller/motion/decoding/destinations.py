@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.armfile.strict import UNIT
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.armfile.strict import UNIT
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 if TYPE_CHECKING:
-    from controller.manipulator.manipulator import Manipulator
+    from hyperbit.controller.manipulator.manipulator import Manipulator
 
 LONGEST = 200  # characters of a quoted message
 
@@ -30,7 +30,7 @@ def destination(
     Raises:
         Refusal: the text is no configuration of this arm.
     """
-    from controller.manipulator.notation import parse_configuration
+    from hyperbit.controller.manipulator.notation import parse_configuration
 
     if manipulator is None:
         raise Refusal(Reason.POSITIONS_ONLY, where=where)
@@ -48,7 +48,7 @@ def rotation(orientation: float | list[float] | None, dimension: int, where: str
     Raises:
         Refusal: a planar arm needs an angle, a spatial arm a unit quaternion.
     """
-    from controller.manipulator import frames
+    from hyperbit.controller.manipulator import frames
 
     if orientation is None:
         return np.eye(3)

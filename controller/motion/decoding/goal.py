@@ -15,15 +15,15 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from controller.armfile.strict import check
-from controller.motion.decoding.destinations import destination, rotation
-from controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal, all_faults
+from hyperbit.controller.armfile.strict import check
+from hyperbit.controller.motion.decoding.destinations import destination, rotation
+from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal, all_faults
 
 if TYPE_CHECKING:  # its kernels take a second to import; clients that only decode messages need not wait
-    from controller.manipulator.manipulator import Manipulator
-    from controller.motion.stages.pacing import Pace
+    from hyperbit.controller.manipulator.manipulator import Manipulator
+    from hyperbit.controller.motion.stages.pacing import Pace
 
 MOST_BYTES = 1_000_000
 BEGIN_WITHIN = 8.0  # [s] from the arrival of a request to its acceptance; Zenoh's queries end after 10 s

@@ -5,13 +5,13 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from controller.manipulator.locked import STATES
-from controller.motion.decoding.goal import BEGIN_WITHIN, BeginSeconds, Jog
-from controller.motion.decoding.setpoint import parse
-from controller.obstacles.notation import ObstacleList, parse_obstacles
-from controller.obstacles.obstacles import Obstacles
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal, all_faults, no_actuator
+from hyperbit.controller.manipulator.locked import STATES
+from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN, BeginSeconds, Jog
+from hyperbit.controller.motion.decoding.setpoint import parse
+from hyperbit.controller.obstacles.notation import ObstacleList, parse_obstacles
+from hyperbit.controller.obstacles.obstacles import Obstacles
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal, all_faults, no_actuator
 
 MOST_OBSTACLE_BYTES = 200_000  # 256 obstacles with long names and all digits
 

@@ -9,9 +9,9 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from controller.motion.decoding.goal import Coordinate, Time, Tolerance, once, refusal_of
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.motion.decoding.goal import Coordinate, Time, Tolerance, once, refusal_of
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 S = TypeVar("S", bound=Struct)
 

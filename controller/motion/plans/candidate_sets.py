@@ -7,9 +7,9 @@ import numpy as np
 from numba import int64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1
-from controller.manipulator.manipulator import Manipulator
-from controller.motion.plans.halves import (
+from hyperbit.controller.manipulator.kernel_types import F1
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.motion.plans.halves import (
     CANDIDATES,
     CHANGES,
     PLACE,
@@ -23,12 +23,12 @@ from controller.motion.plans.halves import (
     index_half,
     match,
 )
-from controller.obstacles.scene import Scene, for_scenes
-from controller.search.frame_rows import motions
-from controller.search.method import costs_between_states
-from controller.search.segment import ROWS, Rows, Sets, grow, room
-from controller.search.target import SearchTarget
-from controller.search.two_list import middle
+from hyperbit.controller.obstacles.scene import Scene, for_scenes
+from hyperbit.controller.search.frame_rows import motions
+from hyperbit.controller.search.method import costs_between_states
+from hyperbit.controller.search.segment import ROWS, Rows, Sets, grow, room
+from hyperbit.controller.search.target import SearchTarget
+from hyperbit.controller.search.two_list import middle
 
 Array = NDArray[np.float64]
 

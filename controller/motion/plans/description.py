@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from controller.manipulator.locked import transferred
-from controller.manipulator.notation import format_configuration, pose
+from hyperbit.controller.manipulator.locked import transferred
+from hyperbit.controller.manipulator.notation import format_configuration, pose
 
 if TYPE_CHECKING:  # their kernels take seconds to import
-    from controller.manipulator.manipulator import Configuration, Manipulator
-    from controller.motion.plans.plan import TrajectoryPlan
-    from controller.search.solution import Solution
+    from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+    from hyperbit.controller.motion.plans.plan import TrajectoryPlan
+    from hyperbit.controller.search.solution import Solution
 
 
 def describe_solution(whole: Manipulator, reduced: Manipulator, solution: Solution, oriented: bool) -> dict[str, Any]:

@@ -6,12 +6,12 @@ import numpy as np
 from numba import boolean, float64, int32, int64, njit, types, uint16
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import F1, F2, F3, I1, named
-from controller.manipulator.manipulator import Configuration
-from controller.obstacles.scene import Scene, collides, for_scenes
-from controller.search.frame_rows import compose
-from controller.search.segment import ROWS, Rows
-from controller.search.target import QUERY, SearchQuery, reaches
+from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, I1, named
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
+from hyperbit.controller.search.frame_rows import compose
+from hyperbit.controller.search.segment import ROWS, Rows
+from hyperbit.controller.search.target import QUERY, SearchQuery, reaches
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from controller.manipulator.manipulator import Configuration
-from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.plan import TrajectoryPlan
-from controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.plan import TrajectoryPlan
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
 
 MARGIN = 0.1  # [s] between the decision of a point and its first switch, at least
 BATCH = 4  # points staged at a time: staging one may take some hundredths of a second, the next are due first

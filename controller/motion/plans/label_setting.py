@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration
-from controller.motion.plans.candidate_sets import CandidateSets
-from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.points import TrajectoryPoints
-from controller.motion.trajectory import Trajectory
-from controller.search.solution import EPSILON, SearchTime, proves
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.plans.candidate_sets import CandidateSets
+from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.trajectory import Trajectory
+from hyperbit.controller.search.solution import EPSILON, SearchTime, proves
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration
-from controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.plans.points import TrajectoryPoints
 
 WIDTH = 64  # labels kept at a point
 MOST = 32  # successors of a label

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages.pacing import Infeasible, Staged
-from controller.motion.trajectory import Trajectory
-from controller.refusals.refusal import Refusal
-from controller.search.solution import Certificate, Solution, certificate, proof
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.stages.pacing import Infeasible, Staged
+from hyperbit.controller.motion.trajectory import Trajectory
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solution import Certificate, Solution, certificate, proof
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,18 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from controller.manipulator.manipulator import Configuration
-from controller.motion.plans.plan import TrajectoryPlan
-from controller.motion.plans.points import States, TrajectoryPoint
-from controller.motion.plans.transitions import PlannedTransition, TransitionPlanner
-from controller.motion.plans.ways_around import WaysAround, WayTime
-from controller.motion.stages.pacing import Blocked
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from controller.search.method import MINIMUM_SWITCH, Method
-from controller.search.solution import SearchTime, Solution
-from controller.search.solver import TIMEOUT, search_time
-from controller.search.target import distance
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.plans.plan import TrajectoryPlan
+from hyperbit.controller.motion.plans.points import States, TrajectoryPoint
+from hyperbit.controller.motion.plans.transitions import PlannedTransition, TransitionPlanner
+from hyperbit.controller.motion.plans.ways_around import WaysAround, WayTime
+from hyperbit.controller.motion.stages.pacing import Blocked
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
+from hyperbit.controller.search.solution import SearchTime, Solution
+from hyperbit.controller.search.solver import TIMEOUT, search_time
+from hyperbit.controller.search.target import distance
 
 # Time for all searches of a trajectory [s]. It is short because the arm waits. A part of it is reserved for one first
 # answer a point, which is used when the rest of the time is over. Look-ahead computes the deviation of these later.

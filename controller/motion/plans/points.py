@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration
-from controller.motion.trajectory import Trajectory
-from controller.search.solver import Solver
-from controller.search.target import SearchTarget
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.trajectory import Trajectory
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.search.target import SearchTarget
 
 States = NDArray[np.uint8]
 

@@ -8,18 +8,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.plans.points import TrajectoryPoint, TrajectoryPoints
-from controller.motion.stages.pacing import Blocked, Infeasible, Pace, Staged, Stager
-from controller.motion.stages.restaging import restage
-from controller.motion.trajectory import Trajectory, upwards
-from controller.obstacles.distance import Index
-from controller.obstacles.keep_out import KeepOutSet
-from controller.obstacles.sweep import Sweep, sweep_of
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from controller.search.solution import Solution
-from controller.search.solver import Solver
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.motion.plans.points import TrajectoryPoint, TrajectoryPoints
+from hyperbit.controller.motion.stages.pacing import Blocked, Infeasible, Pace, Staged, Stager
+from hyperbit.controller.motion.stages.restaging import restage
+from hyperbit.controller.motion.trajectory import Trajectory, upwards
+from hyperbit.controller.obstacles.distance import Index
+from hyperbit.controller.obstacles.keep_out import KeepOutSet
+from hyperbit.controller.obstacles.sweep import Sweep, sweep_of
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solution import Solution
+from hyperbit.controller.search.solver import Solver
 
 AT_ONCE = Pace(0.0)
 

@@ -6,15 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.manipulator.manipulator import Configuration
-from controller.motion.plans.points import TrajectoryPoint
-from controller.motion.plans.transitions import PlannedTransition, TransitionPlanner
-from controller.motion.stages.detours import Detour, Detours, Late, NoWay
-from controller.motion.stages.pacing import Blocked
-from controller.obstacles.distance import Index
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from controller.search.solution import EPSILON, SearchTime, Solution
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.plans.points import TrajectoryPoint
+from hyperbit.controller.motion.plans.transitions import PlannedTransition, TransitionPlanner
+from hyperbit.controller.motion.stages.detours import Detour, Detours, Late, NoWay
+from hyperbit.controller.motion.stages.pacing import Blocked
+from hyperbit.controller.obstacles.distance import Index
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solution import EPSILON, SearchTime, Solution
 
 ENDS = 4096  # most configurations of a point
 TRY = 0.1  # [s] for one configuration, if no actuator may switch twice

@@ -6,16 +6,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration
-from controller.motion.plans.label_setting import LabelSetting
-from controller.motion.plans.plan import TrajectoryPlan
-from controller.motion.plans.point_by_point import PointByPoint
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages.pacing import Pace
-from controller.motion.trajectory import MOST_POINTS, Trajectory, along
-from controller.search.method import MINIMUM_SWITCH, Method
-from controller.search.solution import SearchTime
-from controller.search.solver import TIMEOUT, search_time
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.plans.label_setting import LabelSetting
+from hyperbit.controller.motion.plans.plan import TrajectoryPlan
+from hyperbit.controller.motion.plans.point_by_point import PointByPoint
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.stages.pacing import Pace
+from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory, along
+from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
+from hyperbit.controller.search.solution import SearchTime
+from hyperbit.controller.search.solver import TIMEOUT, search_time
 
 FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s]: most for the first answers of all points; for the search of the whole
 

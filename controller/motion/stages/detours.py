@@ -22,12 +22,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.manipulator.manipulator import Configuration
-from controller.motion.stages.state_trees import StateTree, find, packed, plant, root_of, route, state_tree, unpacked
-from controller.motion.stages.walks import ROOM, extend, flood, grow, next_undecided, step, walk_of
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.distance import Index
-from controller.obstacles.sweep import Sweep
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.stages.state_trees import (
+    StateTree,
+    find,
+    packed,
+    plant,
+    root_of,
+    route,
+    state_tree,
+    unpacked,
+)
+from hyperbit.controller.motion.stages.walks import ROOM, extend, flood, grow, next_undecided, step, walk_of
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.distance import Index
+from hyperbit.controller.obstacles.sweep import Sweep
 
 Late = Callable[[], bool]  # returns whether the time of a search is over; what it raises ends the planning
 

@@ -7,8 +7,8 @@ import numpy as np
 from numba import boolean, float64, njit, types
 from numpy.typing import NDArray
 
-from controller.manipulator.frame_kernels import compose, set_identity
-from controller.manipulator.kernel_types import F1, F2, F3, F4, I1, named
+from hyperbit.controller.manipulator.frame_kernels import compose, set_identity
+from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, F4, I1, named
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

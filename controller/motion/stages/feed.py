@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from controller.motion.stages.program import pack_states, unpack_states
-from controller.motion.stages.restaging import restage
-from controller.program import MOST_BYTES, MOST_STAGES, Replacement, Stage
+from hyperbit.controller.motion.stages.program import pack_states, unpack_states
+from hyperbit.controller.motion.stages.restaging import restage
+from hyperbit.controller.program import MOST_BYTES, MOST_STAGES, Replacement, Stage
 
 if TYPE_CHECKING:
-    from controller.manipulator.manipulator import Manipulator
+    from hyperbit.controller.manipulator.manipulator import Manipulator
 
 PART = 250  # most stages of one message, and least stages ahead of the one that begins
 CHECKED_AT_ONCE = 16  # stages of one collision check: the first ones may begin while later ones are checked

@@ -7,15 +7,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.armfile.actuators import longest_travel
-from controller.armfile.settings import ArmSettings
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.stages.deviation import Index, Transition
-from controller.motion.stages.stage_sequencer import StageSequencer
-from controller.motion.stages.stages import SKIPPED, order_stages, peaks
-from controller.motion.stages.transition import build_transition
-from controller.obstacles.sweep import Sweep
-from controller.program import TICK
+from hyperbit.controller.armfile.actuators import longest_travel
+from hyperbit.controller.armfile.settings import ArmSettings
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.motion.stages.deviation import Index, Transition
+from hyperbit.controller.motion.stages.stage_sequencer import StageSequencer
+from hyperbit.controller.motion.stages.stages import SKIPPED, order_stages, peaks
+from hyperbit.controller.motion.stages.transition import build_transition
+from hyperbit.controller.obstacles.sweep import Sweep
+from hyperbit.controller.program import TICK
 
 MOST_STAGES = 8  # of a transition, unless the inrush bound needs more; further stages lower the deviation little
 

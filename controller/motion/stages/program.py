@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # their kernels take seconds to import
-    from controller.motion.trajectory import Trajectory
+    from hyperbit.controller.motion.trajectory import Trajectory
 
 States = NDArray[np.uint8]
 

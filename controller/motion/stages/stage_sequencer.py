@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from controller.obstacles.distance import Index
-from controller.obstacles.sweep import Collision, States, Sweep
+from hyperbit.controller.obstacles.distance import Index
+from hyperbit.controller.obstacles.sweep import Collision, States, Sweep
 
 
 class StageSequencer:

@@ -8,9 +8,9 @@ from itertools import islice, product, takewhile
 import numpy as np
 from numba import njit
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.stages.deviation import Array, Index, Transition
-from controller.motion.stages.transition import build_transition
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.motion.stages.deviation import Array, Index, Transition
+from hyperbit.controller.motion.stages.transition import build_transition
 
 EXACT = 11  # most switches for which all orders are compared: 9 ms; 12 would take 24 ms
 WINDOW = 8  # most actuators of consecutive stages that are reordered exactly

@@ -9,9 +9,9 @@ import numpy as np
 from numba import boolean, int32, int64, njit, types, uint64
 from numpy.typing import NDArray
 
-from controller.manipulator.kernel_types import I1, S1, UNCOUNTED, named
-from controller.manipulator.manipulator import Manipulator
-from controller.obstacles.distance import Index
+from hyperbit.controller.manipulator.kernel_types import I1, S1, UNCOUNTED, named
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.obstacles.distance import Index
 
 Bits = NDArray[np.uint64]
 

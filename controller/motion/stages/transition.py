@@ -6,10 +6,10 @@ import numpy as np
 from numba import boolean, njit, types, uint8
 from numpy.typing import NDArray
 
-from controller.manipulator.frame_kernels import compose, set_identity
-from controller.manipulator.kernel_types import F2, F3, F4, I1, named
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.stages.deviation import MOVING, Array, Index, Known, MovingModules, Transition
+from hyperbit.controller.manipulator.frame_kernels import compose, set_identity
+from hyperbit.controller.manipulator.kernel_types import F2, F3, F4, I1, named
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.motion.stages.deviation import MOVING, Array, Index, Known, MovingModules, Transition
 
 
 class ModuleStates(NamedTuple):

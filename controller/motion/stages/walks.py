@@ -5,12 +5,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import boolean, int64, njit, types
 
-from controller.manipulator.kernel_types import I1, UNCOUNTED, named
-from controller.motion.stages.state_trees import STATE_TREE, U1, Bits, StateTree, add, bit, find, flip, nearest, packed
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.collision import ARM_BODIES, ArmBodies
-from controller.obstacles.distance import SURROUNDINGS, Index, Surroundings
-from controller.obstacles.single_switches import (
+from hyperbit.controller.manipulator.kernel_types import I1, UNCOUNTED, named
+from hyperbit.controller.motion.stages.state_trees import (
+    STATE_TREE,
+    U1,
+    Bits,
+    StateTree,
+    add,
+    bit,
+    find,
+    flip,
+    nearest,
+    packed,
+)
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.collision import ARM_BODIES, ArmBodies
+from hyperbit.controller.obstacles.distance import SURROUNDINGS, Index, Surroundings
+from hyperbit.controller.obstacles.single_switches import (
     ARM_SWITCHES,
     SWITCH_SCRATCH,
     ArmSwitches,

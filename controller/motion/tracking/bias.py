@@ -12,12 +12,12 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from controller.motion.decoding.goal import Coordinate, Time
-from controller.motion.decoding.setpoint import parse
-from controller.motion.tracking.kalman import kalman_filter
-from controller.motion.tracking.tracking import GATES
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.motion.decoding.goal import Coordinate, Time
+from hyperbit.controller.motion.decoding.setpoint import parse
+from hyperbit.controller.motion.tracking.kalman import kalman_filter
+from hyperbit.controller.motion.tracking.tracking import GATES
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 Vector = NDArray[np.float64]
 

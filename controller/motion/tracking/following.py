@@ -3,15 +3,15 @@
 import time
 from typing import NamedTuple
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.plans.transitions import sweep_for
-from controller.motion.stages.pacing import Blocked, Pace, Stager
-from controller.motion.stages.restaging import restage
-from controller.obstacles.keep_out import KeepOutSet, States
-from controller.search.method import MINIMUM_SWITCH, Method
-from controller.search.solution import SearchTime, Solution
-from controller.search.solver import Solver
-from controller.search.target import SearchTarget
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.motion.plans.transitions import sweep_for
+from hyperbit.controller.motion.stages.pacing import Blocked, Pace, Stager
+from hyperbit.controller.motion.stages.restaging import restage
+from hyperbit.controller.obstacles.keep_out import KeepOutSet, States
+from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
+from hyperbit.controller.search.solution import SearchTime, Solution
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.search.target import SearchTarget
 
 SEARCH_TIME = SearchTime(0.01)  # for one search; it is never worse than IPOP
 FAR = 10.0  # tolerances; IPOP missed none of 2000 reachable positions by more than 2

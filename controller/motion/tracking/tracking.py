@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.motion.tracking.goal_motion import Tracking
-from controller.motion.tracking.kalman import kalman_filter, white_noise
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.motion.tracking.goal_motion import Tracking
+from hyperbit.controller.motion.tracking.kalman import kalman_filter, white_noise
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 Vector = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from controller.panel.access.people import Person, PersonEntry, digest_of
-from controller.panel.access.sessions import Sessions
+from hyperbit.controller.panel.access.people import Person, PersonEntry, digest_of
+from hyperbit.controller.panel.access.sessions import Sessions
 
 
 class Access:

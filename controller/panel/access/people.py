@@ -7,7 +7,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from msgspec import Meta, Struct
 
-from controller.armfile.strict import InputFaults, check, read_yaml
+from hyperbit.controller.armfile.strict import InputFaults, check, read_yaml
 
 Role = Literal["viewer", "operator"]
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from typing import NamedTuple
 
-from controller.panel.access.people import Person, Role
+from hyperbit.controller.panel.access.people import Person, Role
 
 MOST_PAGES, MOST_VIEWERS = 100, 60  # open pages in all, and of viewers; the other places are the operators'
 MOST_OF_PERSON = 30

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from controller.panel.access.people import PersonEntry, digest_of
+from hyperbit.controller.panel.access.people import PersonEntry, digest_of
 
 log = logging.getLogger(__name__)
 

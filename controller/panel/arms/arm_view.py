@@ -8,12 +8,12 @@ from typing import Any
 
 import msgspec
 
-from controller.network.client import Client, Unanswered
-from controller.panel.arms.arm_history import ArmHistory
-from controller.panel.arms.drawing import Drawing, cloud, picture
-from controller.panel.arms.faults import advised
-from controller.panel.arms.pages import Control, Page
-from controller.panel.arms.replay_clock import ReplayClock
+from hyperbit.controller.network.client import Client, Unanswered
+from hyperbit.controller.panel.arms.arm_history import ArmHistory
+from hyperbit.controller.panel.arms.drawing import Drawing, cloud, picture
+from hyperbit.controller.panel.arms.faults import advised
+from hyperbit.controller.panel.arms.pages import Control, Page
+from hyperbit.controller.panel.arms.replay_clock import ReplayClock
 
 log = logging.getLogger(__name__)
 

@@ -10,11 +10,11 @@ from typing import Any
 import msgspec
 import zenoh
 
-from controller.network.client import Client
-from controller.network.fleet import is_name
-from controller.panel.arms.arm_view import ArmView
-from controller.panel.arms.metrics import Counters
-from controller.panel.arms.pages import Page
+from hyperbit.controller.network.client import Client
+from hyperbit.controller.network.fleet import is_name
+from hyperbit.controller.panel.arms.arm_view import ArmView
+from hyperbit.controller.panel.arms.metrics import Counters
+from hyperbit.controller.panel.arms.pages import Page
 
 log = logging.getLogger(__name__)
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.described import described
-from controller.manipulator.manipulator import Configuration
-from controller.manipulator.module import Module
-from controller.manipulator.notation import parse_configuration
+from hyperbit.controller.manipulator.described import described
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.manipulator.module import Module
+from hyperbit.controller.manipulator.notation import parse_configuration
 
 Message = dict[str, Any]
 

@@ -6,8 +6,8 @@ import itertools
 import time
 from collections.abc import Awaitable, Callable
 
-from controller.panel.access.people import Person
-from controller.panel.arms.heartbeats import PERIOD, Heartbeats
+from hyperbit.controller.panel.access.people import Person
+from hyperbit.controller.panel.arms.heartbeats import PERIOD, Heartbeats
 
 LEAST_GAP = 0.05  # [s] between two updates of one page
 MOST_REPLIES = 64  # unsent answers of a page

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.motion.stages.program import pack_states, unpack_states
-from controller.planning.core.events import Payload
-from controller.planning.core.tasks import ArmStart
-from controller.program import Diagnostics, Mode, PlayableFaults, Settled, Snapshot, Welcome
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal, no_motion
+from hyperbit.controller.motion.stages.program import pack_states, unpack_states
+from hyperbit.controller.planning.core.events import Payload
+from hyperbit.controller.planning.core.tasks import ArmStart
+from hyperbit.controller.program import Diagnostics, Mode, PlayableFaults, Settled, Snapshot, Welcome
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
 if TYPE_CHECKING:
-    from controller.manipulator.manipulator import Configuration, Manipulator
-    from controller.motion.stages.pacing import Pace
+    from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+    from hyperbit.controller.motion.stages.pacing import Pace
 
 States = NDArray[np.uint8]
 Measured = NDArray[np.int8]  # actuator states, -1 unknown

@@ -9,30 +9,30 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
-from controller import program
-from controller.host.process import Log, Quit
-from controller.motion.tracking.goal_motion import tracking_of
-from controller.planning.core import events
-from controller.planning.core.arm import ExecutorView
-from controller.planning.core.goals import Goals
-from controller.planning.core.locks import Locks
-from controller.planning.core.obstacles import ObstacleOwner
-from controller.planning.core.parts import Parts
-from controller.planning.core.programs import InFlight, Programs
-from controller.planning.core.reports import GoalOutcome
-from controller.planning.core.requests import ExecutorRequests, Queries
-from controller.planning.core.results import Results
-from controller.planning.core.status import Status
-from controller.planning.core.stream import Stream, TipBiasEstimator
-from controller.planning.core.tasks import ImprovePlan, Planned, Tables, VersionedScene
-from controller.refusals.codes import PATH_TOLERANCE_VIOLATED
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from controller.search.method import MINIMUM_SWITCH
+from hyperbit.controller import program
+from hyperbit.controller.host.process import Log, Quit
+from hyperbit.controller.motion.tracking.goal_motion import tracking_of
+from hyperbit.controller.planning.core import events
+from hyperbit.controller.planning.core.arm import ExecutorView
+from hyperbit.controller.planning.core.goals import Goals
+from hyperbit.controller.planning.core.locks import Locks
+from hyperbit.controller.planning.core.obstacles import ObstacleOwner
+from hyperbit.controller.planning.core.parts import Parts
+from hyperbit.controller.planning.core.programs import InFlight, Programs
+from hyperbit.controller.planning.core.reports import GoalOutcome
+from hyperbit.controller.planning.core.requests import ExecutorRequests, Queries
+from hyperbit.controller.planning.core.results import Results
+from hyperbit.controller.planning.core.status import Status
+from hyperbit.controller.planning.core.stream import Stream, TipBiasEstimator
+from hyperbit.controller.planning.core.tasks import ImprovePlan, Planned, Tables, VersionedScene
+from hyperbit.controller.refusals.codes import PATH_TOLERANCE_VIOLATED
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
-    from controller.arm.arm import Arm
-    from controller.motion.stages.pacing import Pace
+    from hyperbit.controller.arm.arm import Arm
+    from hyperbit.controller.motion.stages.pacing import Pace
 
 # Fields that the core does not look inside: the flight recorder leaves them out.
 OPAQUE: dict[type, str] = {

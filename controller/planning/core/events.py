@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
-from controller.host.process import Log, Notify, Quit
-from controller.motion.decoding.goal import GoalMessage, Jog
-from controller.planning.core.tasks import Answer, Task
-from controller.program import Down, Fault, Up
-from controller.refusals import codes
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
+from hyperbit.controller.planning.core.tasks import Answer, Task
+from hyperbit.controller.program import Down, Fault, Up
+from hyperbit.controller.refusals import codes
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 Payload = Mapping[str, Any]
 

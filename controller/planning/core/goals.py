@@ -11,18 +11,18 @@ from functools import partial
 
 import msgspec
 
-from controller.host.journal import fields_of_refusal
-from controller.host.process import Log
-from controller.motion.decoding.goal import GoalMessage, Jog
-from controller.planning.core import tasks
-from controller.planning.core.arm import ArmState, obstruction, packed
-from controller.planning.core.events import Reply, Request, refused
-from controller.planning.core.offers import Motion, goal_program, jog_program, jog_stages, unsure_of
-from controller.planning.core.parts import Parts, Ticket
-from controller.planning.core.preparation import Preparation
-from controller.program import Accepted, Declined
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal, no_motion
+from hyperbit.controller.host.journal import fields_of_refusal
+from hyperbit.controller.host.process import Log
+from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
+from hyperbit.controller.planning.core import tasks
+from hyperbit.controller.planning.core.arm import ArmState, obstruction, packed
+from hyperbit.controller.planning.core.events import Reply, Request, refused
+from hyperbit.controller.planning.core.offers import Motion, goal_program, jog_program, jog_stages, unsure_of
+from hyperbit.controller.planning.core.parts import Parts, Ticket
+from hyperbit.controller.planning.core.preparation import Preparation
+from hyperbit.controller.program import Accepted, Declined
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
 MOST_WAITING = 16  # requests
 EXECUTOR_TIMEOUT = 2.0  # [s] for the executor's answer; it answers within milliseconds

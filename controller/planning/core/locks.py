@@ -9,16 +9,16 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.armfile.locks import lock_warning, locks_in_words
-from controller.host.process import Log
-from controller.manipulator.locked import require_states
-from controller.planning.core.arm import ArmState
-from controller.planning.core.events import LockMessage
-from controller.planning.core.parts import Parts
-from controller.planning.core.tasks import Answer, BuildTables, Failed, Tables
-from controller.program import Fault, Mode
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal, no_actuator
+from hyperbit.controller.armfile.locks import lock_warning, locks_in_words
+from hyperbit.controller.host.process import Log
+from hyperbit.controller.manipulator.locked import require_states
+from hyperbit.controller.planning.core.arm import ArmState
+from hyperbit.controller.planning.core.events import LockMessage
+from hyperbit.controller.planning.core.parts import Parts
+from hyperbit.controller.planning.core.tasks import Answer, BuildTables, Failed, Tables
+from hyperbit.controller.program import Fault, Mode
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal, no_actuator
 
 
 class Locks:

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from controller.planning.core import tasks
-from controller.planning.core.events import Reply, SentObstacles, ToExecutor, done, refused
-from controller.planning.core.parts import Parts
-from controller.planning.core.tasks import Answer, Checked, SceneBuilt, VersionedScene
-from controller.program import Clearance, Question
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.planning.core import tasks
+from hyperbit.controller.planning.core.events import Reply, SentObstacles, ToExecutor, done, refused
+from hyperbit.controller.planning.core.parts import Parts
+from hyperbit.controller.planning.core.tasks import Answer, Checked, SceneBuilt, VersionedScene
+from hyperbit.controller.program import Clearance, Question
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 CHECKED_AGAIN = 1.0  # [s] after a check of where the arm stands that has failed
 LONGEST = 5.0  # [s] for which the answer to new obstacles waits for the checks of what is in flight

@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from controller.manipulator.locked import STATES
-from controller.motion.stages.feed import Feed, PlannedPoint, PlanProof, Route
-from controller.motion.stages.program import delay_of, in_groups
-from controller.planning.core.arm import ArmState, States, packed
-from controller.planning.core.events import done
-from controller.planning.core.parts import Parts, Ticket
-from controller.planning.core.programs import InFlight
-from controller.planning.core.reports import GoalReport, JogReport, Report
-from controller.planning.core.tasks import Basis, Planned
-from controller.program import Program
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.manipulator.locked import STATES
+from hyperbit.controller.motion.stages.feed import Feed, PlannedPoint, PlanProof, Route
+from hyperbit.controller.motion.stages.program import delay_of, in_groups
+from hyperbit.controller.planning.core.arm import ArmState, States, packed
+from hyperbit.controller.planning.core.events import done
+from hyperbit.controller.planning.core.parts import Parts, Ticket
+from hyperbit.controller.planning.core.programs import InFlight
+from hyperbit.controller.planning.core.reports import GoalReport, JogReport, Report
+from hyperbit.controller.planning.core.tasks import Basis, Planned
+from hyperbit.controller.program import Program
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 if TYPE_CHECKING:
-    from controller.motion.decoding.goal import GoalMessage, Jog
-    from controller.motion.stages.pacing import Pace
+    from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
+    from hyperbit.controller.motion.stages.pacing import Pace
 
 
 @dataclass(eq=False)

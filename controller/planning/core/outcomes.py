@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from controller.manipulator.locked import STATES
-from controller.motion.stages.feed import PlanProof
-from controller.motion.targets import GoalTarget, measured_pose
-from controller.planning.core.arm import Measured
-from controller.planning.core.events import Payload
-from controller.planning.core.reports import Context, GoalOutcome
-from controller.program import Ended
-from controller.refusals import codes
+from hyperbit.controller.manipulator.locked import STATES
+from hyperbit.controller.motion.stages.feed import PlanProof
+from hyperbit.controller.motion.targets import GoalTarget, measured_pose
+from hyperbit.controller.planning.core.arm import Measured
+from hyperbit.controller.planning.core.events import Payload
+from hyperbit.controller.planning.core.reports import Context, GoalOutcome
+from hyperbit.controller.program import Ended
+from hyperbit.controller.refusals import codes
 
 if TYPE_CHECKING:
-    from controller.manipulator.manipulator import Manipulator
+    from hyperbit.controller.manipulator.manipulator import Manipulator
 
 STATUS_CODES = {
     "canceled": codes.INVALID_GOAL,

@@ -12,17 +12,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from controller.planning.core.events import Abandon, Action, Fail, Hurry, Start
-from controller.planning.core.tasks import Answer, Basis, PrepareSearch, Task
+from hyperbit.controller.planning.core.events import Abandon, Action, Fail, Hurry, Start
+from hyperbit.controller.planning.core.tasks import Answer, Basis, PrepareSearch, Task
 
 if TYPE_CHECKING:
-    from controller.motion.stages.pacing import Pace
-    from controller.planning.core.arm import ExecutorView
-    from controller.planning.core.locks import Locks
-    from controller.planning.core.obstacles import ObstacleOwner
-    from controller.planning.core.programs import Programs
-    from controller.planning.core.results import Results
-    from controller.planning.core.stream import TipBiasEstimator
+    from hyperbit.controller.motion.stages.pacing import Pace
+    from hyperbit.controller.planning.core.arm import ExecutorView
+    from hyperbit.controller.planning.core.locks import Locks
+    from hyperbit.controller.planning.core.obstacles import ObstacleOwner
+    from hyperbit.controller.planning.core.programs import Programs
+    from hyperbit.controller.planning.core.results import Results
+    from hyperbit.controller.planning.core.stream import TipBiasEstimator
 
 HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
 MOST_UNRESOLVED = 256  # tickets without an epoch; without an executor each stream of set-points leaves one

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from controller.motion.decoding.goal import GoalMessage
-from controller.planning.core import tasks
-from controller.planning.core.parts import Parts
+from hyperbit.controller.motion.decoding.goal import GoalMessage
+from hyperbit.controller.planning.core import tasks
+from hyperbit.controller.planning.core.parts import Parts
 
 IDLE = 0.02  # [s] without a request before the next search is prepared
 REHEARSE_EVERY, REHEARSE_FOR = 0.025, 2.0  # [s] between two rehearsals, and after the last goal

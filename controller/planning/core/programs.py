@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from controller.motion.stages.feed import Feed, Improved
-from controller.planning.core.arm import ArmState
-from controller.planning.core.events import AcceptanceEntry, Identity, Publish, Record, Reply, ToExecutor
-from controller.planning.core.parts import Parts
-from controller.planning.core.reports import GoalOutcome, Report, collision_outcome
-from controller.planning.core.results import KnownProgram
-from controller.planning.core.tasks import (
+from hyperbit.controller.motion.stages.feed import Feed, Improved
+from hyperbit.controller.planning.core.arm import ArmState
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Publish, Record, Reply, ToExecutor
+from hyperbit.controller.planning.core.parts import Parts
+from hyperbit.controller.planning.core.reports import GoalOutcome, Report, collision_outcome
+from hyperbit.controller.planning.core.results import KnownProgram
+from hyperbit.controller.planning.core.tasks import (
     Answer,
     CheckStages,
     Deviations,
@@ -22,8 +22,8 @@ from controller.planning.core.tasks import (
     VersionedScene,
     collision_of,
 )
-from controller.program import Accepted, Begun, Cancel, Ended, Program, Replaced, Settled
-from controller.refusals.codes import PATH_TOLERANCE_VIOLATED
+from hyperbit.controller.program import Accepted, Begun, Cancel, Ended, Program, Replaced, Settled
+from hyperbit.controller.refusals.codes import PATH_TOLERANCE_VIOLATED
 
 GAVE_UP = "the planner gave up waiting for the executor"
 

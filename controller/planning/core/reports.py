@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 import numpy as np
 
-from controller.manipulator.notation import format_configuration, pose
-from controller.motion.stages.feed import PlanProof
-from controller.motion.targets import GoalTarget, measured_pose
-from controller.motion.trajectory import Trajectory
-from controller.planning.core.arm import Measured
-from controller.planning.core.events import Payload
-from controller.program import Settled
-from controller.refusals import codes
+from hyperbit.controller.manipulator.notation import format_configuration, pose
+from hyperbit.controller.motion.stages.feed import PlanProof
+from hyperbit.controller.motion.targets import GoalTarget, measured_pose
+from hyperbit.controller.motion.trajectory import Trajectory
+from hyperbit.controller.planning.core.arm import Measured
+from hyperbit.controller.planning.core.events import Payload
+from hyperbit.controller.program import Settled
+from hyperbit.controller.refusals import codes
 
 if TYPE_CHECKING:
-    from controller.manipulator.manipulator import Manipulator
+    from hyperbit.controller.manipulator.manipulator import Manipulator
 
 MOST_BYTES = 8_192  # limit of the executor's contract
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import partial
 from typing import NamedTuple
 
-from controller.motion.decoding.goal import GoalMessage
-from controller.planning.core.arm import obstruction
-from controller.planning.core.events import (
+from hyperbit.controller.motion.decoding.goal import GoalMessage
+from hyperbit.controller.planning.core.arm import obstruction
+from hyperbit.controller.planning.core.events import (
     CancelMessage,
     FaultToPlay,
     LockMessage,
@@ -18,13 +18,13 @@ from controller.planning.core.events import (
     done,
     refused,
 )
-from controller.planning.core.goals import EXECUTOR_TIMEOUT, Goals
-from controller.planning.core.parts import Parts, Ticket
-from controller.planning.core.tasks import Answer, Described, DescribePlan, PlanGoal, refusal_of
-from controller.program import Answer as ExecutorAnswer
-from controller.program import Cancel, Down, Lock, PlayFault, Reset
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal, no_motion
+from hyperbit.controller.planning.core.goals import EXECUTOR_TIMEOUT, Goals
+from hyperbit.controller.planning.core.parts import Parts, Ticket
+from hyperbit.controller.planning.core.tasks import Answer, Described, DescribePlan, PlanGoal, refusal_of
+from hyperbit.controller.program import Answer as ExecutorAnswer
+from hyperbit.controller.program import Cancel, Down, Lock, PlayFault, Reset
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
 MOST_WAITING = 4
 LONGEST = 10.0  # [s] for one query, without its time in the queue and its own deadline

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from controller.host.journal import fields_of_result
-from controller.host.process import Log
-from controller.motion.stages.feed import PlanProof
-from controller.motion.targets import GoalTarget
-from controller.planning.core.arm import measured_states
-from controller.planning.core.events import (
+from hyperbit.controller.host.journal import fields_of_result
+from hyperbit.controller.host.process import Log
+from hyperbit.controller.motion.stages.feed import PlanProof
+from hyperbit.controller.motion.targets import GoalTarget
+from hyperbit.controller.planning.core.arm import measured_states
+from hyperbit.controller.planning.core.events import (
     AcceptanceEntry,
     Identity,
     OpenGoal,
@@ -25,10 +25,10 @@ from controller.planning.core.events import (
     ResultEntry,
     ToExecutor,
 )
-from controller.planning.core.outcomes import STATUS_CODES, outcome_of, result_of, why_not_as_planned
-from controller.planning.core.parts import Parts
-from controller.planning.core.reports import Context, GoalOutcome, decode_context
-from controller.program import Acknowledge, Ended
+from hyperbit.controller.planning.core.outcomes import STATUS_CODES, outcome_of, result_of, why_not_as_planned
+from hyperbit.controller.planning.core.parts import Parts
+from hyperbit.controller.planning.core.reports import Context, GoalOutcome, decode_context
+from hyperbit.controller.program import Acknowledge, Ended
 
 if TYPE_CHECKING:
     pass

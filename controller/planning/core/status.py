@@ -8,16 +8,16 @@ from collections.abc import Iterator
 
 import msgspec
 
-from controller.host.journal import fields_of_fault, message_id
-from controller.host.process import Log, Notify
-from controller.manipulator.notation import format_configuration, pose
-from controller.motion.targets import measured_tip
-from controller.planning.core.events import Payload, Publish
-from controller.planning.core.goals import Goals
-from controller.planning.core.parts import Parts
-from controller.planning.core.requests import Queries
-from controller.planning.core.stream import Stream
-from controller.program import Diagnostics, Fault
+from hyperbit.controller.host.journal import fields_of_fault, message_id
+from hyperbit.controller.host.process import Log, Notify
+from hyperbit.controller.manipulator.notation import format_configuration, pose
+from hyperbit.controller.motion.targets import measured_tip
+from hyperbit.controller.planning.core.events import Payload, Publish
+from hyperbit.controller.planning.core.goals import Goals
+from hyperbit.controller.planning.core.parts import Parts
+from hyperbit.controller.planning.core.requests import Queries
+from hyperbit.controller.planning.core.stream import Stream
+from hyperbit.controller.program import Diagnostics, Fault
 
 IN_OBSTACLE, UNKNOWN_STATE, EXECUTOR_LOST = "in-obstacle", "unknown-state", "executor-lost"  # codes
 UNWRITTEN = "ledger-unwritten"  # code of the ledger's warning

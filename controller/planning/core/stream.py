@@ -14,25 +14,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.armfile.settings import TrackerSettings
-from controller.host.process import Log
-from controller.motion.decoding.setpoint import decode
-from controller.motion.tracking.bias import DRIFT, TipBias, Tracker
-from controller.motion.tracking.bias import decode as decode_tip
-from controller.motion.tracking.tracking import GoalTracker
-from controller.planning.core.arm import obstruction
-from controller.planning.core.events import Payload, SetpointArrived, ToExecutor
-from controller.planning.core.parts import Parts, Ticket
-from controller.planning.core.tasks import Answer, Basis, Failed, Followed, FollowSetpoint
-from controller.program import TICK, Setpoint
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.armfile.settings import TrackerSettings
+from hyperbit.controller.host.process import Log
+from hyperbit.controller.motion.decoding.setpoint import decode
+from hyperbit.controller.motion.tracking.bias import DRIFT, TipBias, Tracker
+from hyperbit.controller.motion.tracking.bias import decode as decode_tip
+from hyperbit.controller.motion.tracking.tracking import GoalTracker
+from hyperbit.controller.planning.core.arm import obstruction
+from hyperbit.controller.planning.core.events import Payload, SetpointArrived, ToExecutor
+from hyperbit.controller.planning.core.parts import Parts, Ticket
+from hyperbit.controller.planning.core.tasks import Answer, Basis, Failed, Followed, FollowSetpoint
+from hyperbit.controller.program import TICK, Setpoint
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 
 if TYPE_CHECKING:
-    from controller.arm.arm import Arm
-    from controller.motion.decoding.setpoint import TrackedSetpoint
-    from controller.motion.tracking.goal_motion import Tracking
-    from controller.planning.core.arm import ArmState
+    from hyperbit.controller.arm.arm import Arm
+    from hyperbit.controller.motion.decoding.setpoint import TrackedSetpoint
+    from hyperbit.controller.motion.tracking.goal_motion import Tracking
+    from hyperbit.controller.planning.core.arm import ArmState
 
 POLL = 0.005  # [s] between two considerations, at least
 ALIVE_EVERY = 0.02  # [s] between commands without news, which keep the stream alive

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from controller.motion.decoding.goal import GoalMessage
-from controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
-from controller.motion.trajectory import Trajectory
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal, Refused
+from hyperbit.controller.motion.decoding.goal import GoalMessage
+from hyperbit.controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
+from hyperbit.controller.motion.trajectory import Trajectory
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal, Refused
 
 
 class Tables(NamedTuple):

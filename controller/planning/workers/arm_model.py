@@ -6,20 +6,27 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.arm import Arm
-from controller.manipulator.locked import lock_actuators, transferred
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.decoding.goal import GoalRules
-from controller.motion.stages.pacing import pace_of
-from controller.motion.stages.program import pack_states, unpack_states
-from controller.obstacles.keep_out import KeepOutSet, States
-from controller.obstacles.single_switches import arm_switches
-from controller.planning.core.tasks import ArmStart, BuildScene, BuildTables, SceneBuilt, Tables, VersionedScene
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from controller.search.solver import Solver
-from controller.workspace.densities import Densities
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator.locked import lock_actuators, transferred
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.motion.decoding.goal import GoalRules
+from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.motion.stages.program import pack_states, unpack_states
+from hyperbit.controller.obstacles.keep_out import KeepOutSet, States
+from hyperbit.controller.obstacles.single_switches import arm_switches
+from hyperbit.controller.planning.core.tasks import (
+    ArmStart,
+    BuildScene,
+    BuildTables,
+    SceneBuilt,
+    Tables,
+    VersionedScene,
+)
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.mapping import map_densities
 
 # Called between two parts of a task. Returns whether the task must end soon. Raises Abandoned if the task is no longer
 # needed, Refusal if its time is over.

@@ -11,15 +11,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.arm import Arm
-from controller.motion.plans.point_by_point import PLANNING_TIME
-from controller.planning.core import tasks
-from controller.planning.core.tasks import Answer, Failed
-from controller.planning.workers.arm_model import Abandoned
-from controller.planning.workers.long_plans import LongAnswer, LongPlan, Planner
-from controller.studies.shares import PackedJob, Run, StudyFailed, compute, pack
-from controller.studies.stream import result_of
-from controller.studies.workers import cluster_workers
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.motion.plans.point_by_point import PLANNING_TIME
+from hyperbit.controller.planning.core import tasks
+from hyperbit.controller.planning.core.tasks import Answer, Failed
+from hyperbit.controller.planning.workers.arm_model import Abandoned
+from hyperbit.controller.planning.workers.long_plans import LongAnswer, LongPlan, Planner
+from hyperbit.controller.studies.shares import PackedJob, Run, StudyFailed, compute, pack
+from hyperbit.controller.studies.stream import result_of
+from hyperbit.controller.studies.workers import cluster_workers
 
 if TYPE_CHECKING:
     from distributed import Client

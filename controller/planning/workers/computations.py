@@ -9,28 +9,28 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from controller.motion.decoding.goal import GoalMessage, check_reach, schedule
-from controller.motion.plans.description import describe_plan
-from controller.motion.plans.improvement import Improvement, changed_points
-from controller.motion.plans.plan import TrajectoryPlan
-from controller.motion.plans.point_by_point import PLANNING_TIME, PointByPoint
-from controller.motion.plans.transitions import TransitionPlanner, first_transition
-from controller.motion.plans.whole import WHOLE_TIME, first_time, look_ahead
-from controller.motion.stages.feed import Improved, PlannedPoint, PlanProof, most_stages
-from controller.motion.stages.pacing import Blocked, Staged
-from controller.motion.stages.program import unpack_states
-from controller.motion.tracking.following import SetpointQuery, find, stages_to
-from controller.obstacles.keep_out import KeepOutSet, States
-from controller.planning.core import tasks
-from controller.planning.core.events import done
-from controller.planning.core.tasks import ArmStart
-from controller.planning.workers.arm_model import ArmModel, Proceed
-from controller.program import MOST_PROGRAM_STAGES
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from controller.search.method import MINIMUM_SWITCH
-from controller.search.solution import SearchTime
-from controller.search.solver import search_time
+from hyperbit.controller.motion.decoding.goal import GoalMessage, check_reach, schedule
+from hyperbit.controller.motion.plans.description import describe_plan
+from hyperbit.controller.motion.plans.improvement import Improvement, changed_points
+from hyperbit.controller.motion.plans.plan import TrajectoryPlan
+from hyperbit.controller.motion.plans.point_by_point import PLANNING_TIME, PointByPoint
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner, first_transition
+from hyperbit.controller.motion.plans.whole import WHOLE_TIME, first_time, look_ahead
+from hyperbit.controller.motion.stages.feed import Improved, PlannedPoint, PlanProof, most_stages
+from hyperbit.controller.motion.stages.pacing import Blocked, Staged
+from hyperbit.controller.motion.stages.program import unpack_states
+from hyperbit.controller.motion.tracking.following import SetpointQuery, find, stages_to
+from hyperbit.controller.obstacles.keep_out import KeepOutSet, States
+from hyperbit.controller.planning.core import tasks
+from hyperbit.controller.planning.core.events import done
+from hyperbit.controller.planning.core.tasks import ArmStart
+from hyperbit.controller.planning.workers.arm_model import ArmModel, Proceed
+from hyperbit.controller.program import MOST_PROGRAM_STAGES
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.method import MINIMUM_SWITCH
+from hyperbit.controller.search.solution import SearchTime
+from hyperbit.controller.search.solver import search_time
 
 MOST_THREADS = 2  # of one plan: to search a way around obstacles, and to prove that there is none
 

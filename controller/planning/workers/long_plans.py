@@ -21,17 +21,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.arm import Arm
-from controller.host.signals import OF_TERMINAL, ignore
-from controller.motion.decoding.goal import GoalMessage
-from controller.obstacles.obstacles import Obstacles
-from controller.planning.core import tasks
-from controller.planning.core.tasks import Answer, DescribePlan
-from controller.planning.workers import computations
-from controller.planning.workers.arm_model import Abandoned, ArmModel, Proceed, build_scene, build_tables
-from controller.refusals.refusal import Refusal
-from controller.workspace.cache import default_directory, load_or_map
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.host.signals import OF_TERMINAL, ignore
+from hyperbit.controller.motion.decoding.goal import GoalMessage
+from hyperbit.controller.obstacles.obstacles import Obstacles
+from hyperbit.controller.planning.core import tasks
+from hyperbit.controller.planning.core.tasks import Answer, DescribePlan
+from hyperbit.controller.planning.workers import computations
+from hyperbit.controller.planning.workers.arm_model import Abandoned, ArmModel, Proceed, build_scene, build_tables
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.workspace.cache import default_directory, load_or_map
+from hyperbit.controller.workspace.densities import Densities
 
 log = logging.getLogger(__name__)
 
@@ -149,7 +149,7 @@ def serve(connection: Connection, arm: Arm, weights: NDArray[np.float64], expect
     planner = Planner(arm, weights)
     answered = planner.answer_long
     if (address := arm.settings.planning.dask) is not None:
-        from controller.planning.workers.cluster_plans import ClusterPlanner
+        from hyperbit.controller.planning.workers.cluster_plans import ClusterPlanner
 
         answered = ClusterPlanner(address, arm, weights, planner).answer_long
     planner.prepare(arm.locked.astype(np.uint8).tobytes())

@@ -12,15 +12,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.arm import Arm
-from controller.planning.core import tasks
-from controller.planning.core.events import Answered, Event
-from controller.planning.core.tasks import Answer, Task
-from controller.planning.workers import computations
-from controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
-from controller.planning.workers.long_plans import LongPlanner, is_long
-from controller.refusals.refusal import Refusal
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.planning.core import tasks
+from hyperbit.controller.planning.core.events import Answered, Event
+from hyperbit.controller.planning.core.tasks import Answer, Task
+from hyperbit.controller.planning.workers import computations
+from hyperbit.controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
+from hyperbit.controller.planning.workers.long_plans import LongPlanner, is_long
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.workspace.densities import Densities
 
 log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from controller.ros2.wire.action_events import (
+from hyperbit.controller.ros2.wire.action_events import (
     Action,
     AnswerCancel,
     AnswerGoal,

@@ -9,16 +9,16 @@ import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from controller.ros2.wire import action_events as events
-from controller.ros2.wire import qos
-from controller.ros2.wire.action_core import MOST_GOALS, ActionCore
-from controller.ros2.wire.action_events import GoalInfo, Status
-from controller.ros2.wire.cdr import message, serialize
-from controller.ros2.wire.names import resolve
-from controller.ros2.wire.services import Request
+from hyperbit.controller.ros2.wire import action_events as events
+from hyperbit.controller.ros2.wire import qos
+from hyperbit.controller.ros2.wire.action_core import MOST_GOALS, ActionCore
+from hyperbit.controller.ros2.wire.action_events import GoalInfo, Status
+from hyperbit.controller.ros2.wire.cdr import message, serialize
+from hyperbit.controller.ros2.wire.names import resolve
+from hyperbit.controller.ros2.wire.services import Request
 
 if TYPE_CHECKING:
-    from controller.ros2.wire.node import Node
+    from hyperbit.controller.ros2.wire.node import Node
 
 SECOND = 1_000_000_000  # [ns]
 CANCEL, STATUS = "action_msgs/srv/CancelGoal", "action_msgs/msg/GoalStatusArray"

@@ -9,7 +9,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import FieldDesc
 from rosbags.serde import SerdeError
 
-from controller.ros2.wire.types import Types, UnknownType
+from hyperbit.controller.ros2.wire.types import Types, UnknownType
 
 MOST_BYTES = 1_000_000  # of a message that is read
 HEADER = b"\x00\x01\x00\x00"  # CDR, little endian

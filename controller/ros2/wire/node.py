@@ -7,15 +7,15 @@ from typing import Protocol, Self, TypeVar
 
 import zenoh
 
-from controller.ros2.wire import names
-from controller.ros2.wire import qos as presets
-from controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
-from controller.ros2.wire.qos import Qos
-from controller.ros2.wire.services import Client, Request, Service
-from controller.ros2.wire.session import Session
-from controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Endpoint, Kind, Token, parse
-from controller.ros2.wire.topics import Publisher, Received, Subscriber
-from controller.ros2.wire.types import Types
+from hyperbit.controller.ros2.wire import names
+from hyperbit.controller.ros2.wire import qos as presets
+from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
+from hyperbit.controller.ros2.wire.qos import Qos
+from hyperbit.controller.ros2.wire.services import Client, Request, Service
+from hyperbit.controller.ros2.wire.session import Session
+from hyperbit.controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Endpoint, Kind, Token, parse
+from hyperbit.controller.ros2.wire.topics import Publisher, Received, Subscriber
+from hyperbit.controller.ros2.wire.types import Types
 
 
 class Closable(Protocol):

@@ -11,11 +11,11 @@ from typing import Any
 
 import zenoh
 
-from controller.ros2.wire.attachments import Attachment
-from controller.ros2.wire.cdr import serialize
-from controller.ros2.wire.tokens import Token
-from controller.ros2.wire.topics import Dropped, Received, receive
-from controller.ros2.wire.types import Types
+from hyperbit.controller.ros2.wire.attachments import Attachment
+from hyperbit.controller.ros2.wire.cdr import serialize
+from hyperbit.controller.ros2.wire.tokens import Token
+from hyperbit.controller.ros2.wire.topics import Dropped, Received, receive
+from hyperbit.controller.ros2.wire.types import Types
 
 MOST_OPEN = 64  # requests of a service that wait for their reply
 log = logging.getLogger(__name__)

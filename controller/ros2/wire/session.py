@@ -10,7 +10,7 @@ from typing import Self
 
 import zenoh
 
-from controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Token, parse
+from hyperbit.controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Token, parse
 
 ROUTER = "tcp/localhost:7447"
 MOST_FRAGMENTS = 2_000_000  # bytes that Zenoh puts together to one message, roughly; it drops longer ones

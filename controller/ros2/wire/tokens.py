@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import xxhash
 
-from controller.ros2.wire import qos
-from controller.ros2.wire.names import demangle, mangle
-from controller.ros2.wire.qos import BadQos, Qos
+from hyperbit.controller.ros2.wire import qos
+from hyperbit.controller.ros2.wire.names import demangle, mangle
+from hyperbit.controller.ros2.wire.qos import BadQos, Qos
 
 ADMIN_SPACE = "@ros2_lv"
 NODE_PARTS, ENDPOINT_PARTS = 9, 13

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import zenoh
 import zenoh.ext
 
-from controller.ros2.wire import attachments
-from controller.ros2.wire.attachments import Attachment, BadAttachment
-from controller.ros2.wire.cdr import MOST_BYTES, BadMessage, deserialize, serialize
-from controller.ros2.wire.qos import History, Qos
-from controller.ros2.wire.tokens import Token
-from controller.ros2.wire.types import Types
+from hyperbit.controller.ros2.wire import attachments
+from hyperbit.controller.ros2.wire.attachments import Attachment, BadAttachment
+from hyperbit.controller.ros2.wire.cdr import MOST_BYTES, BadMessage, deserialize, serialize
+from hyperbit.controller.ros2.wire.qos import History, Qos
+from hyperbit.controller.ros2.wire.tokens import Token
+from hyperbit.controller.ros2.wire.types import Types
 
 HEARTBEAT = 0.5  # [s]; how often a publisher tells the number of its last sample, as rmw_zenoh
 log = logging.getLogger(__name__)

@@ -6,21 +6,21 @@ import math
 from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 
-from drivers.canopen.boot import configuration, inspection, pdo_search
-from drivers.canopen.boot.inspection import Inspection
-from drivers.canopen.boot.pins import settle
-from drivers.canopen.boot.undo import Undo
-from drivers.canopen.faults import ArmFault, board_error
-from drivers.canopen.layout import BoardLayout
-from drivers.canopen.pdo import INPUTS, Pdo, carries, subs_of
-from drivers.canopen.run.board import Board
-from drivers.canopen.run.outputs import OutputLines
-from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import SDO_TIMEOUT, SdoOutcome, Transfer
-from drivers.canopen.sdo.objects import Need
-from drivers.canopen.sdo.procedure import Ask, BoardError, Order, Procedure, Step, Wait
-from drivers.canopen.wire.cia301 import INVALID, Command, State
-from drivers.canopen.wiring import ErrorState, Timing
+from hyperbit.drivers.canopen.boot import configuration, inspection, pdo_search
+from hyperbit.drivers.canopen.boot.inspection import Inspection
+from hyperbit.drivers.canopen.boot.pins import settle
+from hyperbit.drivers.canopen.boot.undo import Undo
+from hyperbit.drivers.canopen.faults import ArmFault, board_error
+from hyperbit.drivers.canopen.layout import BoardLayout
+from hyperbit.drivers.canopen.pdo import INPUTS, Pdo, carries, subs_of
+from hyperbit.drivers.canopen.run.board import Board
+from hyperbit.drivers.canopen.run.outputs import OutputLines
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.client import SDO_TIMEOUT, SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.objects import Need
+from hyperbit.drivers.canopen.sdo.procedure import Ask, BoardError, Order, Procedure, Step, Wait
+from hyperbit.drivers.canopen.wire.cia301 import INVALID, Command, State
+from hyperbit.drivers.canopen.wiring import ErrorState, Timing
 
 _LAST_DUMMY = 7  # 0001h to 0007h are dummy entries (CiA 301, 7.4.7)
 _TELL_STATE = (0x100C, 0x100D, 0x1017)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from drivers.canopen.boot.board_boot import boot_board
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.run.outputs import OutputLines
-from drivers.canopen.run.station import Station
-from drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.canopen.boot.board_boot import boot_board
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.outputs import OutputLines
+from hyperbit.drivers.canopen.run.station import Station
+from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 _MOST_REBOOTS = 5  # restarts of one board during its boot
 

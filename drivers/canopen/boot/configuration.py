@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from drivers.canopen.layout import BoardLayout
-from drivers.canopen.pdo import subs_of
-from drivers.canopen.sdo.objects import Need
-from drivers.canopen.wiring import MASTER, NodeWiring, Timing
+from hyperbit.drivers.canopen.layout import BoardLayout
+from hyperbit.drivers.canopen.pdo import subs_of
+from hyperbit.drivers.canopen.sdo.objects import Need
+from hyperbit.drivers.canopen.wiring import MASTER, NodeWiring, Timing
 
 _PRE_OPERATIONAL, _STOPPED = 0, 2  # values of 1029h
 _SYNC, _PRODUCES = 0x80, 1 << 30  # in 1005h

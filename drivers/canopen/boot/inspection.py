@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass, field
 
-from drivers.canopen.boot import configuration
-from drivers.canopen.boot.pdo_setup import PdoState
-from drivers.canopen.boot.quirks import NONE, VENDORS, Quirk, quirk_of
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.layout import BoardLayout
-from drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
-from drivers.canopen.run.board import Board
-from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import SdoOutcome, Transfer
-from drivers.canopen.sdo.objects import Need
-from drivers.canopen.sdo.procedure import BoardError, Step
-from drivers.canopen.wire import cia301
-from drivers.canopen.wiring import MASTER, ErrorState, Timing
+from hyperbit.drivers.canopen.boot import configuration
+from hyperbit.drivers.canopen.boot.pdo_setup import PdoState
+from hyperbit.drivers.canopen.boot.quirks import NONE, VENDORS, Quirk, quirk_of
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.layout import BoardLayout
+from hyperbit.drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
+from hyperbit.drivers.canopen.run.board import Board
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.objects import Need
+from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wiring import MASTER, ErrorState, Timing
 
 _PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 401, 6.2)
 _NO_PROFILE = (0, 0xFFFF)  # low words of 1000h: no profile, or several devices (CiA 301, 7.5.2.1)

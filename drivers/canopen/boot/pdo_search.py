@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Container, Generator, Iterable
 
-from drivers.canopen.boot.inspection import Inspection, Reading, ensure
-from drivers.canopen.boot.pdo_setup import ON_SYNC, PdoState, pdo_words, read_pdo, set_up, usable
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.layout import BoardLayout
-from drivers.canopen.pdo import INPUTS, Pdo, carried_bits
-from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import SdoOutcome
-from drivers.canopen.sdo.objects import Need
-from drivers.canopen.sdo.procedure import BoardError, Step
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import INVALID
+from hyperbit.drivers.canopen.boot.inspection import Inspection, Reading, ensure
+from hyperbit.drivers.canopen.boot.pdo_setup import ON_SYNC, PdoState, pdo_words, read_pdo, set_up, usable
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.layout import BoardLayout
+from hyperbit.drivers.canopen.pdo import INPUTS, Pdo, carried_bits
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome
+from hyperbit.drivers.canopen.sdo.objects import Need
+from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import INVALID
 
 _MOST_PDOS = 32  # PDOs of one direction that are searched
 _MOST_USED = 4  # PDOs of one direction

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Generator
 from typing import NamedTuple
 
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.layout import BoardLayout
-from drivers.canopen.pdo import INPUTS, Pdo, carried_bits
-from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import SdoOutcome
-from drivers.canopen.sdo.objects import Need
-from drivers.canopen.sdo.procedure import BoardError, Step
-from drivers.canopen.wire.cia301 import INVALID, NO_REMOTE
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.layout import BoardLayout
+from hyperbit.drivers.canopen.pdo import INPUTS, Pdo, carried_bits
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome
+from hyperbit.drivers.canopen.sdo.objects import Need
+from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
+from hyperbit.drivers.canopen.wire.cia301 import INVALID, NO_REMOTE
 
 _MOST_ENTRIES = 64  # of a mapping; in sub-index 0, FEh and FFh have other meanings
 ON_SYNC, ON_CHANGE = (1, 0), (255, 254)  # transmission types, the wanted one first

@@ -14,13 +14,13 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import NamedTuple
 
-from drivers.canopen.boot.inspection import Inspection
-from drivers.canopen.pdo import OUTPUTS, subs_of, union
-from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import SdoOutcome
-from drivers.canopen.sdo.objects import Need
-from drivers.canopen.sdo.procedure import BoardError, Step
-from drivers.canopen.wiring import ErrorState
+from hyperbit.drivers.canopen.boot.inspection import Inspection
+from hyperbit.drivers.canopen.pdo import OUTPUTS, subs_of, union
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome
+from hyperbit.drivers.canopen.sdo.objects import Need
+from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
+from hyperbit.drivers.canopen.wiring import ErrorState
 
 _ALL = 0xFF
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from drivers.canopen.sdo.client import SdoOutcome, Transfer
-from drivers.canopen.sdo.procedure import Order, Procedure, Step
-from drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.procedure import Order, Procedure, Step
+from hyperbit.drivers.canopen.wire.cia301 import Command, State
 
 _COMMANDS = {State.OPERATIONAL: Command.START, State.STOPPED: Command.STOP}
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.layout import BoardLayout
-from drivers.canopen.pdo import INPUTS, Carried, Pdo, carries, union
-from drivers.canopen.sdo.objects import Need
-from drivers.canopen.status import BoardStatus
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import STATES, Command, State
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.layout import BoardLayout
+from hyperbit.drivers.canopen.pdo import INPUTS, Carried, Pdo, carries, union
+from hyperbit.drivers.canopen.sdo.objects import Need
+from hyperbit.drivers.canopen.status import BoardStatus
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import STATES, Command, State
 
 _WINDOW = 10  # periods of the heartbeat in which it is counted
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen.faults import ArmFault, FaultLog
-from drivers.canopen.layout import Layout, lay_out
-from drivers.canopen.pdo import union
-from drivers.canopen.run.board import Board, StateImage
-from drivers.canopen.run.outputs import Key, OutputLines
-from drivers.canopen.run.reception import Reception
-from drivers.canopen.run.station import Station
-from drivers.canopen.status import MasterStatus
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame
-from drivers.canopen.wire.link import Link
-from drivers.canopen.wire.load import worst_case
-from drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.canopen.faults import ArmFault, FaultLog
+from hyperbit.drivers.canopen.layout import Layout, lay_out
+from hyperbit.drivers.canopen.pdo import union
+from hyperbit.drivers.canopen.run.board import Board, StateImage
+from hyperbit.drivers.canopen.run.outputs import Key, OutputLines
+from hyperbit.drivers.canopen.run.reception import Reception
+from hyperbit.drivers.canopen.run.station import Station
+from hyperbit.drivers.canopen.status import MasterStatus
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
+from hyperbit.drivers.canopen.wire.link import Link
+from hyperbit.drivers.canopen.wire.load import worst_case
+from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 
 class Boards:

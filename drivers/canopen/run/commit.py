@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivers.canopen.pdo import union
-from drivers.canopen.run.outputs import Key, OutputLines
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.link import Link
+from hyperbit.drivers.canopen.pdo import union
+from hyperbit.drivers.canopen.run.outputs import Key, OutputLines
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.link import Link
 
 _SYNC = Frame(cia301.SYNC)
 _LONGEST = 1.0  # [s] from the begin of a commit, within which its frames are sent, or its bus is lost

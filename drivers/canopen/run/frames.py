@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from drivers.canopen.layout import BoardLayout
-from drivers.canopen.pdo import Bit, Carried, Pdo, carries, union
+from hyperbit.drivers.canopen.layout import BoardLayout
+from hyperbit.drivers.canopen.pdo import Bit, Carried, Pdo, carries, union
 
 
 class Run(NamedTuple):

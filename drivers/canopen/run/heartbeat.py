@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.run.station import Station
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame, State
-from drivers.canopen.wire.link import Link, Outgoing
-from drivers.canopen.wiring import MASTER, Timing
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.station import Station
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame, State
+from hyperbit.drivers.canopen.wire.link import Link, Outgoing
+from hyperbit.drivers.canopen.wiring import MASTER, Timing
 
 _LONGEST_STEP = 0.05  # [s]
 _PHASES = 10  # of the polls of node guarding, so that boards are not polled at the same tick

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from drivers.canopen.pdo import subs_of
-from drivers.canopen.run.station import Station
-from drivers.canopen.wire.cia301 import wire_bits
-from drivers.canopen.wire.link import Link
+from hyperbit.drivers.canopen.pdo import subs_of
+from hyperbit.drivers.canopen.run.station import Station
+from hyperbit.drivers.canopen.wire.cia301 import wire_bits
+from hyperbit.drivers.canopen.wire.link import Link
 
 _READ_EVERY = 1.5  # [s] between two reads of a board; with the answer, a lost TPDO is noticed within 2 s
 _SHARE = 0.01  # of the bit rate, for boards without interlocks

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen.boot.booting import Booting
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.run.boards import Boards
-from drivers.canopen.run.heartbeat import Heartbeat, LoopClock
-from drivers.canopen.run.input_watch import InputWatch
-from drivers.canopen.run.switching import OutputSwitching
-from drivers.canopen.run.verification import Verification
-from drivers.canopen.status import MasterStatus
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import (
+from hyperbit.drivers.canopen.boot.booting import Booting
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.boards import Boards
+from hyperbit.drivers.canopen.run.heartbeat import Heartbeat, LoopClock
+from hyperbit.drivers.canopen.run.input_watch import InputWatch
+from hyperbit.drivers.canopen.run.switching import OutputSwitching
+from hyperbit.drivers.canopen.run.verification import Verification
+from hyperbit.drivers.canopen.status import MasterStatus
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import (
     BusChanged,
     BusOverrun,
     Event,
@@ -22,8 +22,8 @@ from drivers.canopen.wire.events import (
     FrameReceived,
     SendFailed,
 )
-from drivers.canopen.wire.load import BITS
-from drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.canopen.wire.load import BITS
+from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 
 class Master:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from drivers.canopen.layout import Layout
-from drivers.canopen.pdo import Pdo, union
-from drivers.canopen.run.frames import RpdoFrame, assemble
-from drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.layout import Layout
+from hyperbit.drivers.canopen.pdo import Pdo, union
+from hyperbit.drivers.canopen.run.frames import RpdoFrame, assemble
+from hyperbit.drivers.canopen.wire.cia301 import Frame
 
 Key = tuple[str, int]  # bus and COB-ID of a frame
 

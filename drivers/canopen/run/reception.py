@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.run.outputs import OutputLines
-from drivers.canopen.run.station import Station
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame
-from drivers.canopen.wiring import MASTER
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.outputs import OutputLines
+from hyperbit.drivers.canopen.run.station import Station
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
+from hyperbit.drivers.canopen.wiring import MASTER
 
 
 class Reception:

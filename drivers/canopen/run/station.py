@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.pdo import subs_of
-from drivers.canopen.run.board import Board
-from drivers.canopen.sdo.client import Transfer
-from drivers.canopen.sdo.procedure import Procedure, Runner
-from drivers.canopen.wire.link import Link
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.pdo import subs_of
+from hyperbit.drivers.canopen.run.board import Board
+from hyperbit.drivers.canopen.sdo.client import Transfer
+from hyperbit.drivers.canopen.sdo.procedure import Procedure, Runner
+from hyperbit.drivers.canopen.wire.link import Link
 
 _INPUT_TIMEOUT = 0.3  # [s] for the inputs
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.canopen.boot.booting import Booting
-from drivers.canopen.faults import Busy
-from drivers.canopen.pdo import union
-from drivers.canopen.run.boards import Boards
-from drivers.canopen.run.commit import BusCommit
-from drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.boot.booting import Booting
+from hyperbit.drivers.canopen.faults import Busy
+from hyperbit.drivers.canopen.pdo import union
+from hyperbit.drivers.canopen.run.boards import Boards
+from hyperbit.drivers.canopen.run.commit import BusCommit
+from hyperbit.drivers.canopen.wire.cia301 import Frame
 
 
 @dataclass

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Generator
 
-from drivers.canopen.faults import ArmFault, board_error
-from drivers.canopen.pdo import subs_of, union
-from drivers.canopen.run.board import Board
-from drivers.canopen.run.boards import Boards
-from drivers.canopen.run.station import Station
-from drivers.canopen.run.switching import OutputSwitching
-from drivers.canopen.sdo.client import SdoOutcome, Transfer
-from drivers.canopen.sdo.objects import Need, abort_words
-from drivers.canopen.sdo.procedure import Step, Wait
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import wire_bits
+from hyperbit.drivers.canopen.faults import ArmFault, board_error
+from hyperbit.drivers.canopen.pdo import subs_of, union
+from hyperbit.drivers.canopen.run.board import Board
+from hyperbit.drivers.canopen.run.boards import Boards
+from hyperbit.drivers.canopen.run.station import Station
+from hyperbit.drivers.canopen.run.switching import OutputSwitching
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.objects import Need, abort_words
+from hyperbit.drivers.canopen.sdo.procedure import Step, Wait
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import wire_bits
 
 _SHARE, _SHORTEST = 0.01, 0.05  # share of the bit rate, and shortest time between two reads on one bus [s]
 _ALL_WITHIN = 1.0  # [s] for the outputs of all boards of a bus after a switch

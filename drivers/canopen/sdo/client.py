@@ -6,9 +6,9 @@ import struct
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.link import Link, Outgoing
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.link import Link, Outgoing
 
 SDO_TIMEOUT, TRIES = 0.5, 3  # [s] for one answer, and attempts
 _SLOW_FACTOR, _LONGEST_TIMEOUT = (

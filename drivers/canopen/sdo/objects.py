@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass
 
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.sdo.client import TRIES, SdoOutcome, Transfer
-from drivers.canopen.sdo.procedure import BoardError, Step
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.sdo.client import TRIES, SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
 
 # SDO abort codes (CiA 301, 7.2.4.3.17).
 NO_OBJECT, NO_SUB_INDEX, READ_ONLY = 0x0602_0000, 0x0609_0011, 0x0601_0002

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.sdo.client import SdoClient, SdoOutcome, Transfer
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command
-from drivers.canopen.wire.link import Link, Outgoing
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.sdo.client import SdoClient, SdoOutcome, Transfer
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command
+from hyperbit.drivers.canopen.wire.link import Link, Outgoing
 
 _ORDER_TIMEOUT = 1.0  # [s] until the command must have been sent
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.canopen.boot import inspection, pdo_search
-from drivers.canopen.boot.board_boot import find
-from drivers.canopen.boot.inspection import Inspection, Reading
-from drivers.canopen.boot.pdo_setup import PdoState, pdo_words, usable
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.layout import BoardLayout, lay_out
-from drivers.canopen.pdo import Pdo
-from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.objects import Need
-from drivers.canopen.sdo.procedure import BoardError, Procedure
-from drivers.canopen.tools.session import Node, Session, stopped
-from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wiring import ErrorState, Timing, Wiring
+from hyperbit.drivers.canopen.boot import inspection, pdo_search
+from hyperbit.drivers.canopen.boot.board_boot import find
+from hyperbit.drivers.canopen.boot.inspection import Inspection, Reading
+from hyperbit.drivers.canopen.boot.pdo_setup import PdoState, pdo_words, usable
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.layout import BoardLayout, lay_out
+from hyperbit.drivers.canopen.pdo import Pdo
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.objects import Need
+from hyperbit.drivers.canopen.sdo.procedure import BoardError, Procedure
+from hyperbit.drivers.canopen.tools.session import Node, Session, stopped
+from hyperbit.drivers.canopen.wire.cia301 import State
+from hyperbit.drivers.canopen.wiring import ErrorState, Timing, Wiring
 
 _BOARD_TIMEOUT = 1.0  # [s] for the first answer of a board
 _MOST_CHANGES = 4  # changes that the answer lists

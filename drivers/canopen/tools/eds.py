@@ -6,7 +6,7 @@ import copy
 from pathlib import Path
 from typing import NamedTuple
 
-from drivers.canopen.tools.eds_file import Section, UnreadableEds, parse_number, read
+from hyperbit.drivers.canopen.tools.eds_file import Section, UnreadableEds, parse_number, read
 
 _SIZES = {0x01: 1, 0x02: 1, 0x03: 2, 0x04: 4, 0x05: 1, 0x06: 2, 0x07: 4, 0x08: 4, 0x10: 3, 0x11: 8, 0x12: 5, 0x13: 6}
 _SIZES |= {0x14: 7, 0x15: 8, 0x16: 3, 0x18: 5, 0x19: 6, 0x1A: 7, 0x1B: 8}  # lengths of data types [bytes]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import SdoOutcome, Transfer
-from drivers.canopen.sdo.procedure import DONE, Ask, Step
-from drivers.canopen.tools.eds import Eds, is_mapping
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.procedure import DONE, Ask, Step
+from hyperbit.drivers.canopen.tools.eds import Eds, is_mapping
 
 # SDO abort codes (CiA 301, 7.2.4.3.17).
 _WRITE_ONLY, _NOT_MAPPABLE = 0x0601_0001, 0x0604_0041

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from drivers.canopen.boot import configuration, inspection, pdo_search
-from drivers.canopen.boot.inspection import Inspection
-from drivers.canopen.layout import BoardLayout
-from drivers.canopen.pdo import INPUTS, subs_of
-from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import SdoOutcome
-from drivers.canopen.sdo.procedure import BoardError, Procedure
-from drivers.canopen.tools.eds import Eds, is_mapping
-from drivers.canopen.tools.eds_board import EdsBoard, EdsTransfer
-from drivers.canopen.wiring import ErrorState, Timing
+from hyperbit.drivers.canopen.boot import configuration, inspection, pdo_search
+from hyperbit.drivers.canopen.boot.inspection import Inspection
+from hyperbit.drivers.canopen.layout import BoardLayout
+from hyperbit.drivers.canopen.pdo import INPUTS, subs_of
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome
+from hyperbit.drivers.canopen.sdo.procedure import BoardError, Procedure
+from hyperbit.drivers.canopen.tools.eds import Eds, is_mapping
+from hyperbit.drivers.canopen.tools.eds_board import EdsBoard, EdsTransfer
+from hyperbit.drivers.canopen.wiring import ErrorState, Timing
 
 _MOST_LACKS = 64
 _MOST_ENTRIES = 64  # of a mapping

@@ -8,8 +8,8 @@ from collections.abc import Callable, Collection
 from itertools import islice
 from typing import NamedTuple
 
-from drivers.canopen.tools.session import Session
-from drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.tools.session import Session
+from hyperbit.drivers.canopen.wire.cia301 import Frame
 
 _REQUEST, _ANSWER = 0x7E5, 0x7E4  # COB-IDs
 _SWITCH, _SELECT, _SELECTED, _SCAN, _SCANNED = 0x04, (0x40, 0x41, 0x42, 0x43), 0x44, 0x51, 0x4F

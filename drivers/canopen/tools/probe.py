@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass, field
 
-from drivers.canopen.boot.pdo_setup import PdoState, read_pdo
-from drivers.canopen.faults import ArmFault, BusError
-from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.client import SdoOutcome, Transfer
-from drivers.canopen.sdo.procedure import BoardError, Procedure, Step
-from drivers.canopen.tools.session import Session
-from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wiring import MASTER
+from hyperbit.drivers.canopen.boot.pdo_setup import PdoState, read_pdo
+from hyperbit.drivers.canopen.faults import ArmFault, BusError
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
+from hyperbit.drivers.canopen.sdo.procedure import BoardError, Procedure, Step
+from hyperbit.drivers.canopen.tools.session import Session
+from hyperbit.drivers.canopen.wire.cia301 import State
+from hyperbit.drivers.canopen.wiring import MASTER
 
 NODES = range(1, 128)
 _FIRST, _TRIES = 0.5, 2  # [s] for the first answer of a node, and attempts

@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
 from typing import Protocol
 
-from drivers.canopen.faults import ArmFault, BusError
-from drivers.canopen.sdo.procedure import Order, Procedure, Runner, Wait
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wire.cia301 import STATES, Command, Frame, State
-from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
-from drivers.canopen.wire.link import Link, Outgoing
-from drivers.canopen.wiring import MASTER
+from hyperbit.drivers.canopen.faults import ArmFault, BusError
+from hyperbit.drivers.canopen.sdo.procedure import Order, Procedure, Runner, Wait
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.bus import CanBus
+from hyperbit.drivers.canopen.wire.cia301 import STATES, Command, Frame, State
+from hyperbit.drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
+from hyperbit.drivers.canopen.wire.link import Link, Outgoing
+from hyperbit.drivers.canopen.wiring import MASTER
 
 LISTEN, PERIODS = 1.2, 1.5  # [s], and heartbeats of the master, for which a session listens before it sends
 _STUCK_AFTER = 0.5  # [s]

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import can
 
-from drivers.canopen.faults import BusError
-from drivers.canopen.wire.cia301 import BUS_OFF, REMOTE, RESTARTED, Frame, wire_bits
-from drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
-from drivers.canopen.wire.interface_lock import lock_interface
-from drivers.canopen.wiring import BusWiring
+from hyperbit.drivers.canopen.faults import BusError
+from hyperbit.drivers.canopen.wire.cia301 import BUS_OFF, REMOTE, RESTARTED, Frame, wire_bits
+from hyperbit.drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
+from hyperbit.drivers.canopen.wire.interface_lock import lock_interface
+from hyperbit.drivers.canopen.wiring import BusWiring
 
 _MOST_EVENTS = 256  # in one poll, so that a flood does not block the caller
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 1.0  # [s] between attempts to open the bus again

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.cia301 import Frame
 
 
 class FrameReceived(NamedTuple):

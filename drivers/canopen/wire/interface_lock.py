@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 
-from drivers.canopen.faults import BusError
+from hyperbit.drivers.canopen.faults import BusError
 
 
 class InterfaceInUse(BusError):

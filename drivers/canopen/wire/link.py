@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.status import BusStatus, Traffic
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.load import Meter
-from drivers.canopen.wire.tx_echo import TxPending
-from drivers.canopen.wiring import BusWiring
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.status import BusStatus, Traffic
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.load import Meter
+from hyperbit.drivers.canopen.wire.tx_echo import TxPending
+from hyperbit.drivers.canopen.wiring import BusWiring
 
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
 _ECHOED = 0.03  # [s] within which nearly all commands are sent

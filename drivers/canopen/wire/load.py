@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from drivers.canopen.layout import Layout
-from drivers.canopen.status import Traffic
-from drivers.canopen.wire import cia301
-from drivers.canopen.wiring import BusWiring, Timing
+from hyperbit.drivers.canopen.layout import Layout
+from hyperbit.drivers.canopen.status import Traffic
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wiring import BusWiring, Timing
 
 BITS = tuple(cia301.wire_bits(size) for size in range(9))  # on the wire, by bytes of data
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import REMOTE, Frame
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Frame
 
 
 class HandedOut(NamedTuple):

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from controller.arm.arm import load
-from controller.calibration.calibration import calibrated
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.calibration.calibration import calibrated
 from tests.benchmarks.harness import PAPER_ARM, CommandLine, timed, write_figures
 from tests.calibration.making import erring, measured
 

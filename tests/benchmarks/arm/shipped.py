@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from controller.arm.arm import load
-from controller.manipulator.manipulator import Configuration
-from controller.search.method import Method
-from controller.search.solution import Solution
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.search.method import Method
+from hyperbit.controller.search.solution import Solution
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.benchmarks.harness import DEPLOY, CommandLine, median_and_99, timed, write_figures
 from tests.benchmarks.solving import home, random_tips, solved_in_sequence
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from controller.arm.arm import Arm, load
-from controller.manipulator.locked import LockedStates, lock_actuators, none_locked, transferred
-from controller.manipulator.manipulator import Manipulator
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, none_locked, transferred
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.benchmarks.harness import PAPER_ARM, CommandLine, timed, write_figures
 from tests.benchmarks.search.goals import boundary
 from tests.benchmarks.solving import home, random_tips

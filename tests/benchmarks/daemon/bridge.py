@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import zenoh
 
-from controller.network import session
-from controller.ros2.wire import qos
-from controller.ros2.wire.node import Node
-from controller.ros2.wire.session import Session
+from hyperbit.controller.network import session
+from hyperbit.controller.ros2.wire import qos
+from hyperbit.controller.ros2.wire.node import Node
+from hyperbit.controller.ros2.wire.session import Session
 from tests.benchmarks.daemon.chain.parts import Parts, free_port
 from tests.benchmarks.daemon.goal_latency import WARM, Times, send, steps_of
 from tests.benchmarks.harness import CommandLine, percentiles, processor_time, report
@@ -97,7 +97,7 @@ def heard_by(node: Node) -> list[str]:
 def bridge(parts: Parts, router: Router, heard: list[str]) -> Iterator[None]:
     """Runs the bridge; all topics have come when the context begins."""
     heard.clear()
-    command = [sys.executable, "-m", "controller.cli", "ros2", parts.name, "--connect", parts.endpoint]
+    command = [sys.executable, "-m", "hyperbit", "ros2", parts.name, "--connect", parts.endpoint]
     environment = {**os.environ, "STATE_DIRECTORY": str(parts.folder), "NOTIFY_SOCKET": ""}
     with (parts.folder / "bridge.log").open("w") as log:
         process = subprocess.Popen([*command, "--ros", router.endpoint], env=environment, stdout=log, stderr=log)

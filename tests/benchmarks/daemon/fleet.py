@@ -14,7 +14,7 @@ from pathlib import Path
 
 import zenoh
 
-from controller.network.stop_all import stop_all
+from hyperbit.controller.network.stop_all import stop_all
 from tests.benchmarks.harness import CommandLine, report, timed
 from tests.network.played import PlayedArm, Router
 
@@ -33,7 +33,7 @@ def publish(arms: list[PlayedArm], ending: threading.Event) -> None:
 def load(endpoint: str) -> float:
     """Returns the share of a processor that `hyperbit fleet` takes in a terminal."""
     leader, follower = pty.openpty()
-    command = [sys.executable, "-m", "controller.cli", "fleet", "--connect", endpoint]
+    command = [sys.executable, "-m", "hyperbit", "fleet", "--connect", endpoint]
     with subprocess.Popen(command, stdin=follower, stdout=follower, stderr=follower) as process:
         threading.Thread(target=lambda: [os.read(leader, 1 << 16) for _ in iter(int, 1)], daemon=True).start()
 

@@ -40,7 +40,7 @@ GET = "free.acquire(); session.get(key, zenoh.handlers.Callback(lambda _: None, 
 
 FLOOD = """
 import sys, threading, zenoh
-from controller.network import session as sessions
+from hyperbit.controller.network import session as sessions
 session = zenoh.open(sessions.configuration("client", connect=sys.argv[1]))
 key, payload, free, sent = sys.argv[2], {payload}, threading.Semaphore(200), 0
 threading.Thread(target=lambda: (sys.stdin.readline(), print(sent, flush=True), __import__("os")._exit(0))).start()

@@ -16,9 +16,9 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
-from controller.arm.arm import load
-from controller.network import session
-from controller.network.client import decoded
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import decoded
 from tests.benchmarks.daemon.chain.parts import Parts, free_port
 from tests.benchmarks.harness import CommandLine, percentiles, report
 

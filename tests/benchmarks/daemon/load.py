@@ -16,8 +16,8 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
-from controller.network.client import decoded
-from controller.program import TICK
+from hyperbit.controller.network.client import decoded
+from hyperbit.controller.program import TICK
 from tests.benchmarks.daemon.chain.parts import Parts
 from tests.benchmarks.daemon.real_time import place
 from tests.benchmarks.harness import CommandLine, percentiles, report

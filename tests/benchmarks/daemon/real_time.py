@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from controller.network.client import Client, Unanswered
+from hyperbit.controller.network.client import Client, Unanswered
 from tests.benchmarks.daemon.chain.parts import Parts
 from tests.benchmarks.harness import CommandLine, percentiles, report
 

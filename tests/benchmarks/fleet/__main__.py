@@ -21,7 +21,7 @@ import zenoh
 from rich.console import Console
 from rich.table import Table
 
-from controller.arm.arm import load
+from hyperbit.controller.arm.arm import load
 from tests.benchmarks.fleet.faults import play
 from tests.benchmarks.fleet.plant import PATIENCE, Cost, Plant, sum_of
 from tests.benchmarks.fleet.traffic import NOT_RECEIVED, Place, Traffic, ends

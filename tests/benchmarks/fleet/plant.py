@@ -20,8 +20,8 @@ import zenoh
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from controller.network import session
-from controller.panel.access.people import digest_of
+from hyperbit.controller.network import session
+from hyperbit.controller.panel.access.people import digest_of
 from tests.benchmarks.daemon.chain.parts import free_port
 from tests.benchmarks.harness import PAPER_ARM, processor_time
 from tests.waiting import eventually
@@ -91,7 +91,7 @@ class Plant:
 
     def same_name(self, name: str) -> str:
         """Starts a second daemon of an arm; returns what it says when it ends by itself."""
-        words = [sys.executable, "-m", "controller.cli", "run", str(self._folder / f"{name}.yaml"), "--simulate"]
+        words = [sys.executable, "-m", "hyperbit", "run", str(self._folder / f"{name}.yaml"), "--simulate"]
         other = self._folder / "other"
         other.mkdir(exist_ok=True)
         environment = {**os.environ, "STATE_DIRECTORY": str(other), "RUNTIME_DIRECTORY": str(other)}
@@ -175,7 +175,7 @@ class Plant:
         environment = {**os.environ, "STATE_DIRECTORY": str(own), "RUNTIME_DIRECTORY": str(own), "NOTIFY_SOCKET": ""}
         with (own / "log").open("wb") as log:
             self._processes[name] = subprocess.Popen(
-                [sys.executable, "-m", "controller.cli", *words],
+                [sys.executable, "-m", "hyperbit", *words],
                 cwd=own,
                 env=environment,
                 stdin=subprocess.DEVNULL,

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from controller.network.client import Client, Unanswered, decoded
+from hyperbit.controller.network.client import Client, Unanswered, decoded
 from tests.benchmarks.fleet.plant import PATIENCE, Plant
 
 EVERY = 1.0  # [s] between the goals of an arm

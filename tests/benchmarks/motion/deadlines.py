@@ -14,15 +14,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from controller.arm.arm import Arm, load
-from controller.armfile.settings import PlanningSettings
-from controller.motion.plans.point_by_point import PLANNING_TIME, PointByPoint
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages.pacing import pace_of
-from controller.motion.trajectory import through
-from controller.obstacles.clearance import BodyClearance
-from controller.refusals.refusal import Refusal
-from controller.search.solver import Solver, search_time
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.armfile.settings import PlanningSettings
+from hyperbit.controller.motion.plans.point_by_point import PLANNING_TIME, PointByPoint
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.motion.trajectory import through
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solver import Solver, search_time
 from tests.benchmarks.harness import DEPLOY, CommandLine, percentiles, write_figures
 from tests.benchmarks.motion.obstacle_transitions import scene
 from tests.benchmarks.search.obstacles import drawn

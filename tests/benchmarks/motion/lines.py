@@ -10,14 +10,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from controller.arm.arm import load
-from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.point_by_point import PointByPoint
-from controller.motion.plans.points import TrajectoryPoints
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages.pacing import Pace
-from controller.motion.trajectory import Trajectory, along
-from controller.search.solver import Solver
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.point_by_point import PointByPoint
+from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.stages.pacing import Pace
+from hyperbit.controller.motion.trajectory import Trajectory, along
+from hyperbit.controller.search.solver import Solver
 from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
 from tests.benchmarks.solving import ready_solver
 

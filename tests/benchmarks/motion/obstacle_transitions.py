@@ -19,18 +19,18 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from controller.manipulator.frames import spatial
-from controller.manipulator.manipulator import Manipulator
-from controller.motion.plans.point_by_point import PointByPoint
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages.pacing import Pace
-from controller.motion.trajectory import through
-from controller.obstacles.clearance import BodyClearance
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from controller.search.method import Method
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.frames import spatial
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.motion.plans.point_by_point import PointByPoint
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.stages.pacing import Pace
+from hyperbit.controller.motion.trajectory import through
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.method import Method
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration
 from tests.benchmarks.harness import CommandLine, median_and_99, write_figures
 from tests.manipulator.test_platform import hexapod as joints

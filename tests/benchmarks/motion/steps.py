@@ -12,9 +12,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from controller.arm.arm import load
-from controller.motion.stages.stages import order_stages
-from controller.motion.tracking.tracking import GoalTracker
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.motion.stages.stages import order_stages
+from hyperbit.controller.motion.tracking.tracking import GoalTracker
 from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
 
 BATCHES, RUNS = 20, 50

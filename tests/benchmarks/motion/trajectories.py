@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from controller.arm.arm import load
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.plans.label_setting import LabelSetting
-from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.points import TrajectoryPoints
-from controller.motion.trajectory import Trajectory, through
-from controller.search.solver import Solver
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.motion.plans.label_setting import LabelSetting
+from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.trajectory import Trajectory, through
+from hyperbit.controller.search.solver import Solver
 from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
 from tests.benchmarks.solving import ready_solver
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from websockets.sync.client import ClientConnection, connect
 
-from controller.panel.access.people import digest_of
+from hyperbit.controller.panel.access.people import digest_of
 from tests.benchmarks.daemon.chain.parts import Parts
 from tests.benchmarks.harness import CommandLine, percentiles, processor_time, report
 from tests.system.stack.observer import Observer
@@ -58,7 +58,7 @@ def serve(closing: ExitStack, parts: Parts) -> tuple[str, str]:
     words = ["panel", "--connect", parts.endpoint, "--listen", "127.0.0.1:0", "--people", str(people)]
     out = closing.enter_context(log.open("w"))
     environment = {**os.environ, "STATE_DIRECTORY": str(parts.folder)}
-    panel = subprocess.Popen([sys.executable, "-m", "controller.cli", *words], stdout=out, stderr=out, env=environment)
+    panel = subprocess.Popen([sys.executable, "-m", "hyperbit", *words], stdout=out, stderr=out, env=environment)
     closing.callback(panel.wait, PATIENCE)
     closing.callback(panel.terminate)
     url = eventually(lambda: re.findall(r"http://\S+", log.read_text()))[0]

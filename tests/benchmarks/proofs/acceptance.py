@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.distance import BOX, HALF_SPACE, SPHERE
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.distance import BOX, HALF_SPACE, SPHERE
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -26,7 +26,7 @@ class Check(NamedTuple):
         tolerance: of the distance.
         turn: tolerance of the angle about z [rad]; infinite: any angle.
         bodies: line segments of the modules' states, padded with the first one, shape (B, K, L, 2, 3).
-        kinds: of the obstacles, shape (n,); see controller.obstacles.
+        kinds: of the obstacles, shape (n,); see hyperbit.controller.obstacles.
         axes: rows are those of boxes, the first is a half-space's normal, shape (n, 3, 3).
         centres: shape (n, 3).
         sizes: radius in the first place, or half the sides of a box, shape (n, 3).

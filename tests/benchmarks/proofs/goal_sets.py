@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.arm import Arm
-from controller.bench.goal_sets import FOLDER, SETS, Task, goal_frame, load_arm, read
-from controller.manipulator.frames import angle
-from controller.manipulator.manipulator import Configuration
-from controller.manipulator.notation import format_configuration
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.bench.goal_sets import FOLDER, SETS, Task, goal_frame, load_arm, read
+from hyperbit.controller.manipulator.frames import angle
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.manipulator.notation import format_configuration
 from tests.benchmarks.proofs.acceptance import check_of, clear
 from tests.benchmarks.proofs.proof import Proof, prove
 

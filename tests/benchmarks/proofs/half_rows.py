@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from controller.manipulator.manipulator import Configuration
-from controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.obstacles.clearance import BodyClearance
 from tests.benchmarks.proofs.acceptance import Check, accepted, check_of
 from tests.benchmarks.proofs.half_rows import NONE, Array, Half, Index, Rows, Table, halves, moved, rows, table, write
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from rich.table import Table
 
-from controller.search.solver import TIMEOUT
+from hyperbit.controller.search.solver import TIMEOUT
 from tests.benchmarks.search.measuring import Arm, Goals, Trace, prepared, traced
 from tests.benchmarks.search.methods import METHODS, OURS, Method, annealed, ours
 

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Manipulator
-from controller.search.solver import Solver
-from controller.workspace.densities import Densities
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.densities import Densities
 from tests.benchmarks.solving import home, random_tips
 
 Goals = NDArray[np.float64]

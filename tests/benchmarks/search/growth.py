@@ -9,8 +9,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from controller.search.method import METHODS as PRODUCT_METHODS
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.search.method import METHODS as PRODUCT_METHODS
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
 from tests.benchmarks.harness import CommandLine, write_figures
 from tests.benchmarks.search.goals import random

@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from controller.arm.arm import load
+from hyperbit.controller.arm.arm import load
 from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
 from tests.benchmarks.solving import home, random_tips, ready_solver
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.workspace.densities import Densities
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.workspace.densities import Densities
 from tests.benchmarks.harness import no_collection, timed
 from tests.benchmarks.search.methods import MEETING, OPTIMUM, Method, product
 from tests.benchmarks.solving import WARM, home

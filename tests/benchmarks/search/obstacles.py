@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from controller.arm.arm import load
-from controller.manipulator.frame_kernels import angle_between
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.obstacles import Obstacles, box, half_space, sphere, together
-from controller.search.method import Method
-from controller.search.solution import Solution
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.obstacles import Obstacles, box, half_space, sphere, together
+from hyperbit.controller.search.method import Method
+from hyperbit.controller.search.solution import Solution
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
 from tests.benchmarks.harness import PAPER_ARM, CommandLine, median_and_99, percentiles, write_figures
 from tests.benchmarks.solving import WARM, ready_solver

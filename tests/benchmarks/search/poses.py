@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from controller.arm.arm import Arm, load
-from controller.manipulator.frames import inverse
-from controller.manipulator.manipulator import Configuration
-from controller.search.solution import Solution
-from controller.search.solver import Solver
-from controller.search.target import SearchTarget
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.manipulator.frames import inverse
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.search.solution import Solution
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.search.target import SearchTarget
 from tests.benchmarks.harness import DEPLOY, CommandLine, timed, write_figures
 from tests.benchmarks.search.methods import oriented_ipop
 from tests.benchmarks.solving import Solve, home, random_tips, ready_solver, solved_in_sequence

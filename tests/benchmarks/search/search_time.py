@@ -9,10 +9,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from controller.arm.arm import load
-from controller.armfile.settings import PlanningSettings
-from controller.search.solution import UNFOUND, SearchTime, Solution
-from controller.search.solver import TIMEOUT
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.armfile.settings import PlanningSettings
+from hyperbit.controller.search.solution import UNFOUND, SearchTime, Solution
+from hyperbit.controller.search.solver import TIMEOUT
 from tests.benchmarks.harness import PAPER_ARM, CommandLine, no_collection, percentiles, write_figures
 from tests.benchmarks.search.goals import boundary, random
 from tests.benchmarks.solving import WARM, home, ready_solver

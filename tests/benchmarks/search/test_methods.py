@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
 from tests.benchmarks.search.methods import METHODS, OPTIMUM, annealed, two_list
 

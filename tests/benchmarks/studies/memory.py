@@ -72,7 +72,7 @@ def measured(goals: int, workers: int, folder: Path) -> Row:
     words = "--goals", str(file), "--apart", "--effort", "1", "--output", str(output), "--workers", str(workers)
     began, command, worker = time.perf_counter(), 0.0, 0.0
     with subprocess.Popen(
-        [sys.executable, "-m", "controller.cli", "plan", str(PAPER_ARM), *words], stderr=subprocess.DEVNULL
+        [sys.executable, "-m", "hyperbit", "plan", str(PAPER_ARM), *words], stderr=subprocess.DEVNULL
     ) as process:
         own = psutil.Process(process.pid)
         while process.poll() is None:

@@ -110,7 +110,7 @@ def medians(name: str, rounds: Sequence[dict[str, Run]], goals: int) -> Row:
 def plan(words: Sequence[str]) -> Run:
     """Runs the command; its results come through a pipe."""
     began, times, lines = time.perf_counter(), list[float](), list[bytes]()
-    command = [sys.executable, "-m", "controller.cli", "plan", str(PAPER_ARM), *words]
+    command = [sys.executable, "-m", "hyperbit", "plan", str(PAPER_ARM), *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         for line in process.stdout:

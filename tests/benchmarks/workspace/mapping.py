@@ -17,11 +17,11 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from controller.manipulator.manipulator import Manipulator
-from controller.search.method import METHODS
-from controller.search.solver import Solver
-from controller.workspace.densities import Densities
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.search.method import METHODS
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
 from tests.benchmarks.harness import CommandLine, timed, write_figures
 from tests.benchmarks.search.measuring import exponent

@@ -12,9 +12,9 @@ import can
 import pytest
 import yaml
 
-from controller.executor.core.arm import read_arm
-from controller.program import VERSION, Goodbye, Welcome, encode
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.program import VERSION, Goodbye, Welcome, encode
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM
 
 

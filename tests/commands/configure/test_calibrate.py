@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
-from controller.arm.arm import load
-from controller.manipulator import frames
-from controller.manipulator.notation import format_configuration
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.notation import format_configuration
 from tests.calibration.making import ARMS, arm_of, erring, measured
 
 

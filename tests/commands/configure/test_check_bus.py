@@ -12,10 +12,10 @@ import can
 import pytest
 import yaml
 
-from controller.commands.configure.check import summary
-from controller.executor.core.arm import read_arm
-from controller.program import VERSION, Welcome, encode
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.commands.configure.check import summary
+from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.program import VERSION, Welcome, encode
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM
 
 NAME = "checked-by-a-test"  # no executor of this computer has this name

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from drivers.simulation.dictionary import EDS
+from hyperbit.drivers.simulation.dictionary import EDS
 from tests.commands.conftest import ARM
 
 

@@ -27,7 +27,7 @@ def test_process_data_that_do_not_fit_are_refused_before_the_executor_starts(hyp
     said = "actuators[33].output: 256, but board can0/1: its outputs are in 36 bytes; 32 fit in four PDOs"
     code, out, _ = hyperbit("check", str(path), "--json")
     assert (code, json.loads(out)["faults"]) == (2, [said])
-    executor = [sys.executable, "-m", "controller.executor", str(path), "--simulate"]
+    executor = [sys.executable, "-m", "hyperbit.controller.executor", str(path), "--simulate"]
     run = subprocess.run(executor, capture_output=True, text=True)
     assert (run.returncode, "Traceback" in run.stderr) == (2, False), run.stderr
     assert said in run.stderr.replace("\n", " ")

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 import yaml
 
-from controller.commands.configure import exercise
-from controller.commands.configure.exercise import MeasuredTravel, proposal
+from hyperbit.controller.commands.configure import exercise
+from hyperbit.controller.commands.configure.exercise import MeasuredTravel, proposal
 from tests.commands.conftest import ARM
 
 LABELS = ["1.left", "1.right"]

@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator
 import can
 import pytest
 
-from drivers.canopen.tools.lss import Lss
-from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
-from drivers.simulation.simulation import Simulation
-from drivers.simulation.variants import Variant
+from hyperbit.drivers.canopen.tools.lss import Lss
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
+from hyperbit.drivers.simulation.simulation import Simulation
+from hyperbit.drivers.simulation.variants import Variant
 from tests.waiting import eventually
 
 CHANNEL = "test_commands_node_id"

@@ -7,9 +7,9 @@ import json
 import can
 import pytest
 
-from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
-from drivers.simulation.simulation import Simulation
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
+from hyperbit.drivers.simulation.simulation import Simulation
+from hyperbit.drivers.simulation.variants import VARIANTS
 
 CHANNEL = "test_commands_probe"
 

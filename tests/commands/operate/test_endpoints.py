@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.armfile.patience import patient_copy
-from controller.commands.connection import connected
-from controller.commands.operate import demo
-from controller.commands.operate.endpoints import address_of, owner_of, port_taken
-from controller.network.session import configuration
+from hyperbit.controller.armfile.patience import patient_copy
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.operate import demo
+from hyperbit.controller.commands.operate.endpoints import address_of, owner_of, port_taken
+from hyperbit.controller.network.session import configuration
 from tests.waiting import eventually
 
 ARM = Path(__file__).parents[3] / "deploy" / "planar16.yaml"
@@ -52,7 +52,7 @@ def test_a_port_that_is_taken_is_told_with_its_process_and_both_ways_out() -> No
 def test_a_daemon_joins_a_router_that_comes_later_and_again_after_its_loss(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    command = [sys.executable, "-m", "controller.cli", "run", str(patient_copy(ARM, tmp_path)), "--simulate"]
+    command = [sys.executable, "-m", "hyperbit", "run", str(patient_copy(ARM, tmp_path)), "--simulate"]
     command += ["--connect", endpoint, "--ledger", str(tmp_path / "ledger.sqlite")]
     environment = {**os.environ, "RUNTIME_DIRECTORY": str(tmp_path)}
     with ExitStack() as closing, (tmp_path / "log").open("w+") as log:

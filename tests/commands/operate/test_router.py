@@ -8,8 +8,8 @@ from contextlib import ExitStack
 
 import zenoh
 
-from controller.commands.operate.router import router_config
-from controller.network import session
+from hyperbit.controller.commands.operate.router import router_config
+from hyperbit.controller.network import session
 from tests.keys import DEPLOY
 from tests.network.played import Router, free_endpoint
 from tests.waiting import PATIENCE, eventually
@@ -17,7 +17,7 @@ from tests.waiting import PATIENCE, eventually
 
 def test_two_clients_meet_at_a_router_that_ends_by_sigterm():
     endpoint = free_endpoint()
-    command = [sys.executable, "-m", "controller.cli", "router", "--listen", endpoint]
+    command = [sys.executable, "-m", "hyperbit", "router", "--listen", endpoint]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as routing:
         assert f"routing at {endpoint}" in routing.stderr.readline()
         one, other = (zenoh.open(session.configuration("client", connect=endpoint)) for _ in range(2))

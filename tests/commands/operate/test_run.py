@@ -10,18 +10,18 @@ from types import SimpleNamespace
 
 import pytest
 
-import controller.commands.operate.run as run_module
-from controller import cli
-from controller.commands.common import CommandFailed
-from controller.commands.operate import executor_process
-from controller.gateway import daemon
-from controller.host import signals
+import hyperbit.controller.commands.operate.run as run_module
+from hyperbit.controller import cli
+from hyperbit.controller.commands.common import CommandFailed
+from hyperbit.controller.commands.operate import executor_process
+from hyperbit.controller.gateway import daemon
+from hyperbit.controller.host import signals
 
 MEASURE = """
 import re
 import numpy as np
 from pathlib import Path
-from controller.commands.operate.run import return_large_blocks
+from hyperbit.controller.commands.operate.run import return_large_blocks
 
 def resident():
     return int(re.search(r"RssAnon:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1]) / 1024  # [MiB]
@@ -105,4 +105,11 @@ def test_a_page_listens_at_the_given_port(monkeypatch: pytest.MonkeyPatch) -> No
     with run_module.started_page("tcp/0.0.0.0:7448", 7481), run_module.started_page("tcp/[::]:7449", None):
         pass
     (command,) = commands
-    assert command[2:] == ["controller.cli", "panel", "--connect", "tcp/127.0.0.1:7448", "--listen", "127.0.0.1:7481"]
+    assert command[2:] == [
+        "hyperbit.controller.cli",
+        "panel",
+        "--connect",
+        "tcp/127.0.0.1:7448",
+        "--listen",
+        "127.0.0.1:7481",
+    ]

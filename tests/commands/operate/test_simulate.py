@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from controller.commands.operate.simulate import WIDEST
-from drivers.simulation.variants import VARIANTS
+from hyperbit.controller.commands.operate.simulate import WIDEST
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.commands.conftest import ARM
 
 
@@ -30,7 +30,7 @@ def test_boards_and_variants_that_are_not_there_are_unusable_input(hyperbit, wor
     code, _, err = hyperbit("simulate", str(ARM), "--board", word)
     assert (code, sentence in err.replace("\n", " ")) == (2, True), err
     run = subprocess.run(
-        [sys.executable, "-m", "controller.executor", str(ARM), "--simulate", f"--board={word}"],
+        [sys.executable, "-m", "hyperbit.controller.executor", str(ARM), "--simulate", f"--board={word}"],
         capture_output=True,
         text=True,
     )

@@ -10,7 +10,7 @@ import pytest
 
 PARENT = """
 import os, subprocess, sys, threading
-from controller.commands.operate.executor_process import pass_lines, start_child
+from hyperbit.controller.commands.operate.executor_process import pass_lines, start_child
 
 if os.isatty(0):
     import fcntl, termios

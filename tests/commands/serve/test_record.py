@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.armfile.strict import InputFaults
-from controller.commands.serve import record_events
-from controller.commands.serve.record import parse_size
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.serve import record_events
+from hyperbit.controller.commands.serve.record import parse_size
 from tests.commands.conftest import Told
 from tests.keys import DEPLOY
 
@@ -41,7 +41,7 @@ def test_bad_input_gives_a_message(told: Told, tmp_path: Path) -> None:
 
 def test_recording_needs_neither_kernels_nor_pictures() -> None:
     script = (
-        "import sys, controller.commands.serve.record, controller.recorder.recorder, controller.network.listener\n"
+        "import sys, hyperbit.controller.commands.serve.record, hyperbit.controller.recorder.recorder, hyperbit.controller.network.listener\n"
         "print([name for name in ('numba', 'scipy', 'matplotlib', 'canopen', 'can') if name in sys.modules])"
     )
     told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
@@ -51,10 +51,10 @@ def test_recording_needs_neither_kernels_nor_pictures() -> None:
 def test_the_daemon_needs_nothing_of_the_recorder() -> None:
     script = (
         "import sys\nsys.modules['mcap'] = None\n"
-        "import controller.gateway.daemon, controller.executor.process.run\n"
-        "import controller.commands.operate.run, controller.cli\n"
-        "from controller.commands.serve.record import require\n"
-        "print(any(name.startswith('controller.recorder') for name in sys.modules))"
+        "import hyperbit.controller.gateway.daemon, hyperbit.controller.executor.process.run\n"
+        "import hyperbit.controller.commands.operate.run, hyperbit.controller.cli\n"
+        "from hyperbit.controller.commands.serve.record import require\n"
+        "print(any(name.startswith('hyperbit.controller.recorder') for name in sys.modules))"
     )
     told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "False"

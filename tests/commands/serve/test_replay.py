@@ -57,6 +57,6 @@ def test_a_wrong_arm_is_refused(told: Told, recording: Path, tmp_path: Path) -> 
 def test_a_recording_is_replayed_to_its_end(recording: Path, tmp_path: Path) -> None:
     recording.write_bytes(recording.read_bytes()[:-20])
     words = [str(recording), "--speed", "1000", "--listen", f"unixsock-stream/{tmp_path}/z.sock"]
-    ended = subprocess.run([sys.executable, "-m", "controller.cli", "replay", *words], capture_output=True, text=True)
+    ended = subprocess.run([sys.executable, "-m", "hyperbit", "replay", *words], capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr
     assert "is incomplete: its readable part is replayed" in ended.stderr

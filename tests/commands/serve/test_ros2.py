@@ -9,10 +9,10 @@ from typing import Any, cast
 
 import pytest
 
-from controller.commands.serve import ros2
-from controller.ros2.arm_node import ROSOUT, Settings
-from controller.ros2.wire.node import Node
-from controller.ros2.wire.session import Session
+from hyperbit.controller.commands.serve import ros2
+from hyperbit.controller.ros2.arm_node import ROSOUT, Settings
+from hyperbit.controller.ros2.wire.node import Node
+from hyperbit.controller.ros2.wire.session import Session
 from tests.commands.conftest import Told
 from tests.ros2.wire.conftest import Router
 from tests.waiting import PATIENCE, eventually

@@ -8,10 +8,10 @@ import sys
 
 import pytest
 
-from controller.bench import running
-from controller.bench.goal_sets import SETS
-from controller.bench.methods import METHODS
-from controller.commands import common
+from hyperbit.controller.bench import running
+from hyperbit.controller.bench.goal_sets import SETS
+from hyperbit.controller.bench.methods import METHODS
+from hyperbit.controller.commands import common
 
 pytestmark = pytest.mark.usefixtures("own_folders")
 
@@ -100,7 +100,7 @@ def test_workers_change_nothing_but_times(hyperbit, mine, tmp_path):
 
 
 def test_what_a_method_prints_in_a_worker_is_not_among_the_figures(mine):
-    words = ("-m", "controller.cli", "bench", *FEW, "--method", f"{mine}:prepare", "--methods", "random-search")
+    words = ("-m", "hyperbit", "bench", *FEW, "--method", f"{mine}:prepare", "--methods", "random-search")
     run = [sys.executable, *words, "--json", "-", "--workers", "2"]
     done = subprocess.run(run, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr

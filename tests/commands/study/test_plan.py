@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 import hyperbit as hb
-from controller.commands.study.plan_results import sentence
-from controller.motion.plans import whole
+from hyperbit.controller.commands.study.plan_results import sentence
+from hyperbit.controller.motion.plans import whole
 
 ARM = str(Path(__file__).parents[3] / "deploy" / "planar16.yaml")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import hyperbit as hb
-from controller.commands.study import plan_results, plan_study
+from hyperbit.controller.commands.study import plan_results, plan_study
 
 ARM = """name: short
 tolerance: {position: 0.01}

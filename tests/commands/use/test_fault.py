@@ -6,10 +6,10 @@ from contextlib import ExitStack
 
 import pytest
 
-from controller.planning.core.events import refused
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from drivers.simulation.fault_commands import VERBS, usage
+from hyperbit.controller.planning.core.events import refused
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.drivers.simulation.fault_commands import VERBS, usage
 from tests.gateway.conftest import Gateway, endpoint  # noqa: F401
 
 NOWHERE = ("--connect", "tcp/127.0.0.1:1")

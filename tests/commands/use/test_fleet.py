@@ -15,8 +15,8 @@ from contextlib import ExitStack
 import pytest
 import zenoh
 
-from controller.commands.use import fleet
-from controller.network.fleet import ArmAddress, ArmStatus, alive
+from hyperbit.controller.commands.use import fleet
+from hyperbit.controller.network.fleet import ArmAddress, ArmStatus, alive
 from tests.network.played import PlayedArm, Router
 from tests.waiting import PATIENCE, eventually
 
@@ -81,7 +81,7 @@ def test_without_an_arm_fleet_fails(hyperbit, stack):
 
 
 def test_changes_are_followed_as_lines(plant):
-    command = [sys.executable, "-m", "controller.cli", "fleet", "--follow", "--connect", plant.router.endpoint]
+    command = [sys.executable, "-m", "hyperbit", "fleet", "--follow", "--connect", plant.router.endpoint]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as following:
         lines = (line.partition(" ")[2].strip() for line in following.stdout)
         ready = "(simulated): ready, holding; stuck: 5.left"
@@ -96,7 +96,7 @@ def test_changes_are_followed_as_lines(plant):
 
 def test_a_terminal_shows_the_loss_of_arm_and_router_and_ends_by_an_interrupt(plant):
     leader, follower = pty.openpty()
-    command = [sys.executable, "-m", "controller.cli", "fleet", "--connect", plant.router.endpoint]
+    command = [sys.executable, "-m", "hyperbit", "fleet", "--connect", plant.router.endpoint]
     shown = bytearray()
 
     def read():
@@ -156,7 +156,9 @@ def test_stop_all_names_each_arm(plant, hyperbit):
 
 
 def test_stop_all_fails_and_names_an_arm_that_does_not_answer(plant, hyperbit, monkeypatch):
-    monkeypatch.setattr("controller.network.stop_all.stop_all.__defaults__", (("hyperbit/*", "*/**/hyperbit/*"), 1.0))
+    monkeypatch.setattr(
+        "hyperbit.controller.network.stop_all.stop_all.__defaults__", (("hyperbit/*", "*/**/hyperbit/*"), 1.0)
+    )
     plant.arms[1].answer = None
     code, out, err = hyperbit("stop", "--all", "--connect", plant.router.endpoint)
     assert (code, out) == (1, "a: stopped\n")

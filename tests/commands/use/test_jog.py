@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from controller.planning.core.events import LockMessage
+from hyperbit.controller.planning.core.events import LockMessage
 from tests.gateway.conftest import NO_ACTUATOR, Gateway, endpoint  # noqa: F401
 
 NOWHERE = ("--connect", "tcp/127.0.0.1:1")

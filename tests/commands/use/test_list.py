@@ -11,11 +11,11 @@ import sys
 import pytest
 from rich.console import Console
 
-from controller.commands.connection import connected
-from controller.commands.operate import demo
-from controller.commands.use.list import line_of_arm
-from controller.commands.use.watch import View, line_of
-from controller.network.fleet import ArmAddress, ArmStatus
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.operate import demo
+from hyperbit.controller.commands.use.list import line_of_arm
+from hyperbit.controller.commands.use.watch import View, line_of
+from hyperbit.controller.network.fleet import ArmAddress, ArmStatus
 from tests.gateway.conftest import endpoint as private_endpoint  # noqa: F401
 
 INTERLOCK = {"code": "interlock", "message": "interlock gate is open"}
@@ -27,7 +27,7 @@ STATE = {
 # Three arms that publish thousands of states a second, until their standard input ends.
 ARMS = """
 import sys, threading, time, zenoh
-from controller.network import session
+from hyperbit.controller.network import session
 state = b'{"mode": "fault", "reason": "a test", "faults": []}'
 with zenoh.open(session.configuration("peer", listen=sys.argv[1])) as opened:
     publishers = [opened.declare_publisher(f"hyperbit/a{k}/state") for k in range(3)]
@@ -41,8 +41,8 @@ with zenoh.open(session.configuration("peer", listen=sys.argv[1])) as opened:
 """
 LISTS = """
 import sys, time
-from controller.commands.common import CommandFailed
-from controller.commands.use.list import list_
+from hyperbit.controller.commands.common import CommandFailed
+from hyperbit.controller.commands.use.list import list_
 listed = 0
 while listed < 40:
     try:
@@ -70,7 +70,7 @@ def test_list_without_a_daemon_fails_with_a_message(hyperbit):
 
 
 def test_watch_prints_changes_as_lines_in_a_pipe(hyperbit, endpoint):
-    command = [sys.executable, "-m", "controller.cli", "watch", "planar16", "--connect", endpoint]
+    command = [sys.executable, "-m", "hyperbit", "watch", "planar16", "--connect", endpoint]
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ, text=True) as watching:
         assert watching.stdout is not None
         first = watching.stdout.readline()

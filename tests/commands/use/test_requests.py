@@ -7,9 +7,9 @@ import re
 
 import pytest
 
-from controller.commands.common import CommandFailed, refusal
-from controller.commands.connection import connected
-from controller.commands.operate import demo
+from hyperbit.controller.commands.common import CommandFailed, refusal
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.operate import demo
 from tests.waiting import eventually
 
 

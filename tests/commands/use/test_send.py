@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.commands.connection import connected
-from controller.commands.operate import demo
-from controller.commands.use.send import cancel_goal, counted
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.operate import demo
+from hyperbit.controller.commands.use.send import cancel_goal, counted
 
 ARM = Path(__file__).parents[3] / "deploy" / "planar16.yaml"
 
@@ -130,7 +130,7 @@ def test_a_goal_that_cannot_be_written_in_json_is_unusable_input(hyperbit, endpo
 
 
 def test_watch_streams_states_until_interrupted(endpoint):
-    command = [sys.executable, "-m", "controller.cli", "watch", "planar16", "--connect", endpoint, "--json"]
+    command = [sys.executable, "-m", "hyperbit", "watch", "planar16", "--connect", endpoint, "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ, text=True) as watching:
         assert watching.stdout is not None
         states = [json.loads(watching.stdout.readline()) for _ in range(3)]
@@ -146,7 +146,7 @@ def test_an_interrupt_cancels_the_goal_that_was_sent(endpoint, tmp_path):
     file.write_text("\n".join(["id: long", "waypoints:", *points]))
     words = ["send", "planar16", str(file), "--connect", endpoint]
     with subprocess.Popen(
-        [sys.executable, "-m", "controller.cli", *words],
+        [sys.executable, "-m", "hyperbit", *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         env={**os.environ, "PYTHONUNBUFFERED": "1"},

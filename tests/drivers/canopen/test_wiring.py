@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.layout import Unfit, lay_out
-from drivers.canopen.pdo import Bit, Pdo, carries
-from drivers.canopen.run.frames import assemble
-from drivers.canopen.wiring import BoardId, BusWiring, Channel, Timing, Wiring
+from hyperbit.drivers.canopen.layout import Unfit, lay_out
+from hyperbit.drivers.canopen.pdo import Bit, Pdo, carries
+from hyperbit.drivers.canopen.run.frames import assemble
+from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Timing, Wiring
 
 CAN0 = BusWiring("can0", "virtual", "x")
 NO_MORE = (None, None, frozenset(), None, None, None, None)  # from `output_off` to `on_loss`

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from drivers.canopen.faults import ArmFault, Busy
-from drivers.canopen.run.master import Master
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import BusChanged, Event, SendFailed
-from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
-from drivers.simulation.variants import STANDARD, Variant
+from hyperbit.drivers.canopen.faults import ArmFault, Busy
+from hyperbit.drivers.canopen.run.master import Master
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import BusChanged, Event, SendFailed
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
+from hyperbit.drivers.simulation.variants import STANDARD, Variant
 from tests.simulation.buses.hardware import Hardware
 
 TICK = 0.01

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from tests.drivers.enumeration.rig import BOARD, MASTER, Rig
 
 LATE = 0.7  # [s] of a late answer, longer than the timeout of a request

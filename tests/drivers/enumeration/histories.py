@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from drivers.canopen.wire.cia301 import Command
-from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.wire.cia301 import Command
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.enumeration.rig import BITRATE, BUS, NODE, Rig
 from tests.drivers.variants.cases import Case
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from drivers.canopen.wiring import Channel
+from hyperbit.drivers.canopen.wiring import Channel
 from tests.drivers.enumeration.rig import BUS, NODE
 from tests.drivers.variants.cases import Case
 

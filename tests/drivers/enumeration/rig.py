@@ -9,14 +9,14 @@ import struct
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-from drivers.canopen.run.master import Master
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame
-from drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameReceived
-from drivers.canopen.wiring import Timing, Wiring
-from drivers.simulation.buses import build_actuator, wire
-from drivers.simulation.firmware import SimulatedBoard
-from drivers.simulation.variants import Variant
+from hyperbit.drivers.canopen.run.master import Master
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
+from hyperbit.drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameReceived
+from hyperbit.drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.simulation.buses import build_actuator, wire
+from hyperbit.drivers.simulation.firmware import SimulatedBoard
+from hyperbit.drivers.simulation.variants import Variant
 
 BUS, BITRATE, NODE = "can0", 1_000_000, 5
 TICK, LATENCY = 0.01, 0.001  # [s] of the master, and of an SDO answer

@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from drivers.canopen.run.master import Master
-from drivers.canopen.wire.cia301 import Frame, State
-from drivers.simulation.objects import Objects
+from hyperbit.drivers.canopen.run.master import Master
+from hyperbit.drivers.canopen.wire.cia301 import Frame, State
+from hyperbit.drivers.simulation.objects import Objects
 from tests.drivers.enumeration.failures import SDO_KINDS, Failure, Injection, failures
 from tests.drivers.enumeration.histories import LONGEST_BOOT, Before, histories
 from tests.drivers.enumeration.rig import BUS, MASTER, NODE, TICK, TOOL, Copies, PinChange, Rig

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import struct
 
-from drivers.canopen.wire import cia301
-from drivers.simulation.actuator import Actuator
-from drivers.simulation.firmware import SimulatedBoard, Wired
-from drivers.simulation.variants import STANDARD, Variant
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.simulation.actuator import Actuator
+from hyperbit.drivers.simulation.firmware import SimulatedBoard, Wired
+from hyperbit.drivers.simulation.variants import STANDARD, Variant
 
 Sent = list[tuple[int, str]]  # COB-ID and data in hexadecimal
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
+from hyperbit.drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 
 
 @pytest.fixture

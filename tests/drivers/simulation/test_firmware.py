@@ -5,8 +5,8 @@ from __future__ import annotations
 import canopen
 import pytest
 
-from drivers.canopen.wire import cia301
-from drivers.simulation.dictionary import EDS
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.simulation.dictionary import EDS
 from tests.drivers.simulation.rig import Rig
 
 

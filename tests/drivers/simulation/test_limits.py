@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, State
-from drivers.canopen.wiring import BusWiring, Timing, Wiring
-from drivers.simulation.buses import SimulatedBuses
-from drivers.simulation.fault_commands import perform
-from drivers.simulation.variants import STANDARD, VARIANTS, Variant
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.canopen.wiring import BusWiring, Timing, Wiring
+from hyperbit.drivers.simulation.buses import SimulatedBuses
+from hyperbit.drivers.simulation.fault_commands import perform
+from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS, Variant
 from tests.drivers.canopen.world import one_board
 from tests.drivers.simulation.rig import Rig
 

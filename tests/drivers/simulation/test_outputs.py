@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, State
-from drivers.simulation.variants import STANDARD, VARIANTS, Variant
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS, Variant
 from tests.drivers.simulation.rig import Rig
 
 GUARDED = VARIANTS["guarding-only"]

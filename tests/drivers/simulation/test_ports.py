@@ -7,10 +7,10 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.canopen.wire.bus import read_error
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wiring import BusWiring
-from drivers.simulation.simulation import Port
+from hyperbit.drivers.canopen.wire.bus import read_error
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wiring import BusWiring
+from hyperbit.drivers.simulation.simulation import Port
 from tests.emulated import Interface
 from tests.waiting import eventually
 

@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, Timing, Wiring
-from drivers.simulation import fault_commands
-from drivers.simulation.buses import SimulatedBuses, board_names
-from drivers.simulation.variants import VARIANTS, choose
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, Timing, Wiring
+from hyperbit.drivers.simulation import fault_commands
+from hyperbit.drivers.simulation.buses import SimulatedBuses, board_names
+from hyperbit.drivers.simulation.variants import VARIANTS, choose
 
 WIRING = Wiring(
     buses=(BusWiring("can0", "virtual", "a"), BusWiring("can1", "virtual", "b")),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.wire.cia301 import Command, State
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.simulation.rig import Rig
 from tests.drivers.simulation.test_variants import BOOTED, EXTEND, OVER, lose_master, rig
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.wire.cia301 import REMOTE, Command, State
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Command, State
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.simulation.rig import Rig
 
 NO_OBJECT, READ_ONLY = "00 00 02 06", "02 00 01 06"  # abort codes as on the wire

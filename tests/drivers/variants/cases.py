@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from drivers.canopen.wiring import Channel, NodeWiring, Timing
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.wiring import Channel, NodeWiring, Timing
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World
 
 _NONE: Mapping[str, Any] = MappingProxyType({})

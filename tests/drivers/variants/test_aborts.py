@@ -9,9 +9,9 @@ import functools
 
 import pytest
 
-from drivers.canopen.sdo import objects
-from drivers.canopen.wire import cia301
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.boot.test_pins import boot, extended
 from tests.drivers.canopen.world import World
 

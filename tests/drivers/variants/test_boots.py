@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.wire.cia301 import Command, State
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.tools.test_bus_check import asked
 from tests.drivers.canopen.world import World
 from tests.drivers.variants.cases import CASES, IN_VAIN, UNSEEN_WITHOUT_WRITING, Case

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.canopen.wiring import Channel
+from hyperbit.drivers.canopen.wiring import Channel
 from tests.drivers.canopen.world import World
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from random import Random
 
-from drivers.canopen.wiring import Channel, NodeWiring, Timing
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.wiring import Channel, NodeWiring, Timing
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World
 from tests.drivers.variants.cases import CASES
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire import cia301
 from tests.drivers.canopen.run.test_frames import spoken
 from tests.drivers.variants.cases import CASES, Case
 from tests.drivers.variants.test_boots import booted, case_of

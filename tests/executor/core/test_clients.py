@@ -2,11 +2,11 @@
 
 import pytest
 
-from controller.executor.core.core import Executor
-from controller.executor.core.events import ExecutorTick
-from controller.executor.process.switch_journal import MemoryJournal
-from controller.host.process import Notify, Quit
-from controller.program import (
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.core.events import ExecutorTick
+from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.host.process import Notify, Quit
+from hyperbit.controller.program import (
     MOST_BYTES,
     VERSION,
     Acknowledge,
@@ -25,7 +25,7 @@ from controller.program import (
     Welcome,
     encode,
 )
-from drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.faults import ArmFault
 from tests.executor.fake_master import FakeMaster
 from tests.executor.rig import OPERATOR, OTHER, SIZE, Rig, ready, small_arm
 

@@ -7,9 +7,9 @@ import logging
 
 import pytest
 
-from controller.host.process import Quit
-from controller.program import TICK, Lock, Stop, unpack
-from drivers.canopen.faults import ArmFault
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.program import TICK, Lock, Stop, unpack
+from hyperbit.drivers.canopen.faults import ArmFault
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 
 ALL = (1 << SIZE) - 1

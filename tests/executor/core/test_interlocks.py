@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from controller.program import TICK, Answer, Lock, Reset, Stop
-from drivers.canopen.wiring import Interlock
+from hyperbit.controller.program import TICK, Answer, Lock, Reset, Stop
+from hyperbit.drivers.canopen.wiring import Interlock
 from tests.executor.rig import CAN, LOST, SIZE, Rig, ready
 
 STOP, AIR = Interlock("stop", "can0", 9, 0), Interlock("air", "can0", 9, 1)

@@ -6,8 +6,20 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.host.process import Quit
-from controller.program import Accepted, Answer, Cancel, Declined, Ended, Lock, Replacement, Reset, Stage, Stop, pack
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.program import (
+    Accepted,
+    Answer,
+    Cancel,
+    Declined,
+    Ended,
+    Lock,
+    Replacement,
+    Reset,
+    Stage,
+    Stop,
+    pack,
+)
 from tests.executor.rig import LOST, SIZE, TRAVEL, Rig, ready
 
 LEGAL = {

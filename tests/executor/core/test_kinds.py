@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.executor.core.kinds import Ends, Kinds
-from drivers.canopen.wiring import BusWiring, Channel, Interlock, Timing, Wiring
+from hyperbit.controller.executor.core.kinds import Ends, Kinds
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Interlock, Timing, Wiring
 
 CAN0 = BusWiring("can0", "virtual", "x")
 

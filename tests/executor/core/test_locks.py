@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from controller.executor.core.modes import RETRY
-from controller.program import TICK, Answer, Declined, Ended, Lock, Replaced, Replacement, Settled, unpack
+from hyperbit.controller.executor.core.modes import RETRY
+from hyperbit.controller.program import TICK, Answer, Declined, Ended, Lock, Replaced, Replacement, Settled, unpack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 
 A = 0b000111

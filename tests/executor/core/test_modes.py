@@ -5,10 +5,10 @@ import logging
 import msgspec
 import pytest
 
-from controller.executor.core.modes import CLEARING, RETRY
-from controller.executor.motion.actuation import BUSY_FOR
-from controller.host.process import Quit
-from controller.program import (
+from hyperbit.controller.executor.core.modes import CLEARING, RETRY
+from hyperbit.controller.executor.motion.actuation import BUSY_FOR
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.program import (
     TICK,
     Answer,
     Cancel,
@@ -17,7 +17,7 @@ from controller.program import (
     Reset,
     Stop,
 )
-from drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.faults import ArmFault
 from tests.executor.rig import CAN, LOST, PLANNER, TRAVEL, Rig, ready
 
 A, B = 0b000111, 0b011100

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core.events import ExecutorTick, Health
-from controller.program import TICK, Fault, Snapshot
+from hyperbit.controller.executor.core.events import ExecutorTick, Health
+from hyperbit.controller.program import TICK, Fault, Snapshot
 from tests.executor.rig import Rig, ready
 
 

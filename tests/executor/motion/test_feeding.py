@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import pytest
 
-from controller.executor.motion.program_execution import FED_WITHIN
-from controller.program import TICK, Begun, Ended, Program, Replaced, Replacement, Settled, Stage, pack
+from hyperbit.controller.executor.motion.program_execution import FED_WITHIN
+from hyperbit.controller.program import TICK, Begun, Ended, Program, Replaced, Replacement, Settled, Stage, pack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 
 A, B, C = 0b000111, 0b011100, 0b110000

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from controller.program import Answer, Ended, Reset, Snapshot, unpack
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wiring import BoardId
+from hyperbit.controller.program import Answer, Ended, Reset, Snapshot, unpack
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wiring import BoardId
 from tests.executor.rig import SIZE
 from tests.executor.world import A, B, World, ready
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from controller.host.process import Quit
-from controller.program import TICK, Answer, Ended, Reset, Snapshot, unpack
-from drivers.canopen.wiring import Interlock
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.program import TICK, Answer, Ended, Reset, Snapshot, unpack
+from hyperbit.drivers.canopen.wiring import Interlock
 from tests.executor.rig import SIZE
 from tests.executor.world import STEP, A, B, World, ready
 

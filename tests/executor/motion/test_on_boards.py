@@ -4,9 +4,20 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.core.events import FromClient
-from controller.host.process import Quit
-from controller.program import TICK, Accepted, Begun, Diagnostics, Ended, Reset, Settled, Snapshot, Stop, unpack
+from hyperbit.controller.executor.core.events import FromClient
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.program import (
+    TICK,
+    Accepted,
+    Begun,
+    Diagnostics,
+    Ended,
+    Reset,
+    Settled,
+    Snapshot,
+    Stop,
+    unpack,
+)
 from tests.executor.rig import PLANNER, SIZE, TRAVEL
 from tests.executor.world import STEP, A, B, World, ready
 

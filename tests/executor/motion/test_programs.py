@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from controller.program import (
+from hyperbit.controller.program import (
     TICK,
     Accepted,
     Begun,
@@ -18,8 +18,8 @@ from controller.program import (
     Stop,
     pack,
 )
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refused
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refused
 from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
 
 A, B, C = 0b000111, 0b011100, 0b110000

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.executor.motion.actuation import LATE
-from controller.host.process import Quit
-from controller.program import TICK, Cancel, Reset, Stop, unpack
+from hyperbit.controller.executor.motion.actuation import LATE
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.program import TICK, Cancel, Reset, Stop, unpack
 from tests.executor.rig import LOST, SIZE, TRAVEL, Rig, ready
 
 ALL = (1 << SIZE) - 1

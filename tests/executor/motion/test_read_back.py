@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from controller.program import Ended, Reset, Snapshot, unpack
-from drivers.canopen.wiring import NodeWiring
+from hyperbit.controller.program import Ended, Reset, Snapshot, unpack
+from hyperbit.drivers.canopen.wiring import NodeWiring
 from tests.executor import rig
 from tests.executor.world import World, ready
 

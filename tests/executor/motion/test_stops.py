@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from controller.executor.motion.actuation import BUSY_FOR
-from controller.host.process import Quit
-from controller.program import TICK, Answer, Cancel, Ended, Reset, Stop
-from drivers.canopen.faults import ArmFault
+from hyperbit.controller.executor.motion.actuation import BUSY_FOR
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.program import TICK, Answer, Cancel, Ended, Reset, Stop
+from hyperbit.drivers.canopen.faults import ArmFault
 from tests.executor.rig import CAN, OPERATOR, TRAVEL, Rig, ready
 
 A, B = 0b000111, 0b011100

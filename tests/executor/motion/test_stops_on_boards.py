@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from controller.host.process import Quit
-from controller.program import Accepted, Answer, Cancel, Ended, Reset, Snapshot, Stop, unpack
-from drivers.canopen.wire import cia301
-from drivers.canopen.wiring import Interlock
-from drivers.simulation.variants import VARIANTS
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.program import Accepted, Answer, Cancel, Ended, Reset, Snapshot, Stop, unpack
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wiring import Interlock
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.executor.rig import SIZE
 from tests.executor.world import STEP, A, World, ready
 from tests.simulation.buses.bus_model import RPDOS

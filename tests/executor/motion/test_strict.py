@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import pytest
 
-from controller.executor.motion.actuation import BUSY_FOR
-from controller.executor.motion.clearance import ANSWER_WITHIN
-from controller.program import TICK, Clearance, Ended, Question, Replaced, Replacement, Stage, pack
+from hyperbit.controller.executor.motion.actuation import BUSY_FOR
+from hyperbit.controller.executor.motion.clearance import ANSWER_WITHIN
+from hyperbit.controller.program import TICK, Clearance, Ended, Question, Replaced, Replacement, Stage, pack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 
 A, B = 0b000111, 0b011100

@@ -2,7 +2,7 @@
 
 import pytest
 
-from controller.program import TICK, Ended, Reset
+from hyperbit.controller.program import TICK, Ended, Reset
 from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
 
 ALL = (1 << SIZE) - 1

@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from controller.executor.core.core import Executor
-from controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
-from controller.executor.core.kinds import Ends
-from controller.executor.motion.travel_times import TravelTimes
-from controller.executor.process.embedded_boards import EmbeddedBoards
-from controller.executor.process.switch_journal import MemoryJournal
-from controller.program import VERSION, Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
-from drivers.simulation.buses import _LEAST_PULSE
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
+from hyperbit.controller.executor.core.kinds import Ends
+from hyperbit.controller.executor.motion.travel_times import TravelTimes
+from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards
+from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.program import VERSION, Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
+from hyperbit.drivers.simulation.buses import _LEAST_PULSE
 from tests.executor.rig import PLANNER, SIZE, small_arm
 from tests.executor.world import STEP, World, ready
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from controller.executor.core.core import Executor
-from controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
-from controller.executor.process.embedded_boards import EmbeddedBoards, simulated_boards
-from controller.executor.process.switch_journal import MemoryJournal
-from controller.program import TICK, VERSION, Alive, Hello, Snapshot
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
+from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards, simulated_boards
+from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.program import TICK, VERSION, Alive, Hello, Snapshot
 from tests.executor.rig import PLANNER, SIZE, small_arm
 
 

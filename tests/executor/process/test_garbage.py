@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from controller.executor.process.run import TOO_MANY, WORTH, Garbage
+from hyperbit.controller.executor.process.run import TOO_MANY, WORTH, Garbage
 
 
 class Cycle:

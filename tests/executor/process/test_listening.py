@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 import can
 import pytest
 
-from controller.executor.process import buses
-from controller.executor.process.buses import CanBuses
-from drivers.canopen.faults import BusError
-from drivers.canopen.wire.events import BusChanged
-from drivers.canopen.wiring import BusWiring
+from hyperbit.controller.executor.process import buses
+from hyperbit.controller.executor.process.buses import CanBuses
+from hyperbit.drivers.canopen.faults import BusError
+from hyperbit.drivers.canopen.wire.events import BusChanged
+from hyperbit.drivers.canopen.wiring import BusWiring
 
 CHANNEL = "test_listening"
 BEAT = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)

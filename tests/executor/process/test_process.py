@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from controller.armfile.patience import patient_copy
-from controller.program import (
+from hyperbit.controller.armfile.patience import patient_copy
+from hyperbit.controller.program import (
     MOST_BYTES,
     VERSION,
     Acknowledge,
@@ -33,13 +33,13 @@ from controller.program import (
     encode,
     pack,
 )
-from controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.reasons import Reason
 from tests.keys import DEPLOY
 
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
 ROOMS = {f"controller.{name}" for name in ("armfile", "executor", "flight_recorder", "host", "program", "refusals")}
 MOST_RESIDENT = 80 * 1024  # [kB]
-SIMULATION = {"canopen", "drivers.simulation"}  # a real arm's process loads neither
+SIMULATION = {"canopen", "hyperbit.drivers.simulation"}  # a real arm's process loads neither
 SIZE = 48
 
 
@@ -51,7 +51,7 @@ class Process:
         arguments = [
             sys.executable,
             "-m",
-            "controller.cli",
+            "hyperbit.controller.cli",
             "execute",
             str(patient_copy(Path(DEPLOY) / "planar16.yaml", folder)),
             *["--simulate"] * simulate,
@@ -151,7 +151,7 @@ def test_without_simulated_boards_neither_simulation_nor_canopen_is_loaded(tmp_p
     code, out, err = process.end()
     assert code == 0, err
     loaded = set(out.split())
-    assert "controller.executor.process.buses" in loaded
+    assert "hyperbit.controller.executor.process.buses" in loaded
     assert not [name for name in loaded if any(f"{name}.".startswith(f"{room}.") for room in SIMULATION)]
 
 
@@ -199,7 +199,9 @@ def test_an_ended_executor_gives_its_result_and_counts_go_on(tmp_path: Path) -> 
 
 def test_unusable_input_ends_with_2(tmp_path: Path) -> None:
     run = subprocess.run(
-        [sys.executable, "-m", "controller.executor", str(tmp_path / "none.yaml")], capture_output=True, text=True
+        [sys.executable, "-m", "hyperbit.controller.executor", str(tmp_path / "none.yaml")],
+        capture_output=True,
+        text=True,
     )
     assert (run.returncode, "no such file" in run.stderr) == (2, True)
 

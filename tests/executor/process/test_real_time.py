@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from controller.armfile.settings import RealTimeSettings
-from controller.executor.process import real_time
-from controller.executor.process.real_time import enter_real_time
-from controller.host.scheduling import shorten_slice
+from hyperbit.controller.armfile.settings import RealTimeSettings
+from hyperbit.controller.executor.process import real_time
+from hyperbit.controller.executor.process.real_time import enter_real_time
+from hyperbit.controller.host.scheduling import shorten_slice
 
 
 def in_thread(work: Callable[[], None]) -> None:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.flight_recorder.keeper import KINDS, ring_paths
-from controller.flight_recorder.loading import load
-from controller.program import Answer, PlayFault, Program, Snapshot, Stage, pack
+from hyperbit.controller.flight_recorder.keeper import KINDS, ring_paths
+from hyperbit.controller.flight_recorder.loading import load
+from hyperbit.controller.program import Answer, PlayFault, Program, Snapshot, Stage, pack
 from tests.executor.process.test_process import SIZE, Planner, Process
 from tests.simulation.events import replay
 from tests.waiting import eventually
@@ -76,7 +76,7 @@ def test_a_killed_executor_leaves_its_events(executor: Process, tmp_path: Path) 
 
 
 def record_events(folder: Path, arm: str = "planar16") -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "controller.cli", "record", "--events", arm, "--folder", str(folder)]
+    command = [sys.executable, "-m", "hyperbit", "record", "--events", arm, "--folder", str(folder)]
     return subprocess.run(command, capture_output=True, text=True)
 
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from controller.executor.core.core import DEFECT, Executor
-from controller.executor.core.events import Defect, ExecutorTick, ToClient
-from controller.executor.process.run import CLOSE, EventLoop
-from controller.executor.process.server import ExecutorServer
-from controller.executor.process.switch_journal import MemoryJournal
-from controller.host.notify import Notifier
-from controller.program import (
+from hyperbit.controller.executor.core.core import DEFECT, Executor
+from hyperbit.controller.executor.core.events import Defect, ExecutorTick, ToClient
+from hyperbit.controller.executor.process.run import CLOSE, EventLoop
+from hyperbit.controller.executor.process.server import ExecutorServer
+from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.host.notify import Notifier
+from hyperbit.controller.program import (
     MOST_BYTES,
     TICK,
     VERSION,

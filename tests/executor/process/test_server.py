@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from controller.executor.core.events import ClientGone, ClientId, FromClient
-from controller.executor.process.connections import HELLO_TIMEOUT, PLACES, ClientConnection, superfluous
-from controller.executor.process.server import MOST_QUEUED, ExecutorServer, SocketInUse
-from controller.host.sockets import default_socket, found_sockets, socket_path
-from controller.program import (
+from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
+from hyperbit.controller.executor.process.connections import HELLO_TIMEOUT, PLACES, ClientConnection, superfluous
+from hyperbit.controller.executor.process.server import MOST_QUEUED, ExecutorServer, SocketInUse
+from hyperbit.controller.host.sockets import default_socket, found_sockets, socket_path
+from hyperbit.controller.program import (
     MOST_BYTES,
     VERSION,
     Alive,
@@ -277,8 +277,8 @@ def test_a_stale_socket_is_replaced(path: Path) -> None:
 
 
 def test_where_sockets_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("controller.host.sockets.SYSTEM", tmp_path / "run")
-    monkeypatch.setattr("controller.host.sockets.INSTANCES", tmp_path / "arms")
+    monkeypatch.setattr("hyperbit.controller.host.sockets.SYSTEM", tmp_path / "run")
+    monkeypatch.setattr("hyperbit.controller.host.sockets.INSTANCES", tmp_path / "arms")
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
     assert default_socket("a") == tmp_path / "user/hyperbit/a.sock"
@@ -295,8 +295,8 @@ def test_where_sockets_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
 
 
 def test_sockets_of_instances_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("controller.host.sockets.SYSTEM", tmp_path / "run")
-    monkeypatch.setattr("controller.host.sockets.INSTANCES", tmp_path / "arms")
+    monkeypatch.setattr("hyperbit.controller.host.sockets.SYSTEM", tmp_path / "run")
+    monkeypatch.setattr("hyperbit.controller.host.sockets.INSTANCES", tmp_path / "arms")
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
     paths = [tmp_path / "arms" / instance / f"{instance}-arm.sock" for instance in ("left", "right")]
@@ -311,7 +311,9 @@ def test_sockets_of_instances_are_found(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 
 def test_folders_that_a_user_may_not_read_hide_their_sockets(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("controller.host.sockets.SYSTEM", tmp_path / ("x" * 300))  # a name that cannot be looked at
+    monkeypatch.setattr(
+        "hyperbit.controller.host.sockets.SYSTEM", tmp_path / ("x" * 300)
+    )  # a name that cannot be looked at
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "user"))
     assert default_socket("a") == tmp_path / "user/hyperbit/a.sock"
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from controller.executor.process.run import Timekeeper
+from hyperbit.controller.executor.process.run import Timekeeper
 
 
 @pytest.fixture

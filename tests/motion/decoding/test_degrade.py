@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.motion.decoding.requests import decode_degrade
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.motion.decoding.requests import decode_degrade
+from hyperbit.controller.refusals.refusal import Refusal
 from tests.motion.decoding.requests import scalars, unreadable
 
 anything = st.dictionaries(st.sampled_from(["actuator", "state", "now"]), scalars) | st.recursive(scalars, st.lists)

@@ -10,13 +10,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from controller.manipulator import frames
-from controller.motion.decoding import goal as module
-from controller.motion.decoding.goal import GoalRules, parse, parse_quickly, parse_strictly, schedule
-from controller.motion.stages.pacing import Pace
-from controller.motion.trajectory import MOST_POINTS, Trajectory
-from controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
-from controller.refusals.refusal import LONGEST_SENTENCE, Refusal
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.motion.decoding import goal as module
+from hyperbit.controller.motion.decoding.goal import GoalRules, parse, parse_quickly, parse_strictly, schedule
+from hyperbit.controller.motion.stages.pacing import Pace
+from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory
+from hyperbit.controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
+from hyperbit.controller.refusals.refusal import LONGEST_SENTENCE, Refusal
 from tests.motion.decoding.requests import json_values
 
 NOW = 1_800_000_000.0

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.motion.decoding.requests import decode_jog
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.motion.decoding.requests import decode_jog
+from hyperbit.controller.refusals.refusal import Refusal
 from tests.motion.decoding.requests import scalars, unreadable
 
 LABELS = ("1.left", "1.right", "2.left")

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.motion.decoding.requests import MOST_OBSTACLE_BYTES, decode_obstacles
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.motion.decoding.requests import MOST_OBSTACLE_BYTES, decode_obstacles
+from hyperbit.controller.refusals.refusal import Refusal
 from tests.motion.decoding.requests import scalars, unreadable
 
 fields = ["disc", "sphere", "box", "half_plane", "name", "centre", "radius", "size", "angle", "point", "normal"]

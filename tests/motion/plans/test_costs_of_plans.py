@@ -8,20 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.motion.plans import point_by_point
-from controller.motion.plans.plan import TrajectoryPlan
-from controller.motion.plans.point_by_point import PointByPoint
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.plans.whole import look_ahead, plan_whole
-from controller.motion.stages.pacing import Pace
-from controller.motion.trajectory import Trajectory, through
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.obstacles import NONE, sphere
-from controller.refusals.refusal import Refusal
-from controller.search.solution import EPSILON
-from controller.search.solver import Solver, search_time
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.motion.plans import point_by_point
+from hyperbit.controller.motion.plans.plan import TrajectoryPlan
+from hyperbit.controller.motion.plans.point_by_point import PointByPoint
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.plans.whole import look_ahead, plan_whole
+from hyperbit.controller.motion.stages.pacing import Pace
+from hyperbit.controller.motion.trajectory import Trajectory, through
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.obstacles import NONE, sphere
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solution import EPSILON
+from hyperbit.controller.search.solver import Solver, search_time
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration
 from tests.obstacles.moving import arm, hinge, truss
 

@@ -6,20 +6,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.manipulator.locked import lock_actuators
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.notation import format_configuration, parse_configuration
-from controller.motion.decoding.goal import GoalRules, parse, schedule
-from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.point_by_point import PointByPoint
-from controller.motion.plans.points import TrajectoryPoints
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages.pacing import Pace
-from controller.motion.trajectory import Trajectory
-from controller.refusals.refusal import Refusal
-from controller.search.solver import Solver
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator.locked import lock_actuators
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
+from hyperbit.controller.motion.decoding.goal import GoalRules, parse, schedule
+from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.point_by_point import PointByPoint
+from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.stages.pacing import Pace
+from hyperbit.controller.motion.trajectory import Trajectory
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.densities import Densities
 
 FIRST, SECOND = "4646676700771206", "0000000000000001"
 

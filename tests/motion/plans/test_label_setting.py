@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator.frame_kernels import angle_between
-from controller.motion.plans.label_setting import LabelSetting, least_remaining_cost
-from controller.motion.plans.points import TrajectoryPoints
-from controller.motion.trajectory import Trajectory, through
-from controller.obstacles.clearance import BodyClearance
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.motion.plans.label_setting import LabelSetting, least_remaining_cost
+from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.trajectory import Trajectory, through
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
 from tests.obstacles.dense import Disc, obstacles_of
 

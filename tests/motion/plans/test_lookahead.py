@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from controller.manipulator.frame_kernels import angle_between
-from controller.motion.plans import lookahead
-from controller.motion.plans.lookahead import LookAhead
-from controller.motion.plans.points import TrajectoryPoints
-from controller.motion.trajectory import through
-from controller.obstacles.clearance import BodyClearance
-from controller.search.solver import Solver
+from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.motion.plans import lookahead
+from hyperbit.controller.motion.plans.lookahead import LookAhead
+from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.trajectory import through
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.search.solver import Solver
 from tests.obstacles.dense import Disc, nearest, obstacles_of
 
 TOLERANCE = 0.002

@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.manipulator.frame_kernels import angle_between
-from controller.manipulator.frames import planar
-from controller.manipulator.manipulator import Manipulator
-from controller.motion.plans.plan import TrajectoryPlan
-from controller.motion.plans.point_by_point import PointByPoint
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.trajectory import Trajectory, through
-from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from controller.search.method import Method
-from controller.search.solution import SearchTime, Solution
-from controller.search.solver import Solver
-from controller.search.target import SearchTarget
+from hyperbit.controller.manipulator.frame_kernels import angle_between
+from hyperbit.controller.manipulator.frames import planar
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.motion.plans.plan import TrajectoryPlan
+from hyperbit.controller.motion.plans.point_by_point import PointByPoint
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.trajectory import Trajectory, through
+from hyperbit.controller.refusals.codes import GOAL_TOLERANCE_VIOLATED
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.method import Method
+from hyperbit.controller.search.solution import SearchTime, Solution
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.search.target import SearchTarget
 
 POINTS = [(0.55, 2.9), (0.4, 2.9), (3.0, 0.7)]
 

@@ -5,12 +5,12 @@ import itertools
 import numpy as np
 import pytest
 
-from controller.manipulator.manipulator import Manipulator
-from controller.motion.stages.detours import Detour, Detours, NoWay
-from controller.motion.stages.state_trees import add, find, packed, plant, root_of, route, state_tree
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.obstacles import sphere, together
-from controller.obstacles.sweep import Sweep
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.motion.stages.detours import Detour, Detours, NoWay
+from hyperbit.controller.motion.stages.state_trees import add, find, packed, plant, root_of, route, state_tree
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.obstacles import sphere, together
+from hyperbit.controller.obstacles.sweep import Sweep
 from tests.obstacles.moving import arm, hinge
 
 POST = (0.29, 1.675)

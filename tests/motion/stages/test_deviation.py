@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from controller.manipulator.manipulator import Manipulator
-from controller.motion.stages.deviation import COUNTED, Transition
-from controller.motion.stages.transition import build_transition
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.motion.stages.deviation import COUNTED, Transition
+from hyperbit.controller.motion.stages.transition import build_transition
 from tests.arms import paper_arm, spatial_arm
 
 

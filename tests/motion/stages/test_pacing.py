@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.motion.plans.point_by_point import PointByPoint
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages.pacing import MOST_STAGES, Infeasible, Pace, Stager
-from controller.motion.stages.transition import build_transition
-from controller.motion.trajectory import through
-from controller.refusals.codes import INVALID_GOAL
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.motion.plans.point_by_point import PointByPoint
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.stages.pacing import MOST_STAGES, Infeasible, Pace, Stager
+from hyperbit.controller.motion.stages.transition import build_transition
+from hyperbit.controller.motion.trajectory import through
+from hyperbit.controller.refusals.codes import INVALID_GOAL
+from hyperbit.controller.refusals.refusal import Refusal
 from tests.arms import paper_arm
 
 LEAD = 0.06

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.motion.stages.program import delay_of, in_groups, pack_states, unpack_states
-from controller.motion.trajectory import Trajectory, through
-from controller.program import pack, unpack
+from hyperbit.controller.motion.stages.program import delay_of, in_groups, pack_states, unpack_states
+from hyperbit.controller.motion.trajectory import Trajectory, through
+from hyperbit.controller.program import pack, unpack
 
 
 def trajectory(*times: float) -> Trajectory:

@@ -5,20 +5,20 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator.manipulator import Manipulator
-from controller.motion.plans.point_by_point import PointByPoint
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages import detours
-from controller.motion.stages.detours import Detour, Detours, NoWay
-from controller.motion.trajectory import through
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.obstacles import sphere, together
-from controller.obstacles.sweep import Sweep
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from controller.search.solution import SearchTime
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.motion.plans.point_by_point import PointByPoint
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.stages import detours
+from hyperbit.controller.motion.stages.detours import Detour, Detours, NoWay
+from hyperbit.controller.motion.trajectory import through
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.obstacles import sphere, together
+from hyperbit.controller.obstacles.sweep import Sweep
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solution import SearchTime
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration
 from tests.obstacles.moving import Part, arm, hinge, placed, truss
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.manipulator.manipulator import Manipulator
-from controller.motion.stages.pacing import Pace, Stager
-from controller.motion.stages.restaging import is_configuration, module_step, restage
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.motion.stages.pacing import Pace, Stager
+from hyperbit.controller.motion.stages.restaging import is_configuration, module_step, restage
 from tests.arms import paper_arm, spatial_arm
 
 ARMS = [paper_arm(4), spatial_arm(4)]  # the second's modules have 6 of 8 codes

@@ -9,20 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator.manipulator import Manipulator
-from controller.motion.plans import point_by_point
-from controller.motion.plans.point_by_point import PointByPoint
-from controller.motion.plans.transitions import TransitionPlanner
-from controller.motion.stages.detours import Detour, Detours, Graph
-from controller.motion.stages.pacing import Blocked, Pace, Staged, Stager
-from controller.motion.trajectory import through
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.obstacles import box, sphere, together
-from controller.obstacles.sweep import Sweep
-from controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
-from controller.refusals.refusal import Refusal
-from controller.search.solver import Solver
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.motion.plans import point_by_point
+from hyperbit.controller.motion.plans.point_by_point import PointByPoint
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
+from hyperbit.controller.motion.stages.detours import Detour, Detours, Graph
+from hyperbit.controller.motion.stages.pacing import Blocked, Pace, Staged, Stager
+from hyperbit.controller.motion.trajectory import through
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.obstacles import box, sphere, together
+from hyperbit.controller.obstacles.sweep import Sweep
+from hyperbit.controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solver import Solver
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, planar_frames
 from tests.obstacles.dense import Disc, any_shape, obstacles_of
 from tests.obstacles.moving import arm, hinge, motion, room, truss

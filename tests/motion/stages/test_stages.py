@@ -9,11 +9,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from controller.manipulator import frames
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import Module, transforms
-from controller.motion.stages.stages import SKIPPED, Stages, order_stages
-from controller.motion.stages.transition import build_transition
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import Module, transforms
+from hyperbit.controller.motion.stages.stages import SKIPPED, Stages, order_stages
+from hyperbit.controller.motion.stages.transition import build_transition
 from tests.arms import paper_arm, short_arms, spatial_arm
 
 Plan = tuple[tuple[int, ...], ...]

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from controller.motion.tracking.bias import AGREEING, TipBias, Tracker, decode
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.motion.tracking.bias import AGREEING, TipBias, Tracker, decode
+from hyperbit.controller.refusals.refusal import Refusal
 
 TRACKER = Tracker(noise=1e-4, clamp=0.01, drift=1e-5, hold=60.0)
 SEEDS = st.integers(0, 2**32 - 1)

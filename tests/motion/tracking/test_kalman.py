@@ -5,7 +5,7 @@ import sys
 
 PROGRAM = """
 import sys
-from controller.motion.tracking.kalman import kalman_filter, white_noise
+from hyperbit.controller.motion.tracking.kalman import kalman_filter, white_noise
 
 filter = kalman_filter(4, 2)
 assert filter.x.shape[0] == 4

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.motion.tracking.goal_motion import tracking_of
-from controller.motion.tracking.tracking import GoalTracker, Tracking
-from controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
-from controller.refusals.refusal import Refusal
-from controller.search.solver import Solver
+from hyperbit.controller.motion.tracking.goal_motion import tracking_of
+from hyperbit.controller.motion.tracking.tracking import GoalTracker, Tracking
+from hyperbit.controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.search.solver import Solver
 
 NOW = 1_800_000_000.0
 DELAY = 0.06  # from a decision to the tip's arrival [s]
@@ -300,7 +300,9 @@ def test_finite_setpoints_never_give_nan(dimension, data):
 
 
 def test_importing_it_does_not_import_filterpy():
-    code = "import sys, controller.motion.tracking.tracking; assert not {'filterpy', 'scipy'} & set(sys.modules)"
+    code = (
+        "import sys, hyperbit.controller.motion.tracking.tracking; assert not {'filterpy', 'scipy'} & set(sys.modules)"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from controller.armfile.strict import InputFaults
-from controller.panel.access.access import Access
-from controller.panel.access.people import Person, PersonEntry, digest_of, read_people
-from controller.panel.access.sessions import MOST_OF_PERSON
-from controller.panel.access.wrong_tokens import FIRST_DELAY, FREE, LONGEST_DELAY, WrongTokens
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.panel.access.access import Access
+from hyperbit.controller.panel.access.people import Person, PersonEntry, digest_of, read_people
+from hyperbit.controller.panel.access.sessions import MOST_OF_PERSON
+from hyperbit.controller.panel.access.wrong_tokens import FIRST_DELAY, FREE, LONGEST_DELAY, WrongTokens
 
 ANNA = PersonEntry("anna", "operator", digest_of("a"))
 

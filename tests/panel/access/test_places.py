@@ -2,9 +2,16 @@
 
 import pytest
 
-from controller.panel.access import places
-from controller.panel.access.people import Person
-from controller.panel.access.places import MOST_OF_ADDRESS, MOST_OF_PERSON, MOST_PAGES, MOST_VIEWERS, PagePlace, Places
+from hyperbit.controller.panel.access import places
+from hyperbit.controller.panel.access.people import Person
+from hyperbit.controller.panel.access.places import (
+    MOST_OF_ADDRESS,
+    MOST_OF_PERSON,
+    MOST_PAGES,
+    MOST_VIEWERS,
+    PagePlace,
+    Places,
+)
 from tests.panel.conftest import OPERATOR, OTHER, VIEWER, Site
 
 

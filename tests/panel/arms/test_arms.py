@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.panel.arms import arm_view, arms
+from hyperbit.controller.panel.arms import arm_view, arms
 from tests.panel.conftest import ARM, VIEWER, Site
 from tests.waiting import eventually
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from controller.arm.arm import load
-from controller.arm.description import density, description, drawing
-from controller.panel.arms.drawing import Drawing, cloud, picture
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.arm.description import density, description, drawing
+from hyperbit.controller.panel.arms.drawing import Drawing, cloud, picture
+from hyperbit.controller.workspace.mapping import map_densities
 from tests.keys import DEPLOY
 
 

@@ -1,7 +1,7 @@
 """Advice for faults: one for each board."""
 
-from controller.executor.core.modes import CLEARING
-from controller.panel.arms.faults import ADVICE, After, advised
+from hyperbit.controller.executor.core.modes import CLEARING
+from hyperbit.controller.panel.arms.faults import ADVICE, After, advised
 
 
 def advices(*faults: tuple[str, str]) -> list[str]:

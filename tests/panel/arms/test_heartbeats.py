@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.panel.arms.heartbeats import KEPT, LONGEST, Heartbeats
+from hyperbit.controller.panel.arms.heartbeats import KEPT, LONGEST, Heartbeats
 
 
 class Clock:

@@ -9,7 +9,7 @@ from starlette.applications import Starlette
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
-from controller.panel.arms.metrics import MOST_ACTUATORS, MOST_KINDS, Counters, endpoint, exposition
+from hyperbit.controller.panel.arms.metrics import MOST_ACTUATORS, MOST_KINDS, Counters, endpoint, exposition
 
 FAULT = {"code": "board-lost", "source": "can0/3", "message": 'board "can0/3"\nis lost'}
 STATE = {"mode": "fault", "faults": [FAULT, FAULT], "degraded": [{"actuator": "5.left", "state": 0}]}

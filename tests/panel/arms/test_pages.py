@@ -3,8 +3,8 @@
 import asyncio
 import json
 
-from controller.panel.access.people import Person
-from controller.panel.arms.pages import Page, RateLimit
+from hyperbit.controller.panel.access.people import Person
+from hyperbit.controller.panel.arms.pages import Page, RateLimit
 
 
 class Clock:

@@ -1,7 +1,7 @@
 """The clocks of a replayed recording, in the history of the page."""
 
-from controller.panel.arms.arm_history import ArmHistory
-from controller.panel.arms.replay_clock import ReplayClock
+from hyperbit.controller.panel.arms.arm_history import ArmHistory
+from hyperbit.controller.panel.arms.replay_clock import ReplayClock
 from tests.panel.conftest import Site
 
 LINE = {"begin": 1000.0, "end": 1100.0, "at": 1010.0, "speed": 2.0, "paused": False}

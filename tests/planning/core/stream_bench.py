@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from controller.arm.arm import Arm
-from controller.motion.tracking.goal_motion import tracking_of
-from controller.planning.core.events import Arrival, SetpointArrived
-from controller.planning.core.parts import Ticket
-from controller.planning.core.stream import Stream
-from controller.planning.core.tasks import Followed, FollowSetpoint
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.motion.tracking.goal_motion import tracking_of
+from hyperbit.controller.planning.core.events import Arrival, SetpointArrived
+from hyperbit.controller.planning.core.parts import Ticket
+from hyperbit.controller.planning.core.stream import Stream
+from hyperbit.controller.planning.core.tasks import Followed, FollowSetpoint
 from tests.planning.rig.played_core import PlayedCore
 
 A = (5, 0, 7, 0)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.planning.core.arm import ArmState
-from controller.program import Fault
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.planning.core.arm import ArmState
+from hyperbit.controller.program import Fault
 from tests.planning.rig.played_core import PlayedCore
 
 COMPUTED = [name for name, value in vars(ArmState).items() if isinstance(value, cached_property)]

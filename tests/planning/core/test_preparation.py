@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from controller.arm.arm import Arm
-from controller.planning.core.preparation import IDLE, REHEARSE_EVERY, Preparation
-from controller.planning.core.tasks import Done, PrepareSearch
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.planning.core.preparation import IDLE, REHEARSE_EVERY, Preparation
+from hyperbit.controller.planning.core.tasks import Done, PrepareSearch
 from tests.planning.rig.played_core import PlayedCore
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from controller.arm.arm import Arm
-from controller.program import Answer, FaultVerb, PlayableFaults, PlayFault
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.program import Answer, FaultVerb, PlayableFaults, PlayFault
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.workspace.densities import Densities
 from tests.planning.rig.desk import Desk
 
 SIMULATION = PlayableFaults((FaultVerb("silence", "board", "", "disconnect it"),), ("can0/1",), ("can0",), ())

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.armfile.settings import TrackerSettings
-from controller.host.process import Log, Notify
-from controller.motion.tracking.goal_motion import tracking_of
-from controller.planning.core.events import Publish
-from controller.planning.core.status import Status
-from controller.planning.core.stream import Stream, TipBiasEstimator
-from controller.planning.core.tasks import PrepareSearch
-from controller.program import Diagnostics, Fault
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.settings import TrackerSettings
+from hyperbit.controller.host.process import Log, Notify
+from hyperbit.controller.motion.tracking.goal_motion import tracking_of
+from hyperbit.controller.planning.core.events import Publish
+from hyperbit.controller.planning.core.status import Status
+from hyperbit.controller.planning.core.stream import Stream, TipBiasEstimator
+from hyperbit.controller.planning.core.tasks import PrepareSearch
+from hyperbit.controller.program import Diagnostics, Fault
+from hyperbit.controller.workspace.densities import Densities
 from tests.planning.conftest import DOCUMENT
 from tests.planning.rig.desk import Desk
 from tests.planning.rig.played_core import PlayedCore, PlayedProgram, PlayedReport

@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.host.process import Log
-from controller.planning.core.events import Abandon, Start
-from controller.planning.core.stream import ALIVE_EVERY, POLL, RETRY
-from controller.planning.core.tasks import Failed, FollowSetpoint, VersionedScene
-from controller.program import Setpoint
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.host.process import Log
+from hyperbit.controller.planning.core.events import Abandon, Start
+from hyperbit.controller.planning.core.stream import ALIVE_EVERY, POLL, RETRY
+from hyperbit.controller.planning.core.tasks import Failed, FollowSetpoint, VersionedScene
+from hyperbit.controller.program import Setpoint
 from tests.planning.core.stream_bench import TICK, A, StreamBench
 
 

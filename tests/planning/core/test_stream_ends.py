@@ -7,12 +7,12 @@ import math
 
 import pytest
 
-from controller.arm.arm import Arm
-from controller.host.process import Log
-from controller.planning.core.events import Abandon
-from controller.planning.core.stream import POLL
-from controller.planning.core.tasks import Failed
-from controller.program import Setpoint
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.host.process import Log
+from hyperbit.controller.planning.core.events import Abandon
+from hyperbit.controller.planning.core.stream import POLL
+from hyperbit.controller.planning.core.tasks import Failed
+from hyperbit.controller.program import Setpoint
 from tests.planning.core.stream_bench import A, StreamBench
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.armfile.settings import TrackerSettings
-from controller.planning.core.stream import TipBiasEstimator
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.settings import TrackerSettings
+from hyperbit.controller.planning.core.stream import TipBiasEstimator
 from tests.planning.rig.played_core import PlayedCore
 
 OFFSET = np.array([0.002, -0.001])

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from controller.planning.ledger import Ledger
+from hyperbit.controller.planning.ledger import Ledger
 from tests.planning.ledger.records import NAMES, SOON
 
 

@@ -4,8 +4,8 @@ import sqlite3
 from pathlib import Path
 from typing import Any
 
-from controller.planning.core.events import AcceptanceEntry, Identity, Record, ResultEntry
-from controller.planning.ledger_file import read
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Record, ResultEntry
+from hyperbit.controller.planning.ledger_file import read
 
 NAMES = ("1.left", "1.diagonal", "1.right")
 SOON = 0.05  # [s] between two transactions

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from controller.planning import ledger_file
-from controller.planning.core.events import AcceptanceEntry, Identity, OpenGoal, Record, ResultEntry
-from controller.planning.ledger import Ledger
-from controller.planning.ledger_file import find, owed, read
+from hyperbit.controller.planning import ledger_file
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, OpenGoal, Record, ResultEntry
+from hyperbit.controller.planning.ledger import Ledger
+from hyperbit.controller.planning.ledger_file import find, owed, read
 from tests.planning.ledger.records import EXECUTOR, NAMES, REACHED, SOON, accepted, ended, statuses
 from tests.waiting import eventually
 

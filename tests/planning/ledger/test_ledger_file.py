@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from controller.planning import ledger_file
-from controller.planning.core.events import Identity, OpenGoal
-from controller.planning.ledger import Ledger, LedgerInUse
-from controller.planning.ledger_file import counted, default_path, owed, read
+from hyperbit.controller.planning import ledger_file
+from hyperbit.controller.planning.core.events import Identity, OpenGoal
+from hyperbit.controller.planning.ledger import Ledger, LedgerInUse
+from hyperbit.controller.planning.ledger_file import counted, default_path, owed, read
 from tests.planning.ledger.records import NAMES, REACHED, SOON, accepted, configuration_text, ended, statuses
 from tests.waiting import eventually
 
@@ -120,8 +120,8 @@ def test_a_ledger_of_an_earlier_version_is_taken_over(path: Path, missing: str) 
 HOLDER = """
 import sys
 from pathlib import Path
-from controller.planning.core.events import AcceptanceEntry, Identity, Record
-from controller.planning.ledger import Ledger
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Record
+from hyperbit.controller.planning.ledger import Ledger
 
 ledger = Ledger(Path(sys.argv[1]), ("1.left",), lambda number: print(number, flush=True), write_every=600.0)
 ledger.counts([7])

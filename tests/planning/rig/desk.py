@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from controller.arm.arm import Arm
-from controller.host.process import Log, Quit
-from controller.motion.stages.pacing import pace_of
-from controller.obstacles.obstacles import NONE
-from controller.planning.core.core import Beginning, Core
-from controller.planning.core.events import (
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.host.process import Log, Quit
+from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.obstacles.obstacles import NONE
+from hyperbit.controller.planning.core.core import Beginning, Core
+from hyperbit.controller.planning.core.events import (
     Abandon,
     Action,
     Answered,
@@ -42,7 +42,7 @@ from controller.planning.core.events import (
     Wake,
     refused,
 )
-from controller.planning.core.tasks import (
+from hyperbit.controller.planning.core.tasks import (
     Answer,
     BuildScene,
     BuildTables,
@@ -50,10 +50,22 @@ from controller.planning.core.tasks import (
     Failed,
     Task,
 )
-from controller.planning.planner import RequestDecoder
-from controller.program import VERSION, Alive, Cancel, Counts, Down, PlayableFaults, Stop, Up, Welcome, pack, unpack
-from controller.refusals.refusal import Refusal
-from controller.workspace.densities import Densities
+from hyperbit.controller.planning.planner import RequestDecoder
+from hyperbit.controller.program import (
+    VERSION,
+    Alive,
+    Cancel,
+    Counts,
+    Down,
+    PlayableFaults,
+    Stop,
+    Up,
+    Welcome,
+    pack,
+    unpack,
+)
+from hyperbit.controller.refusals.refusal import Refusal
+from hyperbit.controller.workspace.densities import Densities
 from tests.planning.rig.played_executor import PlayedExecutor
 from tests.planning.rig.prompt_workers import PromptWorkers
 

@@ -11,7 +11,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from controller.program import VERSION, Alive, Counts, Down, Hello, PlayableFaults, Up, Welcome, decode_down, encode
+from hyperbit.controller.program import (
+    VERSION,
+    Alive,
+    Counts,
+    Down,
+    Hello,
+    PlayableFaults,
+    Up,
+    Welcome,
+    decode_down,
+    encode,
+)
 from tests.planning.rig.played_executor import PlayedExecutor
 from tests.waiting import PATIENCE
 

@@ -4,10 +4,10 @@ import queue
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-from controller.planning.core.events import Action, Event
-from controller.planning.link import ExecutorLink, Inbox
-from controller.planning.loop import Loop, Services
-from controller.program import Fault
+from hyperbit.controller.planning.core.events import Action, Event
+from hyperbit.controller.planning.link import ExecutorLink, Inbox
+from hyperbit.controller.planning.loop import Loop, Services
+from hyperbit.controller.program import Fault
 from tests.waiting import PATIENCE
 
 E = TypeVar("E")

@@ -10,13 +10,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.arm import Arm
-from controller.motion.stages.pacing import pace_of
-from controller.planning.core.arm import ExecutorView, packed
-from controller.planning.core.events import Action, Start
-from controller.planning.core.parts import Parts
-from controller.planning.core.tasks import Answer, Tables, VersionedScene
-from controller.program import Fault, Mode, Snapshot
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.planning.core.arm import ExecutorView, packed
+from hyperbit.controller.planning.core.events import Action, Start
+from hyperbit.controller.planning.core.parts import Parts
+from hyperbit.controller.planning.core.tasks import Answer, Tables, VersionedScene
+from hyperbit.controller.program import Fault, Mode, Snapshot
 
 T = TypeVar("T")
 

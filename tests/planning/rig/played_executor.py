@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from controller.program import (
+from hyperbit.controller.program import (
     Accepted,
     Answer,
     Begun,
@@ -22,8 +22,8 @@ from controller.program import (
     Up,
     pack,
 )
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refused
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refused
 
 T = TypeVar("T", bound=Down)
 

@@ -5,15 +5,15 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from controller.arm.arm import Arm
-from controller.host.notify import Notifier
-from controller.planning.core.events import Published, PublishResult, Recorded
-from controller.planning.ledger import Ledger, PublishedResults
-from controller.planning.link import ExecutorLink
-from controller.planning.link import Inbox as Events
-from controller.planning.loop import Services
-from controller.planning.planner import planning
-from controller.workspace.densities import Densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.host.notify import Notifier
+from hyperbit.controller.planning.core.events import Published, PublishResult, Recorded
+from hyperbit.controller.planning.ledger import Ledger, PublishedResults
+from hyperbit.controller.planning.link import ExecutorLink
+from hyperbit.controller.planning.link import Inbox as Events
+from hyperbit.controller.planning.loop import Services
+from hyperbit.controller.planning.planner import planning
+from hyperbit.controller.workspace.densities import Densities
 from tests.planning.rig.executor import DIGEST, Inbox
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from controller.arm.arm import Arm
-from controller.planning.core.tasks import (
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.planning.core.tasks import (
     BuildScene,
     BuildTables,
     CheckStages,
@@ -18,9 +18,16 @@ from controller.planning.core.tasks import (
     PrepareSearch,
     Task,
 )
-from controller.planning.workers.arm_model import ArmModel, build_scene, build_tables
-from controller.planning.workers.computations import check_stages, check_standing, describe, follow, improve, plan_goal
-from controller.workspace.densities import Densities
+from hyperbit.controller.planning.workers.arm_model import ArmModel, build_scene, build_tables
+from hyperbit.controller.planning.workers.computations import (
+    check_stages,
+    check_standing,
+    describe,
+    follow,
+    improve,
+    plan_goal,
+)
+from hyperbit.controller.workspace.densities import Densities
 
 
 class PromptWorkers:

@@ -8,14 +8,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.motion.decoding.goal import GoalMessage, parse
-from controller.motion.decoding.requests import decode_obstacles
-from controller.motion.stages.program import unpack_states
-from controller.planning.core.tasks import ArmStart, Basis, BuildScene, BuildTables, PlanGoal, Tables, VersionedScene
-from controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
-from controller.workspace.densities import Densities
-from controller.workspace.mapping import map_densities
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.motion.decoding.goal import GoalMessage, parse
+from hyperbit.controller.motion.decoding.requests import decode_obstacles
+from hyperbit.controller.motion.stages.program import unpack_states
+from hyperbit.controller.planning.core.tasks import (
+    ArmStart,
+    Basis,
+    BuildScene,
+    BuildTables,
+    PlanGoal,
+    Tables,
+    VersionedScene,
+)
+from hyperbit.controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.mapping import map_densities
 
 HOME, A, B, C = (0, 0, 0, 0), (1, 2, 0, 0), (3, 4, 0, 1), (7, 0, 2, 0)
 

@@ -17,13 +17,13 @@ import msgspec
 import pytest
 from distributed import Client
 
-from controller.arm.arm import Arm
-from controller.planning.core.tasks import Described, Failed, Refused
-from controller.planning.workers import cluster_plans
-from controller.planning.workers.arm_model import Abandoned, ArmModel
-from controller.planning.workers.cluster_plans import ClusterPlanner, left_after, proceed_on_cluster
-from controller.planning.workers.computations import describe
-from controller.planning.workers.long_plans import LongPlanner, Planner, packed
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.planning.core.tasks import Described, Failed, Refused
+from hyperbit.controller.planning.workers import cluster_plans
+from hyperbit.controller.planning.workers.arm_model import Abandoned, ArmModel
+from hyperbit.controller.planning.workers.cluster_plans import ClusterPlanner, left_after, proceed_on_cluster
+from hyperbit.controller.planning.workers.computations import describe
+from hyperbit.controller.planning.workers.long_plans import LongPlanner, Planner, packed
 from tests.dask_cluster import DaskCluster, dask_cluster
 from tests.planning.workers.conftest import Bench, nothing
 from tests.planning.workers.test_long_plans import FAR, proven, task
@@ -100,7 +100,7 @@ def test_a_plan_that_fails_on_the_cluster_is_computed_at_home(
 
 
 def test_a_scheduler_that_is_away_is_named(planner_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("controller.studies.workers.CONNECT", 0.2)
+    monkeypatch.setattr("hyperbit.controller.studies.workers.CONNECT", 0.2)
     planner = planner_of(NOBODY)
     eventually(lambda: "no Dask scheduler answers" in planner._why)
     assert planner._why.startswith(NOBODY)

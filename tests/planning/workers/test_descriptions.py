@@ -2,10 +2,10 @@
 
 import pytest
 
-from controller.planning.core.tasks import DescribePlan
-from controller.planning.workers.arm_model import Abandoned, ArmModel
-from controller.planning.workers.computations import describe
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.planning.core.tasks import DescribePlan
+from hyperbit.controller.planning.workers.arm_model import Abandoned, ArmModel
+from hyperbit.controller.planning.workers.computations import describe
+from hyperbit.controller.refusals.refusal import Refusal
 from tests.planning.workers.conftest import A, B, Bench, abandoned, nothing
 
 

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.planning.core.tasks import Done, Planned, PrepareSearch
-from controller.planning.workers import computations
-from controller.planning.workers.arm_model import Abandoned
-from controller.planning.workers.computations import plan_goal, prepare_search
-from controller.refusals import codes
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.planning.core.tasks import Done, Planned, PrepareSearch
+from hyperbit.controller.planning.workers import computations
+from hyperbit.controller.planning.workers.arm_model import Abandoned
+from hyperbit.controller.planning.workers.computations import plan_goal, prepare_search
+from hyperbit.controller.refusals import codes
+from hyperbit.controller.refusals.refusal import Refusal
 from tests.planning.conftest import DOCUMENT
 from tests.planning.test_actuators import JOINT
 from tests.planning.workers.conftest import HOME, A, B, Bench, C, abandoned, nothing

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from controller.planning.core.tasks import BuildScene, Checked, CheckStages, CheckStanding
-from controller.planning.workers.arm_model import Abandoned, build_scene
-from controller.planning.workers.computations import check_stages, check_standing
+from hyperbit.controller.planning.core.tasks import BuildScene, Checked, CheckStages, CheckStanding
+from hyperbit.controller.planning.workers.arm_model import Abandoned, build_scene
+from hyperbit.controller.planning.workers.computations import check_stages, check_standing
 from tests.planning.conftest import DOCUMENT
 from tests.planning.test_actuators import JOINT
 from tests.planning.workers.conftest import HOME, A, B, Bench, abandoned, nothing
@@ -33,7 +33,7 @@ def test_results_of_checks_are_remembered(bench: Bench, monkeypatch: Any) -> Non
     scene = bench.scene((bench.tip(*B), 0.03))
     task = CheckStages(scene, bench.packed(*HOME), (bench.packed(*B),))
     first = check_stages(task, nothing)
-    monkeypatch.setattr("controller.obstacles.keep_out.sweep_of", None)
+    monkeypatch.setattr("hyperbit.controller.obstacles.keep_out.sweep_of", None)
     assert check_stages(task, nothing) == first
     other = check_stages(task._replace(stages=(bench.packed(*A),)), nothing)
     assert (other.collision or "").startswith("a collision check failed")

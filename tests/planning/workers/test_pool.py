@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from controller.planning.core.events import Answered, Event
-from controller.planning.core.tasks import (
+from hyperbit.controller.planning.core.events import Answered, Event
+from hyperbit.controller.planning.core.tasks import (
     BuildScene,
     BuildTables,
     Checked,
@@ -27,8 +27,8 @@ from controller.planning.core.tasks import (
     Tables,
     Task,
 )
-from controller.planning.workers import computations
-from controller.planning.workers.pool import Workers
+from hyperbit.controller.planning.workers import computations
+from hyperbit.controller.planning.workers.pool import Workers
 from tests.planning.workers.conftest import HOME, A, B, Bench
 from tests.waiting import PATIENCE, eventually
 

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.motion.stages.pacing import Blocked
-from controller.planning.core.tasks import FollowSetpoint
-from controller.planning.workers import computations
-from controller.planning.workers.arm_model import ArmModel
-from controller.planning.workers.computations import follow
+from hyperbit.controller.motion.stages.pacing import Blocked
+from hyperbit.controller.planning.core.tasks import FollowSetpoint
+from hyperbit.controller.planning.workers import computations
+from hyperbit.controller.planning.workers.arm_model import ArmModel
+from hyperbit.controller.planning.workers.computations import follow
 from tests.planning.workers.conftest import HOME, A, Bench
 
 

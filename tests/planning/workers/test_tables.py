@@ -2,9 +2,9 @@
 
 import pytest
 
-from controller.planning.core.tasks import BuildTables
-from controller.planning.workers.arm_model import build_tables
-from controller.search.solver import Solver
+from hyperbit.controller.planning.core.tasks import BuildTables
+from hyperbit.controller.planning.workers.arm_model import build_tables
+from hyperbit.controller.search.solver import Solver
 from tests.planning.workers.conftest import Bench
 
 

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from controller.ros2.wire.cdr import HEADER, serialize
+from hyperbit.controller.ros2.wire.cdr import HEADER, serialize
 from tests.ros2.samples import ACTION, TYPES, chain, state, told
 
 ACTUATORS = "actuator_controller/follow_joint_trajectory/_action"

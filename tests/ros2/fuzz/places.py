@@ -13,9 +13,9 @@ from unittest import mock
 
 import zenoh.ext
 
-from controller.ros2 import arm_node, bridge, goal_book, goals, jobs, poses, requests
-from controller.ros2.arm_node import ArmNode
-from controller.ros2.wire import action_server, services, topics
+from hyperbit.controller.ros2 import arm_node, bridge, goal_book, goals, jobs, poses, requests
+from hyperbit.controller.ros2.arm_node import ArmNode
+from hyperbit.controller.ros2.wire import action_server, services, topics
 from tests.ros2.fuzz.network import Network
 from tests.ros2.fuzz.stand_ins import Clock, Condition
 from tests.ros2.judge.actions import Wrong
@@ -81,7 +81,7 @@ def logged_exceptions() -> Iterator[None]:
             if record.exc_info and len(found) < 3:
                 found.append(logging.Formatter().format(record))
 
-    logger, handler = logging.getLogger("controller.ros2"), Handler()
+    logger, handler = logging.getLogger("hyperbit.controller.ros2"), Handler()
     propagate, logger.propagate = logger.propagate, False
     logger.addHandler(handler)
     try:
@@ -107,6 +107,6 @@ def entries(whole: object) -> int:
         if isinstance(it, dict | list | set | deque | tuple):
             total += len(it)
             waiting.extend(it.values() if isinstance(it, dict) else it)
-        elif type(it).__module__.startswith("controller.ros2") and type(it).__name__ != "Types":
+        elif type(it).__module__.startswith("hyperbit.controller.ros2") and type(it).__name__ != "Types":
             waiting.extend(vars(it).values() if hasattr(it, "__dict__") else ())
     return total

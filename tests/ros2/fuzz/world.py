@@ -10,13 +10,13 @@ from typing import Any, cast
 
 import zenoh
 
-from controller.network.client import Client, Unanswered
-from controller.network.listener import Listener, ReceivedMessage
-from controller.ros2.answers import Sending
-from controller.ros2.arm_node import Settings
-from controller.ros2.bridge import Bridge
-from controller.ros2.goal_book import GoalBook
-from controller.ros2.wire.session import Session
+from hyperbit.controller.network.client import Client, Unanswered
+from hyperbit.controller.network.listener import Listener, ReceivedMessage
+from hyperbit.controller.ros2.answers import Sending
+from hyperbit.controller.ros2.arm_node import Settings
+from hyperbit.controller.ros2.bridge import Bridge
+from hyperbit.controller.ros2.goal_book import GoalBook
+from hyperbit.controller.ros2.wire.session import Session
 from tests.ros2.fuzz import places
 from tests.ros2.fuzz.daemon import Daemon
 from tests.ros2.fuzz.inputs import ENDINGS, KINDS, Input, Inputs, payloads

@@ -18,15 +18,15 @@ from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import FieldDesc
 from scipy.spatial.transform import Rotation
 
-from controller.arm.arm import load
-from controller.ros2.robot import urdf
-from controller.ros2.wire import qos
-from controller.ros2.wire.action_server import GoalHandle, Policy
-from controller.ros2.wire.cdr import deserialize, message, serialize
-from controller.ros2.wire.node import Node
-from controller.ros2.wire.session import Session
-from controller.ros2.wire.topics import Received
-from controller.ros2.wire.types import Types
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.ros2.robot import urdf
+from hyperbit.controller.ros2.wire import qos
+from hyperbit.controller.ros2.wire.action_server import GoalHandle, Policy
+from hyperbit.controller.ros2.wire.cdr import deserialize, message, serialize
+from hyperbit.controller.ros2.wire.node import Node
+from hyperbit.controller.ros2.wire.session import Session
+from hyperbit.controller.ros2.wire.topics import Received
+from hyperbit.controller.ros2.wire.types import Types
 from tests.ros2.oracle.script import ABORTED, CANCELED, REJECTED_ORDER, SUCCEEDED, UNCANCELABLE_ORDER, script
 from tests.ros2.wire.conftest import Router
 from tests.waiting import PATIENCE, eventually

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 import zenoh
 
-from controller.ros2.wire.session import Session
+from hyperbit.controller.ros2.wire.session import Session
 
 
 class Router:

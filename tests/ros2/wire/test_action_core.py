@@ -7,9 +7,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from controller.ros2.wire import action_events as events
-from controller.ros2.wire.action_core import ACTIVE, NO_UUID, ActionCore, IllegalTransition
-from controller.ros2.wire.action_events import Action, CancelCode, GoalInfo, Status
+from hyperbit.controller.ros2.wire import action_events as events
+from hyperbit.controller.ros2.wire.action_core import ACTIVE, NO_UUID, ActionCore, IllegalTransition
+from hyperbit.controller.ros2.wire.action_events import Action, CancelCode, GoalInfo, Status
 
 A, B, C = (bytes([number]) * 16 for number in (1, 2, 3))
 

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from controller.ros2.wire.action_core import IllegalTransition
-from controller.ros2.wire.action_events import Status
-from controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
-from controller.ros2.wire.cdr import BadMessage
-from controller.ros2.wire.node import Node
-from controller.ros2.wire.session import Session
+from hyperbit.controller.ros2.wire.action_core import IllegalTransition
+from hyperbit.controller.ros2.wire.action_events import Status
+from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle, Policy
+from hyperbit.controller.ros2.wire.cdr import BadMessage
+from hyperbit.controller.ros2.wire.node import Node
+from hyperbit.controller.ros2.wire.session import Session
 from tests.ros2.client import ABORTED, CANCELED, CANCELING, EXECUTING, SUCCEEDED, Client, Result
 from tests.waiting import PATIENCE, eventually
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.ros2.wire.cdr import HEADER, MOST_BYTES, BadMessage, deserialize, message, serialize
-from controller.ros2.wire.types import Types, UnknownType
+from hyperbit.controller.ros2.wire.cdr import HEADER, MOST_BYTES, BadMessage, deserialize, message, serialize
+from hyperbit.controller.ros2.wire.types import Types, UnknownType
 
 TYPES = {name: Types(name) for name in ("jazzy", "kilted")}
 JAZZY = TYPES["jazzy"]

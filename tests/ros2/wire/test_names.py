@@ -8,11 +8,11 @@ import zenoh.ext
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.ros2.wire import attachments, names, qos, tokens
-from controller.ros2.wire.attachments import Attachment, BadAttachment
-from controller.ros2.wire.names import BadName
-from controller.ros2.wire.qos import BadQos, Durability, History, Qos, Reliability
-from controller.ros2.wire.tokens import BadToken, Endpoint, Kind, Token
+from hyperbit.controller.ros2.wire import attachments, names, qos, tokens
+from hyperbit.controller.ros2.wire.attachments import Attachment, BadAttachment
+from hyperbit.controller.ros2.wire.names import BadName
+from hyperbit.controller.ros2.wire.qos import BadQos, Durability, History, Qos, Reliability
+from hyperbit.controller.ros2.wire.tokens import BadToken, Endpoint, Kind, Token
 
 part = st.from_regex(r"[A-Za-z][A-Za-z0-9]{0,8}(_[a-z0-9]{1,4})?", fullmatch=True)
 absolute = st.lists(part, min_size=1, max_size=4).map(lambda parts: "/" + "/".join(parts))

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
-from controller.ros2.wire.node import Node
-from controller.ros2.wire.session import Session
+from hyperbit.controller.ros2.wire.node import Node
+from hyperbit.controller.ros2.wire.session import Session
 from tests.waiting import eventually
 
 STRING, POSE, TRIGGER = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "std_srvs/srv/Trigger"

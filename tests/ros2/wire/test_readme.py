@@ -5,10 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from controller.ros2.wire import node
-from controller.ros2.wire.node import Node
-from controller.ros2.wire.session import Session
-from controller.ros2.wire.topics import Received
+from hyperbit.controller.ros2.wire import node
+from hyperbit.controller.ros2.wire.node import Node
+from hyperbit.controller.ros2.wire.session import Session
+from hyperbit.controller.ros2.wire.topics import Received
 from tests.ros2.client import SUCCEEDED, Client, Result
 from tests.waiting import PATIENCE, eventually
 

@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.ros2.wire import qos
-from controller.ros2.wire.attachments import Attachment
-from controller.ros2.wire.cdr import HEADER, MOST_BYTES
-from controller.ros2.wire.node import Node
-from controller.ros2.wire.services import MOST_OPEN, NoReply, Request
-from controller.ros2.wire.session import NoRouter, Session
-from controller.ros2.wire.tokens import Kind
-from controller.ros2.wire.topics import Received
+from hyperbit.controller.ros2.wire import qos
+from hyperbit.controller.ros2.wire.attachments import Attachment
+from hyperbit.controller.ros2.wire.cdr import HEADER, MOST_BYTES
+from hyperbit.controller.ros2.wire.node import Node
+from hyperbit.controller.ros2.wire.services import MOST_OPEN, NoReply, Request
+from hyperbit.controller.ros2.wire.session import NoRouter, Session
+from hyperbit.controller.ros2.wire.tokens import Kind
+from hyperbit.controller.ros2.wire.topics import Received
 from tests.waiting import PATIENCE, eventually
 
 STRING, TRIGGER, JOINTS = "std_msgs/msg/String", "std_srvs/srv/Trigger", "sensor_msgs/msg/JointState"

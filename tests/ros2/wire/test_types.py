@@ -10,7 +10,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import FieldDesc
 from rosbags.typesys import Stores, get_typestore
 
-from controller.ros2.wire.types import DEFINITIONS, VERSIONS, Types, UnknownType
+from hyperbit.controller.ros2.wire.types import DEFINITIONS, VERSIONS, Types, UnknownType
 
 # Numbers of types in type_description_interfaces/msg/FieldType; a char of a .msg file is an uint8.
 NUMBERS = {

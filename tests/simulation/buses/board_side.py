@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame, State
-from drivers.canopen.wiring import Timing, Wiring
-from drivers.simulation.variants import Variant
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, State
+from hyperbit.drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import OnItsWay

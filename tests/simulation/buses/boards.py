@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wiring import Timing, Wiring
-from drivers.simulation.buses import SimulatedBuses
-from drivers.simulation.fault_commands import perform
-from drivers.simulation.variants import Variant
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.simulation.buses import SimulatedBuses
+from hyperbit.drivers.simulation.fault_commands import perform
+from hyperbit.drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from random import Random
 from typing import NamedTuple
 
-from drivers.canopen.wire.cia301 import REMOTE, SYNC, Frame, split, wire_bits
-from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
+from hyperbit.drivers.canopen.wire.cia301 import REMOTE, SYNC, Frame, split, wire_bits
+from hyperbit.drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived
 from tests.simulation.agenda import Agenda
 
 MAILBOXES = 3  # of the controller; frames in them compete by identifier

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from random import Random
 
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import Event
-from drivers.canopen.wiring import Timing, Wiring
-from drivers.simulation.variants import Variant
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import Event
+from hyperbit.drivers.canopen.wiring import Timing, Wiring
+from hyperbit.drivers.simulation.variants import Variant
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import BusModel, OnItsWay

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame
-from drivers.canopen.wire.events import FrameReceived
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
+from hyperbit.drivers.canopen.wire.events import FrameReceived
 
 if TYPE_CHECKING:
     from tests.simulation.buses.bus_model import BusModel

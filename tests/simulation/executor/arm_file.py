@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from controller.armfile.strict import InputFaults
-from controller.executor.core.arm import ExecutedArm, read_arm
-from drivers.canopen.wiring import Channel, Timing
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.executor.core.arm import ExecutedArm, read_arm
+from hyperbit.drivers.canopen.wiring import Channel, Timing
 from tests.simulation.judge.verdict import require
 
 WORDS = ("contracted", "extended")

@@ -6,10 +6,10 @@ from dataclasses import replace
 from random import Random
 from typing import Any
 
-from controller.executor.core.arm import ExecutedArm
-from drivers.canopen.wiring import BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
-from drivers.simulation.buses import board_names
-from drivers.simulation.variants import VARIANTS, Variant
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
+from hyperbit.drivers.simulation.buses import board_names
+from hyperbit.drivers.simulation.variants import VARIANTS, Variant
 
 # Variants of boards that boot and obey each SYNC; HOLDING only if no output must go off when the master is lost.
 # rounded-guarding is left out: its life time is 40 ms where the arm's time-out is 70 ms.

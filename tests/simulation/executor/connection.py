@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Callable
 from random import Random
 
-from controller.executor.core.events import ClientGone, ClientId, FromClient
-from controller.program import VERSION, Down, Hello, Stop, Up, decode_down, decode_up, encode
+from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
+from hyperbit.controller.program import VERSION, Down, Hello, Stop, Up, decode_down, decode_up, encode
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from random import Random
 
-from controller.executor.core.events import Event, FaultPlayed, Health, ToSimulation
-from controller.program import PlayableFaults
+from hyperbit.controller.executor.core.events import Event, FaultPlayed, Health, ToSimulation
+from hyperbit.controller.program import PlayableFaults
 
 BEAT = 0.4  # [s], the watchdog time of the simulated unit
 PLAYABLE = PlayableFaults((), ("can0/1",), ("can0",), ())

@@ -6,9 +6,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from random import Random
 
-from controller.executor.core.arm import ExecutedArm
-from controller.executor.core.core import Executor
-from controller.executor.core.events import (
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.core.events import (
     Action,
     ClientGone,
     ClientId,
@@ -19,12 +19,12 @@ from controller.executor.core.events import (
     ToClient,
     ToSimulation,
 )
-from controller.executor.process.switch_journal import MemoryJournal
-from controller.flight_recorder import FlightRecorder
-from controller.host.process import Log, Notify, Quit
-from controller.program import TICK, Goodbye, Up
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import BusChanged, SendFailed
+from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.flight_recorder import FlightRecorder
+from hyperbit.controller.host.process import Log, Notify, Quit
+from hyperbit.controller.program import TICK, Goodbye, Up
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import BusChanged, SendFailed
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.bus_model import BusModel
 from tests.simulation.executor.habits import Habits

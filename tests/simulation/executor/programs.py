@@ -8,8 +8,8 @@ from random import Random
 
 import msgspec
 
-from controller.executor.core.arm import ExecutedArm
-from controller.program import Program, Replacement, Setpoint, Snapshot, Stage, pack, unpack
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.program import Program, Replacement, Setpoint, Snapshot, Stage, pack, unpack
 
 
 @dataclass

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from random import Random
 
-from controller.executor.core.events import ClientGone, ClientId, FromClient
-from controller.program import (
+from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
+from hyperbit.controller.program import (
     VERSION,
     Acknowledge,
     Alive,

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from random import Random
 from typing import Any, NamedTuple
 
-from drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
-from drivers.simulation.variants import VARIANTS, Variant
+from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
+from hyperbit.drivers.simulation.variants import VARIANTS, Variant
 from tests.simulation.fieldbus.more_variants import MORE, enriched
 
 SLOW = ("slow-answers", "late-boot")  # they take 40 s and 5 s; `MORE` has quicker ones

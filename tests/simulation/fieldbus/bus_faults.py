@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from drivers.canopen.wire.events import BusOverrun
+from hyperbit.drivers.canopen.wire.events import BusOverrun
 from tests.simulation.fieldbus.expected import Expected, Fault
 from tests.simulation.fieldbus.fault_maker import FaultMaker
 from tests.simulation.judge.verdict import require

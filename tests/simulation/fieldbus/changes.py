@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.canopen.wire.cia301 import Command, State
 from tests.simulation.boot_faults import CORRECTED
 
 if TYPE_CHECKING:

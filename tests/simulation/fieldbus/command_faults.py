@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from drivers.canopen.faults import Busy
+from hyperbit.drivers.canopen.faults import Busy
 from tests.simulation.fieldbus.expected import Expected, Fault
 from tests.simulation.fieldbus.fault_maker import FaultMaker
 from tests.simulation.fieldbus.use import moves

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from drivers.canopen.wire.cia301 import Command, Frame, State
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, State
 from tests.simulation.fieldbus import changes
 from tests.simulation.fieldbus.found import found_of
 from tests.simulation.judge.verdict import require

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from random import Random
 
-from drivers.simulation.dictionary import Object, array, number, pdo, standard
-from drivers.simulation.variants import STANDARD, VARIANTS, Variant
+from hyperbit.drivers.simulation.dictionary import Object, array, number, pdo, standard
+from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS, Variant
 
 ANALOG = array(0x6411, [0x1234, 0x5678, 0x0BAD, 0xFACE], size=2, mappable=True)
 DISABLED, NO_REMOTE = 1 << 31, 1 << 30

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from drivers.canopen.wire.cia301 import SYNC, Frame
+from hyperbit.drivers.canopen.wire.cia301 import SYNC, Frame
 from tests.simulation.fieldbus.expected import Expected, Fault
 from tests.simulation.fieldbus.fault_maker import FaultMaker
 from tests.simulation.fieldbus.found import WORDS

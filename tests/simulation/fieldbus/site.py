@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from random import Random
 
-from drivers.canopen.run.master import Master
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame
-from drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, SendFailed
-from drivers.simulation.firmware import SimulatedBoard
+from hyperbit.drivers.canopen.run.master import Master
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
+from hyperbit.drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, SendFailed
+from hyperbit.drivers.simulation.firmware import SimulatedBoard
 from tests.simulation.agenda import Agenda
 from tests.simulation.buses.boards import AttachedBoards
 from tests.simulation.buses.bus_model import BusModel, OnItsWay

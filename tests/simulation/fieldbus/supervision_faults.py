@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from drivers.canopen.wire.cia301 import Command, Frame
-from drivers.canopen.wire.events import FrameIgnored, FrameReceived
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
+from hyperbit.drivers.canopen.wire.events import FrameIgnored, FrameReceived
 from tests.simulation.fieldbus.expected import Expected, Fault
 from tests.simulation.fieldbus.fault_maker import Action, FaultMaker
 from tests.simulation.judge.verdict import require

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from tests.simulation.judge.verdict import require
 
 if TYPE_CHECKING:
-    from drivers.canopen.run.master import Master
+    from hyperbit.drivers.canopen.run.master import Master
     from tests.simulation.fieldbus.world import BoardWorld
 
 COMMITTED = 0.6  # [s] until a command must be over

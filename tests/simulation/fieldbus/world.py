@@ -6,8 +6,8 @@ from collections import Counter, deque
 from collections.abc import Callable
 from random import Random
 
-from drivers.canopen.run.master import Master
-from drivers.canopen.wire.cia301 import Frame, State
+from hyperbit.drivers.canopen.run.master import Master
+from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from tests.simulation.agenda import Agenda
 from tests.simulation.fieldbus import changes
 from tests.simulation.fieldbus.arms import draw

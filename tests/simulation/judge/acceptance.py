@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from controller.program import Program, Stage, unpack
+from hyperbit.controller.program import Program, Stage, unpack
 from tests.simulation.judge.account import Account
 
 MODE_REASONS = {"starting": "arm-starting", "fault": "arm-in-fault", "stopped": "arm-stopped"}

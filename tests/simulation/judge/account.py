@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from controller.program import Accepted, Program, Replacement, Setpoint, Snapshot, unpack
+from hyperbit.controller.program import Accepted, Program, Replacement, Setpoint, Snapshot, unpack
 from tests.simulation.judge.arm import JudgedArm, merged
 from tests.simulation.judge.ground import Ground
 

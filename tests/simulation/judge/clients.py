@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from controller.program import (
+from hyperbit.controller.program import (
     VERSION,
     Answer,
     Diagnostics,

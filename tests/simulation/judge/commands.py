@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any, NamedTuple
 
-from controller.program import Setpoint, Snapshot, unpack
+from hyperbit.controller.program import Setpoint, Snapshot, unpack
 from tests.simulation.judge.account import EPSILON, Account, Commit
 from tests.simulation.judge.arm import bits_of, merged
 from tests.simulation.judge.proofs import Proofs

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from controller.program import Diagnostics
+from hyperbit.controller.program import Diagnostics
 from tests.simulation.judge.account import Account
 from tests.simulation.judge.arm import bits_of, mask_of
 from tests.simulation.judge.verdict import require

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from controller.program import Snapshot
+from hyperbit.controller.program import Snapshot
 from tests.simulation.judge.snapshots import STANDING
 from tests.simulation.judge.verdict import require
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 
-from controller.program import Snapshot
+from hyperbit.controller.program import Snapshot
 from tests.simulation.judge.account import Account
 from tests.simulation.judge.verdict import require
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from controller.program import (
+from hyperbit.controller.program import (
     Accepted,
     Acknowledge,
     Answer,
@@ -25,7 +25,7 @@ from controller.program import (
     Stop,
     Welcome,
 )
-from controller.program import Counts as LedgerCounts
+from hyperbit.controller.program import Counts as LedgerCounts
 from tests.simulation.judge.clients import Client
 from tests.simulation.judge.verdict import require
 

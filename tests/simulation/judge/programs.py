@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from controller.program import Accepted, Begun, Declined, Ended, Program, Replaced, Replacement, Settled, unpack
+from hyperbit.controller.program import (
+    Accepted,
+    Begun,
+    Declined,
+    Ended,
+    Program,
+    Replaced,
+    Replacement,
+    Settled,
+    unpack,
+)
 from tests.simulation.judge.acceptance import MODE_REASONS, misfits, must_decline
 from tests.simulation.judge.account import EPSILON, Account, Run
 from tests.simulation.judge.owed import WORDS, Ending

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from controller.program import Snapshot
+from hyperbit.controller.program import Snapshot
 from tests.simulation.judge.account import EPSILON, Account
 from tests.simulation.judge.arm import bits_of
 from tests.simulation.judge.verdict import require

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from controller.program import Setpoint, Snapshot
+from hyperbit.controller.program import Setpoint, Snapshot
 from tests.simulation.judge.account import Account
 from tests.simulation.judge.verdict import require
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from controller.program import (
+from hyperbit.controller.program import (
     Alive,
     Answer,
     Cancel,

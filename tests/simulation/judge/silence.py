@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from controller.program import Program
+from hyperbit.controller.program import Program
 from tests.simulation.judge.account import Account
 from tests.simulation.judge.verdict import require
 

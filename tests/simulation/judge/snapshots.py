@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from controller.program import Snapshot, unpack
+from hyperbit.controller.program import Snapshot, unpack
 from tests.simulation.judge.account import EPSILON, Account
 from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.verdict import require

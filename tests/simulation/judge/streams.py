@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from controller.program import Setpoint, Snapshot, unpack
+from hyperbit.controller.program import Setpoint, Snapshot, unpack
 from tests.simulation.judge.account import EPSILON, Account, Stream
 from tests.simulation.judge.programs import Programs
 from tests.simulation.judge.verdict import require

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from controller.program import MOST_TRAVELS, Travel
+from hyperbit.controller.program import MOST_TRAVELS, Travel
 from tests.simulation.judge.account import EPSILON, Account, Run
 from tests.simulation.judge.arm import bits_of
 from tests.simulation.judge.verdict import require

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from controller.program import unpack
+from hyperbit.controller.program import unpack
 from tests.simulation.whole.wishes import STATES, Wishes
 from tests.simulation.whole.zenoh_model import Sent
 

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.notation import format_configuration
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.notation import format_configuration
 from tests.simulation.whole.planned_arms import integer
 
 Costs = NDArray[np.float64]

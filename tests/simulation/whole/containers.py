@@ -11,7 +11,7 @@ from tests.simulation.judge.verdict import require
 if TYPE_CHECKING:
     from tests.simulation.whole.planner_process import PlannerProcess
 
-ROOMS = ("controller.planning.core", "controller.planning.loop", "controller.gateway")
+ROOMS = ("hyperbit.controller.planning.core", "hyperbit.controller.planning.loop", "hyperbit.controller.gateway")
 MOST = 24  # entries of a container when nothing is asked for
 HISTORIES = {  # greatest lengths of those that keep what is over
     "Admission._canceled": 256,

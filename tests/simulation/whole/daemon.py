@@ -9,14 +9,14 @@ from random import Random
 
 import msgspec
 
-from controller.arm.arm import Arm
-from controller.executor.core.arm import ExecutedArm
-from controller.motion.stages.pacing import pace_of
-from controller.planning.core.events import (
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.planning.core.events import (
     Payload,
     Record,
 )
-from controller.program import Counted, Diagnostics, Snapshot, Up, unpack
+from hyperbit.controller.program import Counted, Diagnostics, Snapshot, Up, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.judge.interface.facts import Request

@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.arm import Arm
-from controller.motion.decoding.goal import GoalRules, schedule
-from controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
-from controller.motion.stages.pacing import pace_of
-from controller.motion.stages.program import unpack_states
-from controller.motion.stages.restaging import restage
-from controller.motion.trajectory import Trajectory
-from controller.planning.core.tasks import (
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.motion.decoding.goal import GoalRules, schedule
+from hyperbit.controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
+from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.motion.stages.program import unpack_states
+from hyperbit.controller.motion.stages.restaging import restage
+from hyperbit.controller.motion.trajectory import Trajectory
+from hyperbit.controller.planning.core.tasks import (
     Answer,
     ArmStart,
     BuildScene,
@@ -38,9 +38,9 @@ from controller.planning.core.tasks import (
     Task,
     VersionedScene,
 )
-from controller.program import pack, unpack
-from controller.refusals.reasons import Reason
-from controller.refusals.refusal import Refusal
+from hyperbit.controller.program import pack, unpack
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
 from tests.simulation.whole.configurations import Configurations, Costs, Graph, cubes_of, first_touched
 from tests.simulation.whole.planned_arms import integer
 

@@ -10,12 +10,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.arm.arm import Arm
-from controller.armfile.settings import ArmSettings
-from controller.executor.core.arm import ExecutedArm
-from controller.manipulator.frames import planar
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import Module, binary_code, lines
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.settings import ArmSettings
+from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.manipulator.frames import planar
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import Module, binary_code, lines
 
 TOLERANCE = 0.001
 

@@ -8,23 +8,23 @@ from collections.abc import Callable, Sequence
 from random import Random
 from typing import TYPE_CHECKING
 
-from controller.gateway import daemon as daemon_module
-from controller.gateway import outbox as outbox_module
-from controller.gateway import server as server_module
-from controller.gateway.arrivals import Clocks, RepeatedGoals
-from controller.gateway.daemon import Warnings
-from controller.gateway.outbox import Outbox, ResultHooks
-from controller.gateway.server import GatewayParts, Server
-from controller.host.process import Quit
-from controller.motion.stages.pacing import pace_of
-from controller.planning import loop as loop_module
-from controller.planning.core.core import Beginning, Core
-from controller.planning.core.events import Action, Event, Reply
-from controller.planning.core.tasks import Tables, VersionedScene
-from controller.planning.link import ExecutorLink
-from controller.planning.loop import Loop, PlannerFailed, Services
-from controller.planning.planner import Planner
-from controller.program import Fault
+from hyperbit.controller.gateway import daemon as daemon_module
+from hyperbit.controller.gateway import outbox as outbox_module
+from hyperbit.controller.gateway import server as server_module
+from hyperbit.controller.gateway.arrivals import Clocks, RepeatedGoals
+from hyperbit.controller.gateway.daemon import Warnings
+from hyperbit.controller.gateway.outbox import Outbox, ResultHooks
+from hyperbit.controller.gateway.server import GatewayParts, Server
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.motion.stages.pacing import pace_of
+from hyperbit.controller.planning import loop as loop_module
+from hyperbit.controller.planning.core.core import Beginning, Core
+from hyperbit.controller.planning.core.events import Action, Event, Reply
+from hyperbit.controller.planning.core.tasks import Tables, VersionedScene
+from hyperbit.controller.planning.link import ExecutorLink
+from hyperbit.controller.planning.loop import Loop, PlannerFailed, Services
+from hyperbit.controller.planning.planner import Planner
+from hyperbit.controller.program import Fault
 from tests.simulation.judge.interface.account import LEASE
 from tests.simulation.judge.verdict import require
 from tests.simulation.network import SimulatedLink

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from random import Random
 
-from controller.planning.core.events import (
+from hyperbit.controller.planning.core.events import (
     AcceptanceEntry,
     Event,
     Identity,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from controller.host.process import Log
-from controller.motion.stages.feed import Improved
-from controller.planning.core.events import (
+from hyperbit.controller.host.process import Log
+from hyperbit.controller.motion.stages.feed import Improved
+from hyperbit.controller.planning.core.events import (
     Abandon,
     Action,
     Answered,
@@ -21,7 +21,7 @@ from controller.planning.core.events import (
     TipArrived,
     ToExecutor,
 )
-from controller.planning.core.tasks import (
+from hyperbit.controller.planning.core.tasks import (
     Answer,
     BuildScene,
     BuildTables,
@@ -32,7 +32,7 @@ from controller.planning.core.tasks import (
     Tables,
     Task,
 )
-from controller.program import Alive, Setpoint, Snapshot
+from hyperbit.controller.program import Alive, Setpoint, Snapshot
 from tests.simulation.agenda import Agenda
 from tests.simulation.judge.interface.interface import InterfaceJudge
 from tests.simulation.judge.verdict import Violation

@@ -7,8 +7,8 @@ import tempfile
 from pathlib import Path
 from random import Random
 
-from controller.gateway import poses as poses_module
-from controller.gateway.poses import Poses
+from hyperbit.controller.gateway import poses as poses_module
+from hyperbit.controller.gateway.poses import Poses
 from tests.simulation.judge.interface.gateway import Gateway
 
 MEMORY = Path("/dev/shm")

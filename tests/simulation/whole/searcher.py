@@ -6,9 +6,9 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from random import Random
 
-from controller.planning.core.events import Answered, Event
-from controller.planning.core.tasks import Answer, Done, Failed, FollowSetpoint, ImprovePlan, PlanGoal, Task
-from controller.planning.workers.pool import THREADS
+from hyperbit.controller.planning.core.events import Answered, Event
+from hyperbit.controller.planning.core.tasks import Answer, Done, Failed, FollowSetpoint, ImprovePlan, PlanGoal, Task
+from hyperbit.controller.planning.workers.pool import THREADS
 from tests.simulation.agenda import Agenda
 from tests.simulation.whole.exact_search import ExactSearch
 

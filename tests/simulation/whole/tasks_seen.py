@@ -6,8 +6,8 @@ from typing import Any
 
 import msgspec
 
-from controller.motion.decoding.goal import GoalMessage
-from controller.planning.core.tasks import (
+from hyperbit.controller.motion.decoding.goal import GoalMessage
+from hyperbit.controller.planning.core.tasks import (
     Basis,
     BuildScene,
     BuildTables,

@@ -6,8 +6,8 @@ import math
 from random import Random
 from typing import TYPE_CHECKING, Any
 
-from controller.motion.decoding.goal import GoalMessage
-from controller.program import unpack
+from hyperbit.controller.motion.decoding.goal import GoalMessage
+from hyperbit.controller.program import unpack
 from tests.simulation.judge.interface.locks import leaves_states
 from tests.simulation.whole.configurations import first_touched
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 import can
 import pytest
 
-from drivers.simulation.simulation import Simulation
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests import emulated, vcan
 from tests.system.faults.test_faults import aborted, ready_by_itself, running
 from tests.system.stack.arms import QUICK

@@ -7,11 +7,11 @@ import can
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.refusals import codes
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame, State
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.refusals import codes
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, State
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.system.stack.arms import QUICK
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from controller.arm.arm import Arm
+from hyperbit.controller.arm.arm import Arm
 from tests.fuzz import requests
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer

@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from controller.planning.ledger_file import read
-from drivers.canopen.wire import cia301
+from hyperbit.controller.planning.ledger_file import read
+from hyperbit.drivers.canopen.wire import cia301
 from tests import emulated
 from tests.system.stack.arms import QUICK
 from tests.system.stack.lives import Lives

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from controller.network import session
+from hyperbit.controller.network import session
 from tests.system.stack.arms import QUICK
 from tests.system.stack.lives import Lives
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
@@ -124,7 +124,7 @@ def test_the_result_of_a_planner_that_stood_still_for_longer_than_its_lease_is_h
 
 
 def test_a_local_halt_works_while_the_planner_is_stopped(lives: Lives, system: System) -> None:
-    from controller.commands.use.halt import halt_local
+    from hyperbit.controller.commands.use.halt import halt_local
 
     client = lives.client
     goal = lives.send("a", MIDDLE, RIGHT, times=[0.0, HOUR])

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import zenoh
 
-from controller.arm.arm import Arm
-from controller.planning.ledger_file import read
-from controller.refusals import codes
-from controller.refusals.reasons import Reason
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.planning.ledger_file import read
+from hyperbit.controller.refusals import codes
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT, tip
 from tests.system.stack.system import System

@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.manipulator.frames import angle
-from controller.refusals import codes
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator.frames import angle
+from hyperbit.controller.refusals import codes
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT, tip

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.network.client import Message
-from controller.refusals import codes
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.network.client import Message
+from hyperbit.controller.refusals import codes
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.system.stack.arms import QUICK
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import LEFT, MIDDLE, RIGHT, first_to_switch, tip

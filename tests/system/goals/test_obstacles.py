@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.manipulator.frames import planar
-from controller.refusals import codes
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator.frames import planar
+from hyperbit.controller.refusals import codes
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.obstacles.dense import Box, Disc, Shape
 from tests.obstacles.moving import motion, room, truss
 from tests.system.stack.motions import Motions

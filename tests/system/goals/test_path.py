@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
-from controller.refusals import codes
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.refusals import codes
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import LEFT, MIDDLE, tip

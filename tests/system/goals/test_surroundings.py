@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 import zenoh
 
-from controller.gateway.daemon import Warnings
-from controller.network import session
-from controller.planning.ledger_file import read
-from controller.planning.loop import Loop
+from hyperbit.controller.gateway.daemon import Warnings
+from hyperbit.controller.network import session
+from hyperbit.controller.planning.ledger_file import read
+from hyperbit.controller.planning.loop import Loop
 from tests.system.stack.motions import Motions
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT
 from tests.system.stack.system import System

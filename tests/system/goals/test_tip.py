@@ -8,7 +8,7 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
-from controller.arm.arm import Arm
+from hyperbit.controller.arm.arm import Arm
 from tests.system.stack.observer import Observer
 from tests.system.stack.places import LEFT, MIDDLE, RIGHT
 from tests.system.stack.system import System

@@ -13,7 +13,7 @@ from typing import Any
 
 import can
 
-from controller.planning.ledger_file import read
+from hyperbit.controller.planning.ledger_file import read
 from tests.system.kills.moments import MOMENTS, Requests, Scene, ordered
 from tests.system.kills.trigger import MARK, SOCKET, Order
 from tests.system.operator import Operator

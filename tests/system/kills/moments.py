@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Any, NamedTuple
 
-from controller.network.client import Message, Unanswered
+from hyperbit.controller.network.client import Message, Unanswered
 from tests.system.kills.trigger import Order
 from tests.system.stack.lives import Lives
 from tests.system.stack.places import HOUR, LEFT, MIDDLE, RIGHT

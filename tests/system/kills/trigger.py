@@ -12,14 +12,22 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from controller.gateway import outbox
-from controller.gateway.outbox import Outbox
-from controller.host.process import Quit
-from controller.planning.core.events import Action, Event, FromExecutor, Published, PublishResult, Start, ToExecutor
-from controller.planning.core.tasks import BuildScene
-from controller.planning.ledger import PublishedResults
-from controller.planning.loop import Loop
-from controller.program import Accepted, Acknowledge, Ended, Lock, Program, Replacement, Setpoint, Settled
+from hyperbit.controller.gateway import outbox
+from hyperbit.controller.gateway.outbox import Outbox
+from hyperbit.controller.host.process import Quit
+from hyperbit.controller.planning.core.events import (
+    Action,
+    Event,
+    FromExecutor,
+    Published,
+    PublishResult,
+    Start,
+    ToExecutor,
+)
+from hyperbit.controller.planning.core.tasks import BuildScene
+from hyperbit.controller.planning.ledger import PublishedResults
+from hyperbit.controller.planning.loop import Loop
+from hyperbit.controller.program import Accepted, Acknowledge, Ended, Lock, Program, Replacement, Setpoint, Settled
 
 SOCKET, MARK = "kills.sock", "KILLS"
 RECONNECTED = 0.5  # [s] instead of 5: the clients of these tests are connected before the planner starts

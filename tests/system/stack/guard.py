@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from controller.network import session
-from controller.network.client import Client
-from controller.planning.core.events import Key, Message, SetpointArrived, TipArrived
-from controller.planning.loop import Mailboxes, Receive
-from controller.planning.planner import RequestDecoder
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client
+from hyperbit.controller.planning.core.events import Key, Message, SetpointArrived, TipArrived
+from hyperbit.controller.planning.loop import Mailboxes, Receive
+from hyperbit.controller.planning.planner import RequestDecoder
 from tests.keys import certificates, openssl
 from tests.system.stack.observer import Observer
 from tests.system.stack.system import System

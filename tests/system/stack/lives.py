@@ -6,8 +6,8 @@ from contextlib import ExitStack
 
 import zenoh
 
-from controller.network import session
-from controller.network.client import Client, Message
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client, Message
 from tests.system.operator import Operator
 from tests.system.stack.motions import Motions
 from tests.system.stack.observer import Observer

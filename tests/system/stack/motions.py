@@ -6,12 +6,12 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.layout import lay_out
-from drivers.canopen.run.frames import assemble
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, State
-from drivers.canopen.wiring import Wiring
-from drivers.simulation.simulation import Simulation
+from hyperbit.drivers.canopen.layout import lay_out
+from hyperbit.drivers.canopen.run.frames import assemble
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.canopen.wiring import Wiring
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.system.stack.observer import Observer
 from tests.waiting import eventually
 

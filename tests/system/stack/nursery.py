@@ -19,10 +19,10 @@ from tests import emulated  # noqa: F401
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 NEEDED = {
-    "executor": ("controller.executor.__main__",),
+    "executor": ("hyperbit.controller.executor.__main__",),
     "planner": (
-        "controller.commands.operate.run",
-        "controller.gateway.daemon",
+        "hyperbit.controller.commands.operate.run",
+        "hyperbit.controller.gateway.daemon",
         "filterpy.kalman",
         "tests.system.stack.patience",
     ),
@@ -31,7 +31,7 @@ NEEDED = {
 
 def execute(arguments: list[str]) -> int:
     """The process of `hyperbit execute`."""
-    from controller.executor.__main__ import main
+    from hyperbit.controller.executor.__main__ import main
 
     return main(arguments)
 
@@ -40,7 +40,7 @@ def run(arguments: list[str]) -> int:
     """The process of `hyperbit run`."""
     import typer
 
-    from controller.commands.operate.run import run
+    from hyperbit.controller.commands.operate.run import run
 
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     single.command("run")(run)
@@ -53,9 +53,9 @@ COMMANDS = {"executor": execute, "planner": run}
 
 def prepare(file: Path) -> None:
     """Loads the kernels' machine code and an arm's densities."""
-    from controller.arm.arm import load
-    from controller.commands.common import densities_of
-    from controller.search.solver import Solver
+    from hyperbit.controller.arm.arm import load
+    from hyperbit.controller.commands.common import densities_of
+    from hyperbit.controller.search.solver import Solver
 
     arm = load(file)
     Solver(arm.reduced, densities_of(arm, silent=True)).prepare()

@@ -3,7 +3,7 @@
 import time
 from typing import Any
 
-from controller.network.client import Client, Message
+from hyperbit.controller.network.client import Client, Message
 from tests.waiting import PATIENCE, SLOWNESS, eventually
 
 KEYS = ("feedback", "result", "diagnostics", "state")  # state last: when it arrives, the others are subscribed

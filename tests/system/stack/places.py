@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from controller.arm.arm import Arm
-from controller.manipulator.notation import parse_configuration
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator.notation import parse_configuration
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests.system.stack.observer import Observer
 
 LEFT, MIDDLE, RIGHT = (0.4, 2.9), (0.55, 2.9), (3.0, 0.7)

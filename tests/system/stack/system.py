@@ -16,16 +16,16 @@ from typing import Any
 import can
 import zenoh
 
-from controller.arm.arm import Arm, load
-from controller.executor.core.arm import read_arm
-from controller.gateway import daemon
-from controller.gateway.daemon import Daemon
-from controller.network import session
-from controller.network.client import Client
-from controller.planning.ledger_file import read
-from controller.workspace.cache import load_or_map
-from drivers.canopen.wiring import BusWiring, Wiring
-from drivers.simulation.simulation import Simulation
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.gateway import daemon
+from hyperbit.controller.gateway.daemon import Daemon
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client
+from hyperbit.controller.planning.ledger_file import read
+from hyperbit.controller.workspace.cache import load_or_map
+from hyperbit.drivers.canopen.wiring import BusWiring, Wiring
+from hyperbit.drivers.simulation.simulation import Simulation
 from tests import emulated, vcan
 from tests.system.stack import arms
 from tests.system.stack.observer import Observer

@@ -12,9 +12,9 @@ import sys
 import time
 from pathlib import Path
 
-from controller.armfile.settings import RealTimeSettings
-from controller.executor.process.real_time import enter_real_time
-from controller.program import TICK
+from hyperbit.controller.armfile.settings import RealTimeSettings
+from hyperbit.controller.executor.process.real_time import enter_real_time
+from hyperbit.controller.program import TICK
 from tests.benchmarks.daemon.chain.records import Record
 
 AHEAD = 1  # of the executor's default priority: it does nothing, and must not wait for the executor's tick

@@ -15,11 +15,11 @@ import sys
 import time
 from pathlib import Path
 
-from controller.executor.core.arm import read_arm
-from controller.executor.process.real_time import lock_memory, raise_priority
-from drivers.canopen.wire.cia301 import HEARTBEAT, SYNC, Frame
-from drivers.canopen.wiring import MASTER
-from drivers.simulation.buses import SimulatedBuses
+from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.executor.process.real_time import lock_memory, raise_priority
+from hyperbit.drivers.canopen.wire.cia301 import HEARTBEAT, SYNC, Frame
+from hyperbit.drivers.canopen.wiring import MASTER
+from hyperbit.drivers.simulation.buses import SimulatedBuses
 from tests.benchmarks.daemon.chain.records import Record
 from tests.emulated import FRAME, UP
 

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import can.interfaces
 
-from controller.executor.__main__ import main
-from controller.executor.core.modes import Modes
-from controller.executor.core.requests import ClientRequests
-from controller.executor.process.run import Timekeeper
-from controller.program import Program
+from hyperbit.controller.executor.__main__ import main
+from hyperbit.controller.executor.core.modes import Modes
+from hyperbit.controller.executor.core.requests import ClientRequests
+from hyperbit.controller.executor.process.run import Timekeeper
+from hyperbit.controller.program import Program
 from tests import emulated  # noqa: F401
 from tests.benchmarks.daemon.chain.records import Record
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import zenoh
 
-from controller.network import session
+from hyperbit.controller.network import session
 from tests.benchmarks.daemon.chain.records import Record
 
 

@@ -17,8 +17,8 @@ import yaml
 import zenoh
 from numpy.typing import NDArray
 
-from controller.network import session
-from controller.network.client import Client
+from hyperbit.controller.network import session
+from hyperbit.controller.network.client import Client
 from tests.benchmarks.daemon.chain import records
 from tests.conftest import PAPER_ARM
 from tests.system.stack.observer import Observer

@@ -12,11 +12,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from controller.planning.link import ExecutorLink
-from controller.planning.planner import RequestDecoder
-from controller.planning.workers import computations
-from controller.program import Down, Program
-from controller.search.solver import Solver
+from hyperbit.controller.planning.link import ExecutorLink
+from hyperbit.controller.planning.planner import RequestDecoder
+from hyperbit.controller.planning.workers import computations
+from hyperbit.controller.program import Down, Program
+from hyperbit.controller.search.solver import Solver
 from tests.benchmarks.daemon.chain.records import Record
 from tests.system.stack.nursery import run
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from controller.bench.methods import (
+from hyperbit.controller.bench.methods import (
     annealing,
     continuous,
     k_switch,
@@ -16,7 +16,7 @@ from controller.bench.methods import (
     two_by_two,
     two_list,
 )
-from controller.search.method import METHODS as PRODUCT_METHODS
+from hyperbit.controller.search.method import METHODS as PRODUCT_METHODS
 from tests.benchmarks.search.methods import optimum, product
 
 

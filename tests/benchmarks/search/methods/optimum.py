@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.obstacles.clearance import BodyClearance
-from controller.obstacles.obstacles import NONE
-from controller.workspace.densities import Densities
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.obstacles.clearance import BodyClearance
+from hyperbit.controller.obstacles.obstacles import NONE
+from hyperbit.controller.workspace.densities import Densities
 from tests.benchmarks.proofs.proof import prove
 
 DEPTHS = (4, 5)  # so that twelve switches can be proven to be the fewest

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.manipulator.frames import Frame, inverse
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.method import StageCosts, stage_costs
-from controller.search.paths import ENOUGH, Paths
-from controller.search.target import SearchTarget
-from controller.workspace.densities import Densities
+from hyperbit.controller.manipulator.frames import Frame, inverse
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.search.method import StageCosts, stage_costs
+from hyperbit.controller.search.paths import ENOUGH, Paths
+from hyperbit.controller.search.target import SearchTarget
+from hyperbit.controller.workspace.densities import Densities
 from tests.benchmarks.search.oriented_densities.oriented import OrientedDensities
 from tests.benchmarks.search.oriented_densities.oriented_mapping import map_oriented
 

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from controller.bench.methods.planar import Array
-from controller.manipulator.manipulator import Configuration, Manipulator
-from controller.search.method import Method
-from controller.search.solution import SearchTime, Solution
-from controller.search.solver import TIMEOUT, Solver
-from controller.workspace.densities import Densities
+from hyperbit.controller.bench.methods.planar import Array
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.search.method import Method
+from hyperbit.controller.search.solution import SearchTime, Solution
+from hyperbit.controller.search.solver import TIMEOUT, Solver
+from hyperbit.controller.workspace.densities import Densities
 
 
 @dataclass(frozen=True, eq=False)

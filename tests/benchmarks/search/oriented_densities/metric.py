@@ -2,7 +2,7 @@
 
 import math
 
-from controller.manipulator.frames import Frame, angle_between
+from hyperbit.controller.manipulator.frames import Frame, angle_between
 
 
 def distance(first: Frame, second: Frame, weight: float) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.frames import Frame
 from tests.benchmarks.search.oriented_densities.frame_pixels import write_keys
 
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.manipulator import frames
-from controller.manipulator.frames import Frame
-from controller.manipulator.manipulator import Manipulator
-from controller.workspace.mapping import grid, rescale
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.frames import Frame
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.workspace.mapping import grid, rescale
 from tests.benchmarks.search.oriented_densities.frame_pixels import SIDE, extent, superpose
 from tests.benchmarks.search.oriented_densities.oriented import OrientedDensities
 

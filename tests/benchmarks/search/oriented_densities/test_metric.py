@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.manipulator import frames
+from hyperbit.controller.manipulator import frames
 from tests.arms import angles, any_frames, coordinates
 from tests.benchmarks.search.oriented_densities.metric import distance
 

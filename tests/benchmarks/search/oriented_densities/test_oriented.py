@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
-from controller.manipulator import frames
-from controller.manipulator.manipulator import Manipulator
-from controller.manipulator.module import transforms
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import transforms
 from tests.arms import any_frames, every_configuration, every_tip, paper_arm, short_arms, spatial_arm
 from tests.benchmarks.search.oriented_densities.frame_pixels import rotation_cell
 from tests.benchmarks.search.oriented_densities.metric import distance

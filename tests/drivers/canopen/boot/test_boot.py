@@ -6,10 +6,10 @@ import itertools
 
 import pytest
 
-from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wire.events import BusChanged, FrameEchoed
-from drivers.canopen.wiring import Channel, Timing
-from drivers.simulation.buses import board_names
+from hyperbit.drivers.canopen.wire.cia301 import State
+from hyperbit.drivers.canopen.wire.events import BusChanged, FrameEchoed
+from hyperbit.drivers.canopen.wiring import Channel, Timing
+from hyperbit.drivers.simulation.buses import board_names
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 

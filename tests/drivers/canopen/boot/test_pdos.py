@@ -6,10 +6,10 @@ import dataclasses
 
 import pytest
 
-from drivers.canopen.boot import quirks
-from drivers.canopen.boot.quirks import Quirk, quirk_of
-from drivers.canopen.wiring import Channel, NodeWiring
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.boot import quirks
+from hyperbit.drivers.canopen.boot.quirks import Quirk, quirk_of
+from hyperbit.drivers.canopen.wiring import Channel, NodeWiring
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World
 
 FIVE = [Channel("5.left", "can0", 5, 0, 0), Channel("5.right", "can0", 5, 1, 1)]

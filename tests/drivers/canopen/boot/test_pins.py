@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, Frame, State
-from drivers.simulation import dictionary
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, State
+from hyperbit.drivers.simulation import dictionary
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import Channel, World, one_board
 
 BOARD = {"can0/5": VARIANTS["standard"]}

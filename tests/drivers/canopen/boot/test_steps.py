@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.wire.cia301 import Command, State
-from drivers.canopen.wiring import Timing
-from drivers.simulation.dictionary import Changes, array, number
-from drivers.simulation.variants import STANDARD, VARIANTS
+from hyperbit.drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.canopen.wiring import Timing
+from hyperbit.drivers.simulation.dictionary import Changes, array, number
+from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS
 from tests.drivers.canopen.world import TICK, World, one_board
 
 PRE_OPERATIONAL = (0, "80 05")

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.cia301 import Command, State
-from drivers.simulation.variants import VARIANTS, StandingError
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.simulation.variants import VARIANTS, StandingError
 from tests.drivers.canopen.boot.test_pins import BOARD, boot, extended
 from tests.drivers.canopen.world import World, one_board
 

@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from drivers.canopen.faults import ArmFault, Busy
-from drivers.canopen.wiring import Channel
+from hyperbit.drivers.canopen.faults import ArmFault, Busy
+from hyperbit.drivers.canopen.wiring import Channel
 from tests.drivers.canopen.world import World, bits, two_boards, two_buses
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire import cia301
 from tests.drivers.canopen.world import World
 
 

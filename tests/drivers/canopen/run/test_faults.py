@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.faults import Busy
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameIgnored
-from drivers.canopen.wiring import Timing
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.faults import Busy
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameIgnored
+from hyperbit.drivers.canopen.wiring import Timing
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.wiring import Timing
+from hyperbit.drivers.canopen.wiring import Timing
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 TRANSCRIPTS = Path(__file__).with_name("frames")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.wire.cia301 import REMOTE, Command, Frame, State
-from drivers.canopen.wiring import Channel, Timing
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Command, Frame, State
+from hyperbit.drivers.canopen.wiring import Channel, Timing
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, one_board
 
 POLL = Frame(REMOTE | 0x705)

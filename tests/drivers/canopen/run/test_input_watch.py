@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.events import BusOverrun
-from drivers.canopen.wiring import Channel, Interlock
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.events import BusOverrun
+from hyperbit.drivers.canopen.wiring import Channel, Interlock
 from tests.drivers.canopen.world import World
 
 

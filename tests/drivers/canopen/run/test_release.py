@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.faults import Busy
-from drivers.canopen.wire import cia301
-from drivers.canopen.wiring import Channel
-from drivers.simulation.variants import STANDARD
+from hyperbit.drivers.canopen.faults import Busy
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wiring import Channel
+from hyperbit.drivers.simulation.variants import STANDARD
 from tests.drivers.canopen.world import World
 from tests.simulation.buses.bus_model import BusModel
 

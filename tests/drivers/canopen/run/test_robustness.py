@@ -5,11 +5,11 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.canopen.faults import Busy
-from drivers.canopen.run.master import Master
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameIgnored, FrameReceived, SendFailed
-from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
+from hyperbit.drivers.canopen.faults import Busy
+from hyperbit.drivers.canopen.run.master import Master
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameIgnored, FrameReceived, SendFailed
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
 from tests.drivers.canopen.world import World, measured, two_boards, two_buses
 
 NODES = (5, 9)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.wiring import Channel, NodeWiring, Timing
+from hyperbit.drivers.canopen.wiring import Channel, NodeWiring, Timing
 from tests.drivers.canopen.world import World
 
 BLIND = [Channel("5.left", "can0", 5, 0, None), Channel("9.left", "can0", 9, 3, None)]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.faults import ArmFault
-from drivers.canopen.sdo import objects
-from drivers.canopen.sdo.objects import Need
-from drivers.canopen.sdo.procedure import Runner
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.link import Link
-from drivers.canopen.wiring import BusWiring
+from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.sdo import objects
+from hyperbit.drivers.canopen.sdo.objects import Need
+from hyperbit.drivers.canopen.sdo.procedure import Runner
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.link import Link
+from hyperbit.drivers.canopen.wiring import BusWiring
 
 TYPE = b"\x43\x00\x10\x00\x91\x01\x02\x00"
 OTHER = b"\x4f\x00\x62\x01\x01\x00\x00\x00"

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-from drivers.canopen.tools.session import Session
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import BusChanged, Event
-from drivers.canopen.wiring import BusWiring
+from hyperbit.drivers.canopen.tools.session import Session
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import BusChanged, Event
+from hyperbit.drivers.canopen.wiring import BusWiring
 from tests.drivers.canopen.world import World
 
 

@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.faults import BusError
-from drivers.canopen.tools.bus_check import CheckedBoard, check_bus
-from drivers.canopen.tools.session import MasterHeard, Session
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wire.cia301 import State
-from drivers.canopen.wire.events import BusChanged
-from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
-from drivers.simulation.objects import Objects
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.faults import BusError
+from hyperbit.drivers.canopen.tools.bus_check import CheckedBoard, check_bus
+from hyperbit.drivers.canopen.tools.session import MasterHeard, Session
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.bus import CanBus
+from hyperbit.drivers.canopen.wire.cia301 import State
+from hyperbit.drivers.canopen.wire.events import BusChanged
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
+from hyperbit.drivers.simulation.objects import Objects
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.tools.sessions import session
 from tests.drivers.canopen.world import World, two_boards, two_buses
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.layout import lay_out
-from drivers.canopen.tools.eds import Eds
-from drivers.canopen.tools.eds_check import lacks
-from drivers.canopen.tools.eds_file import UnreadableEds
-from drivers.canopen.wiring import BusWiring, Channel, NodeWiring, Timing, Wiring
-from drivers.simulation.dictionary import EDS
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.layout import lay_out
+from hyperbit.drivers.canopen.tools.eds import Eds
+from hyperbit.drivers.canopen.tools.eds_check import lacks
+from hyperbit.drivers.canopen.tools.eds_file import UnreadableEds
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, NodeWiring, Timing, Wiring
+from hyperbit.drivers.simulation.dictionary import EDS
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World
 
 BUS = BusWiring("can0", "none", "can0")

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.canopen.layout import lay_out
-from drivers.canopen.tools.eds import Eds
-from drivers.canopen.tools.eds_check import unmet
-from drivers.canopen.tools.eds_file import UnreadableEds, parse_number
-from drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
-from drivers.simulation.dictionary import EDS
+from hyperbit.drivers.canopen.layout import lay_out
+from hyperbit.drivers.canopen.tools.eds import Eds
+from hyperbit.drivers.canopen.tools.eds_check import unmet
+from hyperbit.drivers.canopen.tools.eds_file import UnreadableEds, parse_number
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Timing, Wiring
+from hyperbit.drivers.simulation.dictionary import EDS
 
 TEXT = EDS.read_text()
 CHANNELS = (Channel("a", "can0", 5, 0, 0), Channel("b", "can0", 5, 25, 25))

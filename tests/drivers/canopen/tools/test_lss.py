@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.tools.lss import Lss, LssIdentity, LssRefused, over
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import FrameEchoed
-from drivers.simulation.lss import ANSWER, REQUEST, UNCONFIGURED, LssSlave
+from hyperbit.drivers.canopen.tools.lss import Lss, LssIdentity, LssRefused, over
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import FrameEchoed
+from hyperbit.drivers.simulation.lss import ANSWER, REQUEST, UNCONFIGURED, LssSlave
 from tests.drivers.canopen.tools.sessions import session
 from tests.drivers.canopen.world import World, two_boards
 

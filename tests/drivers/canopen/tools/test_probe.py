@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.faults import BusError
-from drivers.canopen.tools.probe import ProbedNode, probe_bus
-from drivers.canopen.tools.session import Session
-from drivers.canopen.wire import cia301
-from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wire.cia301 import Frame, State
-from drivers.canopen.wire.events import FrameReceived
-from drivers.canopen.wiring import BusWiring, Channel
-from drivers.simulation.variants import VARIANTS
+from hyperbit.drivers.canopen.faults import BusError
+from hyperbit.drivers.canopen.tools.probe import ProbedNode, probe_bus
+from hyperbit.drivers.canopen.tools.session import Session
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.bus import CanBus
+from hyperbit.drivers.canopen.wire.cia301 import Frame, State
+from hyperbit.drivers.canopen.wire.events import FrameReceived
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel
+from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.tools.sessions import session
 from tests.drivers.canopen.world import World, two_boards
 

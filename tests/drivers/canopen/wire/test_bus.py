@@ -9,11 +9,11 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.canopen.faults import BusError
-from drivers.canopen.wire.bus import CanBus
-from drivers.canopen.wire.cia301 import Frame
-from drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
-from drivers.canopen.wiring import BusWiring
+from hyperbit.drivers.canopen.faults import BusError
+from hyperbit.drivers.canopen.wire.bus import CanBus
+from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
+from hyperbit.drivers.canopen.wiring import BusWiring
 from tests import emulated
 
 FRAME = Frame(0x77F, b"\x05")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.wire.bus import read_error
+from hyperbit.drivers.canopen.wire.bus import read_error
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
-from controller.program import Snapshot, unpack
+from hyperbit.controller.program import Snapshot, unpack
 from tests.simulation.judge.interface.facts import Heard, Payload, Ran, Request
 from tests.simulation.judge.interface.modules import Cube, JudgedModules
 from tests.simulation.judge.verdict import require

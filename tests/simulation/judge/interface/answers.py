@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from controller.program import unpack
+from hyperbit.controller.program import unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Ran, Request
 from tests.simulation.judge.verdict import require

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from controller.program import Stage
+from hyperbit.controller.program import Stage
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Payload, Request
 from tests.simulation.judge.interface.messages import well_formed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from controller.program import Diagnostics
+from hyperbit.controller.program import Diagnostics
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Payload
 from tests.simulation.judge.interface.warnings import JudgedWarnings

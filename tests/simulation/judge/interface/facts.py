@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from controller.program import Ended, Program, Settled, Snapshot
+from hyperbit.controller.program import Ended, Program, Settled, Snapshot
 from tests.simulation.judge.interface.modules import Cube
 
 Payload = dict[str, Any]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 
-from controller.program import Snapshot, unpack
+from hyperbit.controller.program import Snapshot, unpack
 from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
 from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience, posed, wanted
 from tests.simulation.judge.interface.facts import Heard, Request

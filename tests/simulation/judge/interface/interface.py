@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from controller.program import (
+from hyperbit.controller.program import (
     Accepted,
     Acknowledge,
     Begun,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from controller.program import Alive, Cancel, Clearance, Counts, Lock, Program, Question, Reset, unpack
+from hyperbit.controller.program import Alive, Cancel, Clearance, Counts, Lock, Program, Question, Reset, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Request
 from tests.simulation.judge.verdict import require

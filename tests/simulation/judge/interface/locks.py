@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from controller.program import Snapshot, unpack
+from hyperbit.controller.program import Snapshot, unpack
 from tests.simulation.judge.interface.modules import JudgedModules
 
 

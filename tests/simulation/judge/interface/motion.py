@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from controller.program import Acknowledge, Setpoint, unpack
+from hyperbit.controller.program import Acknowledge, Setpoint, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Ran, Request
 from tests.simulation.judge.interface.modules import Cube

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from controller.program import Program, Stage, unpack
+from hyperbit.controller.program import Program, Stage, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.asked import patience, wanted
 from tests.simulation.judge.interface.facts import Request

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from controller.program import unpack
+from hyperbit.controller.program import unpack
 from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
 from tests.simulation.judge.interface.asked import lined, wanted
 from tests.simulation.judge.interface.facts import Payload, Request

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from controller.program import Program, unpack
+from hyperbit.controller.program import Program, unpack
 from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
 from tests.simulation.judge.interface.answers import judge_homing, judge_jog
 from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience

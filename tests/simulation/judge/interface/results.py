@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from controller.program import Ended, Settled, unpack
+from hyperbit.controller.program import Ended, Settled, unpack
 from tests.simulation.judge.interface.account import RECONNECTED, InterfaceAccount
 from tests.simulation.judge.interface.asked import barring, decodable, lined, wanted
 from tests.simulation.judge.interface.facts import Payload, Ran, Request

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from controller.program import Snapshot, unpack
+from hyperbit.controller.program import Snapshot, unpack
 from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
 from tests.simulation.judge.interface.facts import Heard, Payload, Ran
 from tests.simulation.judge.interface.modules import Cube, turn

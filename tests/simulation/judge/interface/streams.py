@@ -6,7 +6,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 
-from controller.program import Setpoint, unpack
+from hyperbit.controller.program import Setpoint, unpack
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Payload, Request
 from tests.simulation.judge.interface.messages import body_of

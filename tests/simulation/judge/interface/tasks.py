@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from controller.program import Snapshot, pack, unpack
+from hyperbit.controller.program import Snapshot, pack, unpack
 from tests.simulation.judge.interface.facts import Payload, Ran, Request
 from tests.simulation.judge.interface.modules import Cube
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from controller.program import Ended, Snapshot
+from hyperbit.controller.program import Ended, Snapshot
 from tests.simulation.judge.interface.account import InterfaceAccount
 from tests.simulation.judge.interface.facts import Payload, Ran
 from tests.simulation.judge.verdict import require
