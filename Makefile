@@ -68,7 +68,9 @@ check: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/lint-imports
+	rm -rf $(VENV)/linked
+	cp -rsL $(CURDIR)/.package $(VENV)/linked
+	PYTHONPATH=$(VENV)/linked $(BIN)/lint-imports
 
 bench: $(VENV)/installed
 	$(BIN)/python -m tests.benchmarks.workspace.mapping

@@ -18,10 +18,10 @@ from hyperbit.controller.flight_recorder.keeper import RefusedFile
 
 # What a pickle of events may contain: classes of these modules, which only hold data and compute.
 PURE = re.compile(
-    r"controller\.(armfile\.settings|host\.process|program(\.\w+)?"
+    r"hyperbit\.controller\.(armfile\.settings|host\.process|program(\.\w+)?"
     r"|(manipulator|motion(\.\w+)?|obstacles|planning\.core|refusals)\.\w+)"
-    r"|controller\.executor\.((core|motion)\.\w+|process\.clients)"
-    r"|drivers\.canopen\.((boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link|load|tx_echo))"
+    r"|hyperbit\.controller\.executor\.((core|motion)\.\w+|process\.clients)"
+    r"|hyperbit\.drivers\.canopen\.((boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link|load|tx_echo))"
 )
 CORE = "hyperbit.controller.planning.core."  # its functions are pure, too
 LEFT_OUT = "left out"  # stands for an opaque value that is not None

@@ -1,4 +1,6 @@
-"""Compiles the kernels of the demo, the daemon and the library on all processors: python -m hyperbit.controller.host.kernels.
+"""Compiles the kernels of the demo, the daemon and the library on all processors.
+
+    python -m hyperbit.controller.host.kernels
 
 numba compiles a kernel when its module is imported, and stores the machine code in its cache. A single process that
 imports all modules takes minutes. Here a process of its own imports each module, after those that it depends on.
@@ -10,14 +12,10 @@ import os
 from pathlib import Path
 
 ROOTS = (
-    *("hyperbit.controller.commands.operate.demo", "hyperbit.controller.commands.operate.run"),
-    *(
-        "hyperbit.controller.library.arm",
-        "hyperbit.controller.library.solver",
-        "hyperbit.controller.library.calibration",
-    ),
+    *(f"hyperbit.controller.commands.operate.{name}" for name in ("demo", "run")),
+    *(f"hyperbit.controller.library.{name}" for name in ("arm", "solver", "calibration")),
 )
-FOLDER = Path(hyperbit.controller.__file__).parent
+PACKAGE = Path(__file__).parents[2]
 
 
 def imports(module: str) -> set[str]:
@@ -28,12 +26,12 @@ def imports(module: str) -> set[str]:
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
             found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-    return {name for name in found if name.startswith(f"{hyperbit.controller.__name__}.") and path(name).is_file()}
+    return {name for name in found if name.startswith("hyperbit.controller.") and path(name).is_file()}
 
 
 def path(module: str) -> Path:
     """Returns the path of a module of this package."""
-    return FOLDER.joinpath(*module.split(".")[1:]).with_suffix(".py")
+    return PACKAGE.joinpath(*module.split(".")[1:]).with_suffix(".py")
 
 
 def source(module: str) -> str:
@@ -101,7 +99,7 @@ def fork(module: str) -> int:
 
 def drop_indexes() -> None:
     """Deletes numba's indexes of machine code: an index that names a moved module breaks the import."""
-    for index in FOLDER.rglob("__pycache__/*.nbi"):
+    for index in (PACKAGE / "controller").rglob("__pycache__/*.nbi"):
         index.unlink()
 
 

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 CONNECT = 10.0  # [s] for the connection to a scheduler
 NEEDED = ("hyperbit", "numba")  # packages of a worker
 # This process ends the study, and its workers. Stdout is for the results.
-PRELOAD = "import sys\nfrom hyperbit.controller.host import signals\nsignals.ignore(signals.OF_TERMINAL)\nsys.stdout = sys.stderr\n"
+PRELOAD = (
+    "import sys\nfrom hyperbit.controller.host import signals\n"
+    "signals.ignore(signals.OF_TERMINAL)\nsys.stdout = sys.stderr\n"
+)
 # What Dask records of itself takes a tenth of a processor from the workers, and keeps the last 1000 messages in memory.
 UNWATCHED = {
     "distributed.admin.low-level-log-length": 10,

@@ -140,8 +140,9 @@ def by_atheris(name: str, runs: int, out: Path) -> None:
     import atheris
 
     compiled = [p for room in ("controller", "drivers") for p in Path(room).rglob("*.py") if "numba" in p.read_text()]
-    exclude = [".".join(path.with_suffix("").parts) for path in compiled]  # numba cannot compile instrumented code
-    with atheris.instrument_imports(include=["controller", "drivers", "yaml", "canopen"], exclude=exclude):
+    # numba cannot compile instrumented code.
+    exclude = [".".join(("hyperbit", *path.with_suffix("").parts)) for path in compiled]
+    with atheris.instrument_imports(include=["hyperbit", "yaml", "canopen"], exclude=exclude):
         from tests.fuzz.targets import TARGETS
     target = TARGETS[name]
     record = Record(target.build, name, runs)

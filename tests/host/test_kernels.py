@@ -8,11 +8,7 @@ import pytest
 from hyperbit.controller.host import kernels
 
 WITHOUT = (  # what the planner's core and clients use
-    *(
-        "hyperbit.controller.manipulator.frames",
-        "hyperbit.controller.manipulator.locked",
-        "hyperbit.controller.manipulator.notation",
-    ),
+    *(f"hyperbit.controller.manipulator.{name}" for name in ("frames", "locked", "notation")),
     *("hyperbit.controller.motion.targets", "hyperbit.controller.motion.trajectory"),
     *("hyperbit.controller.motion.decoding.goal", "hyperbit.controller.motion.decoding.setpoint"),
     *(f"hyperbit.controller.motion.stages.{name}" for name in ("feed", "program", "restaging")),
@@ -35,7 +31,7 @@ def test_modules_with_kernels_come_with_those_they_depend_on():
 
 
 def test_kernels_of_the_library_are_compiled_beforehand():
-    code = "import sys, hyperbit; print(*(name for name in sys.modules if name.startswith('controller.')))"
+    code = "import sys, hyperbit.controller.library; print(*(n for n in sys.modules if n.startswith('hyperbit.')))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     files = {name: kernels.path(name) for name in done.stdout.split()}
     needed = {name for name, file in files.items() if file.is_file() and "@njit(" in file.read_text(encoding="utf-8")}
@@ -51,13 +47,13 @@ def test_a_module_is_imported_after_those_it_depends_on(tmp_path, monkeypatch):
 
 
 def test_a_module_that_cannot_be_imported_is_named():
-    with pytest.raises(RuntimeError, match=r"the kernels of controller\.missing cannot be compiled"):
+    with pytest.raises(RuntimeError, match=r"the kernels of hyperbit\.controller\.missing cannot be compiled"):
         kernels.compile_all({"hyperbit.controller.missing": set()}, 1)
 
 
 def test_indexes_of_machine_code_are_dropped(tmp_path, monkeypatch):
-    monkeypatch.setattr(kernels, "FOLDER", tmp_path)
-    index, code = (tmp_path / "room" / "__pycache__" / name for name in ("a.f.nbi", "a.f.1.nbc"))
+    monkeypatch.setattr(kernels, "PACKAGE", tmp_path)
+    index, code = (tmp_path / "controller" / "__pycache__" / name for name in ("a.f.nbi", "a.f.1.nbc"))
     index.parent.mkdir(parents=True)
     index.touch()
     code.touch()

@@ -41,7 +41,7 @@ class Mutant:
     @property
     def module(self) -> str:
         """Dotted name of the module."""
-        return self.file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        return "hyperbit." + self.file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
     @property
     def source(self) -> str:

@@ -183,8 +183,8 @@ def test_results_are_read_again_and_counted(tmp_path: Path) -> None:
         file.write('{"id": "interrup')
     again = Results(tmp_path / "results.jsonl")
     assert [again.found_by(mutant) for mutant in mutants] == ["simulation", "tests", "", "open"]
-    assert again.finders("room.m") == ["t.py"]
-    again.add({"id": later.id, "phase": "simulation", "module": "room.m", "found": True})
+    assert again.finders("hyperbit.room.m") == ["t.py"]
+    again.add({"id": later.id, "phase": "simulation", "module": "hyperbit.room.m", "found": True})
     assert Results(tmp_path / "results.jsonl").found_by(later) == "simulation"
     lines = table([("room", mutant) for mutant in mutants], again).splitlines()
     assert lines[1].split() == ["room", "4", "2", "1", "1", "0"]

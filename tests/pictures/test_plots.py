@@ -109,7 +109,8 @@ def test_a_spatial_arm_is_drawn_in_space(tmp_path):
 
 
 def test_importing_plots_does_not_import_matplotlib():
-    check = "import sys, hyperbit.controller.pictures.plots, hyperbit.controller.pictures.figure5; sys.exit('matplotlib' in sys.modules)"
+    check = "import sys, hyperbit.controller.pictures.plots"
+    check += ", hyperbit.controller.pictures.figure5; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0
 
 

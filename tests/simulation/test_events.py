@@ -170,7 +170,9 @@ def test_a_pickle_that_does_anything_is_refused(content: Called, word: str) -> N
 def test_modules_inside_pure_modules_are_refused() -> None:
     for name in ("logging", "traceback.linecache.os.system"):
         with pytest.raises(RefusedFile, match="not loaded"):
-            unpickle(f"\x80\x04\x8c\x18controller.executor.core\x8c{chr(len(name))}{name}\x93.".encode("latin1"))
+            unpickle(
+                f"\x80\x04\x8c\x21hyperbit.controller.executor.core\x8c{chr(len(name))}{name}\x93.".encode("latin1")
+            )
 
 
 @pytest.mark.parametrize("content", [b"", b"hyperbit events 1\n{}\nnonsense", b"hyperbit events 2\n{}\n"])

@@ -3,10 +3,10 @@
 import importlib
 import pkgutil
 
-import controller
-import drivers
+import hyperbit.controller
+import hyperbit.drivers
 
-for package in (controller, drivers):
+for package in (hyperbit.controller, hyperbit.drivers):
     for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
         imported = importlib.import_module(module.name)
         for variant in getattr(imported, "KERNEL_VARIANTS", ()):

@@ -80,7 +80,7 @@ def older(made: Path, sources: Iterable[Path]) -> bool:
 
 def installed() -> list[Path]:
     """Returns the files that deploy/install.sh installs."""
-    folders = [PROJECT / name for name in ("controller", "drivers", "deploy")]
+    folders = [PROJECT / name for name in (".package", "controller", "drivers", "deploy")]
     files = [path for folder in folders for path in folder.rglob("*.*") if path.parent.name != "__pycache__"]
     return [PROJECT / "pyproject.toml", *files]
 

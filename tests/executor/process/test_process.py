@@ -37,7 +37,8 @@ from hyperbit.controller.refusals.reasons import Reason
 from tests.keys import DEPLOY
 
 FORBIDDEN = {"numba", "llvmlite", "scipy", "zenoh", "matplotlib", "rich", "typer", "filterpy"}
-ROOMS = {f"controller.{name}" for name in ("armfile", "executor", "flight_recorder", "host", "program", "refusals")}
+OWN = ("armfile", "executor", "flight_recorder", "host", "program", "refusals")
+ROOMS = {f"hyperbit.controller.{name}" for name in OWN}
 MOST_RESIDENT = 80 * 1024  # [kB]
 SIMULATION = {"canopen", "hyperbit.drivers.simulation"}  # a real arm's process loads neither
 SIZE = 48
@@ -135,7 +136,7 @@ def test_a_program_is_run_and_nothing_is_loaded_that_a_loop_has_no_use_for(execu
     assert "not done: 'nonsense' is no fault" in err
     loaded = set(out.split())
     assert not FORBIDDEN & {name.split(".")[0] for name in loaded}
-    rooms = {".".join(name.split(".")[:2]) for name in loaded if name.startswith("controller.")}
+    rooms = {".".join(name.split(".")[:3]) for name in loaded if name.startswith("hyperbit.controller.")}
     assert rooms <= ROOMS
     assert not executor.socket.exists()
 
