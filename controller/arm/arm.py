@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.arm.chain import build_frame, build_modules
 from hyperbit.controller.armfile.actuators import longest_travel, map_actuators
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.places import placed_faults
 from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, read_settings
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.manipulator.locked import STATES, LockedStates, lock_actuators, none_locked
+from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, none_locked
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.notation import parse_obstacles

@@ -2,15 +2,15 @@
 
 from collections.abc import Iterable
 
-WORDS = ("contracted", "extended")  # of the states 0 and 1
+STATES = ("contracted", "extended")  # of the states 0 and 1
 
 
 def locks_in_words(locks: Iterable[tuple[str, int]]) -> str:
     """Returns locked actuators, each with its label and state, in words, e.g. "locked: 5.left (contracted)"."""
-    names = [f"{label} ({WORDS[state]})" for label, state in locks]
+    names = [f"{label} ({STATES[state]})" for label, state in locks]
     return f"locked: {', '.join(names)}" if names else "no actuator is locked"
 
 
 def lock_warning(label: str, state: int) -> str:
     """Returns the message of the warning "degraded" of a locked actuator."""
-    return f"actuator {label} is locked {WORDS[state]}: plans do not switch it"
+    return f"actuator {label} is locked {STATES[state]}: plans do not switch it"

@@ -1,4 +1,4 @@
-"""Arguments, readers and printers that the commands share.
+"""Readers and printers that the commands share.
 
 Commands that only talk to a daemon import this module, too. It therefore imports kernels and NumPy inside functions.
 """
@@ -12,11 +12,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from msgspec import Meta, Struct
 
 from hyperbit.controller.armfile.strict import UNIT, InputFaults, check, read_yaml
-from hyperbit.controller.commands.completion import complete_arms, complete_files
 from hyperbit.controller.refusals.reasons import advice
 
 if TYPE_CHECKING:
@@ -26,22 +24,6 @@ if TYPE_CHECKING:
     from hyperbit.controller.arm.arm import Arm
     from hyperbit.controller.manipulator.manipulator import Configuration
     from hyperbit.controller.workspace.densities import Densities
-
-ArmFile = Annotated[
-    Path,
-    typer.Argument(metavar="ARM.yaml", help="The arm's file.", show_default=False, autocompletion=complete_files),
-]
-ArmName = Annotated[
-    str,
-    typer.Argument(
-        metavar="ARM", help="The arm's file, or its name.", show_default=False, autocompletion=complete_arms
-    ),
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Connect = Annotated[str, typer.Option(help="Zenoh endpoint of the daemon.")]
-ZenohFile = Annotated[Path | None, typer.Option("--zenoh", help="Zenoh configuration file, instead of an endpoint.")]
-
-ENDPOINT = "tcp/127.0.0.1:7447"
 
 if TYPE_CHECKING:
     console: Console

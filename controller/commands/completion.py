@@ -50,7 +50,7 @@ def complete_changes(ctx: Any, incomplete: str) -> list[str]:
 
 def states_of(command: str | None) -> tuple[str, ...]:
     """Returns the states that a command accepts; `jog` frees nothing."""
-    from hyperbit.controller.commands.use.actuators import STATES
+    from hyperbit.controller.armfile.locks import STATES
 
     return STATES if command == "jog" else (*STATES, "free")
 
@@ -70,6 +70,6 @@ def actuators_of(ctx: Any) -> list[str]:
 
 def network_of(ctx: Any) -> tuple[str, Path | None]:
     """Returns endpoint and Zenoh file of a command line."""
-    from hyperbit.controller.commands.common import ENDPOINT
+    from hyperbit.controller.commands.connection import ENDPOINT
 
     return ctx.params.get("connect") or ENDPOINT, ctx.params.get("zenoh_file")

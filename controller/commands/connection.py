@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 # Zenoh logs to the standard output. A sample that is on its way while a subscriber is undeclared is an error to it.
 LOG = "error,zenoh::api::session=off"
+ENDPOINT = "tcp/127.0.0.1:7447"
 START = "start it by: hyperbit run ARM.yaml (--simulate without hardware), or name its endpoint by --connect"
 
 

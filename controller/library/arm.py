@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hyperbit.controller.arm import arm as config
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.settings import ArmSettings
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.library.density import Density
 from hyperbit.controller.library.errors import ArmError, ConfigurationError, GoalError, LockError
 from hyperbit.controller.library.modules import Module, base_settings, build, checked
 from hyperbit.controller.library.obstacles import Obstacle, obstacle_settings
-from hyperbit.controller.manipulator.locked import STATES, LockedStates, lock_actuators, transferred
+from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, transferred
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.manipulator.notation import format_configuration, parse_configuration
 from hyperbit.controller.workspace.cache import default_directory, load_or_map

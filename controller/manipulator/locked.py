@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperbit.controller.armfile.locks import STATES
+
 if TYPE_CHECKING:  # its kernel takes a second to import
     from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 
 LockedStates = NDArray[np.int8]  # state in which each actuator is locked, -1 if it is free, shape (A,)
-
-STATES = ("contracted", "extended")
 
 
 def none_locked(manipulator: Manipulator) -> LockedStates:

@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.module import Module
 
@@ -144,8 +145,7 @@ def excluded(module: Module, states: NDArray[np.generic]) -> str:
     """Returns in words the actuator states (A,) that no state of a module has, such as "left is extended"."""
     alone = [not (module.bits[:, k] == state).any() for k, state in enumerate(states)]  # because it is locked otherwise
     named = zip(module.actuators, states, alone, strict=True)
-    words = ("contracted", "extended")
-    return " and ".join(f"{name} is {words[bool(state)]}" for name, state, odd in named if odd or not any(alone))
+    return " and ".join(f"{name} is {STATES[bool(state)]}" for name, state, odd in named if odd or not any(alone))
 
 
 @njit("f8[:,::1](f8[:,::1], f8[:,:,:,::1], i8[:])", cache=True, nogil=True, boundscheck=True)

@@ -22,8 +22,7 @@ import yaml
 
 from hyperbit.controller import cli
 from hyperbit.controller.arm.arm import load
-from hyperbit.controller.commands.common import ENDPOINT
-from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.commands.connection import ENDPOINT, connected
 from tests.arm_files import document
 from tests.documents.page import ROOT, Example, Page
 

@@ -10,7 +10,8 @@ import typer
 from hyperbit.controller.armfile.actuators import read_wired
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.terminals import named_boards
-from hyperbit.controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
+from hyperbit.controller.commands.arguments import ArmFile, AsJson
+from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.configure.executor_absence import session_without_executor
 from hyperbit.controller.commands.configure.probe import errors
 from hyperbit.drivers.canopen.tools.probe import ProbedNode, probe_bus

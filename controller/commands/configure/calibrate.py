@@ -13,15 +13,8 @@ import yaml
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.armfile.places import counted
 from hyperbit.controller.armfile.strict import InputFaults, read_yaml
-from hyperbit.controller.commands.common import (
-    ArmFile,
-    AsJson,
-    CommandFailed,
-    console,
-    print_json,
-    print_table,
-    results_table,
-)
+from hyperbit.controller.commands.arguments import ArmFile, AsJson
+from hyperbit.controller.commands.common import CommandFailed, console, print_json, print_table, results_table
 from hyperbit.controller.commands.sharing import (
     Dask,
     Sharing,

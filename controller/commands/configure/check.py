@@ -12,7 +12,8 @@ import typer
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.terminals import named_boards
 from hyperbit.controller.commands import common
-from hyperbit.controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
+from hyperbit.controller.commands.arguments import ArmFile, AsJson
+from hyperbit.controller.commands.common import CommandFailed, print_json
 
 if TYPE_CHECKING:
     from hyperbit.controller.arm.arm import Arm

@@ -10,21 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import common
-from hyperbit.controller.commands.common import (
-    ENDPOINT,
-    ArmName,
-    AsJson,
-    CommandFailed,
-    Connect,
-    ZenohFile,
-    arm_name,
-    print_json,
-    results_table,
-)
-from hyperbit.controller.commands.connection import connected
-from hyperbit.controller.commands.use.actuators import STATES
+from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
+from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json, results_table
+from hyperbit.controller.commands.connection import ENDPOINT, connected
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client

@@ -8,7 +8,8 @@ from typing import Annotated, NamedTuple
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.common import AsJson, CommandFailed, print_json
+from hyperbit.controller.commands.arguments import AsJson
+from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.configure.probe import Bitrate, Channel, Interface, session_on
 from hyperbit.drivers.canopen.tools.lss import BIT_TIMINGS, Lss, LssIdentity, LssRefused, over
 from hyperbit.drivers.canopen.tools.probe import probe_bus

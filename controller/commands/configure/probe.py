@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from hyperbit.controller.commands import common
-from hyperbit.controller.commands.common import AsJson, CommandFailed, print_json
+from hyperbit.controller.commands.arguments import AsJson
+from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.configure.executor_absence import session_without_executor
 from hyperbit.drivers.canopen.boot.pdo_setup import PdoState, pdo_words
 from hyperbit.drivers.canopen.pdo import carries

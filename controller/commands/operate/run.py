@@ -16,7 +16,9 @@ import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.terminals import named_boards
-from hyperbit.controller.commands.common import ENDPOINT, ArmFile, CommandFailed, ZenohFile, densities_of, load_wired
+from hyperbit.controller.commands.arguments import ArmFile, ZenohFile
+from hyperbit.controller.commands.common import CommandFailed, densities_of, load_wired
+from hyperbit.controller.commands.connection import ENDPOINT
 from hyperbit.controller.commands.operate.endpoints import port_taken, wait_for_router
 from hyperbit.controller.commands.operate.simulate import variants_of
 

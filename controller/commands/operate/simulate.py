@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.common import ArmFile, CommandFailed, console, errors
+from hyperbit.controller.commands.arguments import ArmFile
+from hyperbit.controller.commands.common import CommandFailed, console, errors
 from hyperbit.drivers.simulation.variants import VARIANTS, Variant, choose
 
 if TYPE_CHECKING:

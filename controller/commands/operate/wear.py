@@ -10,7 +10,8 @@ import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import common
-from hyperbit.controller.commands.common import ArmFile, AsJson, CommandFailed, print_json
+from hyperbit.controller.commands.arguments import ArmFile, AsJson
+from hyperbit.controller.commands.common import CommandFailed, print_json
 
 # StateDirectory of the service, and its link target under DynamicUser, which only root can read.
 SERVICE_FOLDERS = (Path("/var/lib/hyperbit"), Path("/var/lib/private/hyperbit"))

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.common import ENDPOINT, CommandFailed, ZenohFile
+from hyperbit.controller.commands.arguments import ZenohFile
+from hyperbit.controller.commands.common import CommandFailed
+from hyperbit.controller.commands.connection import ENDPOINT
 
 if TYPE_CHECKING:
     import zenoh

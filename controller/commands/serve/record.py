@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.common import ENDPOINT, ArmName, CommandFailed, Connect, ZenohFile, arm_name
+from hyperbit.controller.commands.arguments import ArmName, Connect, ZenohFile
+from hyperbit.controller.commands.common import CommandFailed, arm_name
+from hyperbit.controller.commands.connection import ENDPOINT
 from hyperbit.controller.commands.serve.arm_process import ArmProcess, opened_session
 from hyperbit.controller.commands.serve.recorder_process import can_log, new_recorder, opened_folder, record_messages
 

@@ -12,7 +12,8 @@ import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import common
-from hyperbit.controller.commands.common import AsJson, CommandFailed, arm_name, print_json
+from hyperbit.controller.commands.arguments import AsJson
+from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json
 from hyperbit.controller.commands.serve.record import require
 
 if TYPE_CHECKING:

@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.common import ENDPOINT, ArmName, CommandFailed, Connect, ZenohFile, arm_name
+from hyperbit.controller.commands.arguments import ArmName, Connect, ZenohFile
+from hyperbit.controller.commands.common import CommandFailed, arm_name
+from hyperbit.controller.commands.connection import ENDPOINT
 from hyperbit.controller.commands.serve.arm_process import RETRY, ArmProcess, opened_session
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from hyperbit.controller.arm.arm import load
-from hyperbit.controller.commands.common import ArmFile, AsJson, CommandFailed, shown
+from hyperbit.controller.commands.arguments import ArmFile, AsJson
+from hyperbit.controller.commands.common import CommandFailed, shown
 from hyperbit.controller.commands.sharing import Dask, Sharing, Workers
 from hyperbit.controller.commands.study.plan_goals import PlanOptions, PlanTask, read_task
 from hyperbit.controller.commands.study.plan_results import print_results, shown_result

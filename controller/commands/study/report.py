@@ -7,9 +7,8 @@ from typing import Annotated
 import typer
 
 from hyperbit.controller.arm.arm import load
+from hyperbit.controller.commands.arguments import ArmFile, AsJson
 from hyperbit.controller.commands.common import (
-    ArmFile,
-    AsJson,
     configuration,
     console,
     densities_of,

@@ -9,9 +9,8 @@ import typer
 
 from hyperbit.controller.arm.arm import Arm, load
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.arguments import ArmFile, AsJson
 from hyperbit.controller.commands.common import (
-    ArmFile,
-    AsJson,
     console,
     densities_of,
     parse_goal,

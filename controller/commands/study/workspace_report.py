@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.manipulator.frames import quaternion
-from hyperbit.controller.manipulator.locked import STATES
 
 if TYPE_CHECKING:
     from hyperbit.controller.workspace.coverage import Coverage, Range

@@ -9,24 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.common import (
-    ENDPOINT,
-    ArmName,
-    AsJson,
-    CommandFailed,
-    Connect,
-    ZenohFile,
-    print_json,
-    refusal,
-)
+from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
+from hyperbit.controller.commands.common import CommandFailed, print_json, refusal
 from hyperbit.controller.commands.completion import complete_changes
-from hyperbit.controller.commands.connection import START, ask, connected
+from hyperbit.controller.commands.connection import ENDPOINT, START, ask, connected
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client
 
-STATES = ("contracted", "extended")  # as hyperbit.controller.manipulator.locked has them, without its import of NumPy
 PAUSE = 0.002  # [s]; deploy/zenoh-tls.json5 drops a second request of a kind within a millisecond
 SILENCE = 10.0  # [s] without a state, after which the daemon is lost
 LOCKS = "Actuator and state, such as 5.left=contracted: contracted or extended locks it, free unlocks it."

@@ -17,16 +17,9 @@ from rich.table import Table
 from rich.text import Text
 
 from hyperbit.controller.commands import common
-from hyperbit.controller.commands.common import (
-    ENDPOINT,
-    AsJson,
-    Connect,
-    ZenohFile,
-    print_json,
-    print_table,
-    results_table,
-)
-from hyperbit.controller.commands.connection import client_config, open_session
+from hyperbit.controller.commands.arguments import AsJson, Connect, ZenohFile
+from hyperbit.controller.commands.common import print_json, print_table, results_table
+from hyperbit.controller.commands.connection import ENDPOINT, client_config, open_session
 from hyperbit.controller.commands.use.list import arms_now, fields_of, line_of_arm
 from hyperbit.controller.commands.use.watch import COLOURS
 

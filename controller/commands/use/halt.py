@@ -16,7 +16,7 @@ import typer
 from hyperbit.controller.host.sockets import found_sockets, socket_path
 from hyperbit.controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Hello, Malformed, Stop, decode_up, encode
 
-ENDPOINT = "tcp/127.0.0.1:7447"  # as in hyperbit.controller.commands.common, which takes longer to import
+ENDPOINT = "tcp/127.0.0.1:7447"  # as in hyperbit.controller.commands.connection, which takes longer to import
 ARM = "The arm's file, or its name. With --local it may be absent: all arms of this computer."
 LOCAL = "Ask the executor of this computer directly at its socket, without planner and Zenoh."
 ALL = "Stop all arms of the network, also below namespaces, and tell which have stopped."  # as in `stop`

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from hyperbit.controller.commands.common import ENDPOINT, AsJson, CommandFailed, Connect, ZenohFile, print_json
-from hyperbit.controller.commands.connection import START, open_session
+from hyperbit.controller.commands.arguments import AsJson, Connect, ZenohFile
+from hyperbit.controller.commands.common import CommandFailed, print_json
+from hyperbit.controller.commands.connection import ENDPOINT, START, open_session
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.fleet import ArmStatus

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.common import ENDPOINT, ArmName, AsJson, CommandFailed, Connect, ZenohFile, print_json
-from hyperbit.controller.commands.connection import ask, connected
+from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
+from hyperbit.controller.commands.common import CommandFailed, print_json
+from hyperbit.controller.commands.connection import ENDPOINT, ask, connected
 from hyperbit.controller.commands.use.send import read_goal
 
 if TYPE_CHECKING:

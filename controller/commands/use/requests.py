@@ -8,17 +8,10 @@ from typing import Annotated
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.common import (
-    ENDPOINT,
-    ArmName,
-    AsJson,
-    CommandFailed,
-    Connect,
-    ZenohFile,
-    print_json,
-)
+from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
+from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.completion import complete_arms
-from hyperbit.controller.commands.connection import START, ask, connected, open_session
+from hyperbit.controller.commands.connection import ENDPOINT, START, ask, connected, open_session
 
 ALL = "Stop all arms of the network, also below namespaces, and tell which have stopped."
 ANY_ARM = "The arm's file, or its name. With --all it is absent."

@@ -10,18 +10,9 @@ import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import common
-from hyperbit.controller.commands.common import (
-    ENDPOINT,
-    ArmName,
-    AsJson,
-    CommandFailed,
-    Connect,
-    ZenohFile,
-    parse_goal,
-    print_json,
-    refusal,
-)
-from hyperbit.controller.commands.connection import connected, read_payload
+from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
+from hyperbit.controller.commands.common import CommandFailed, parse_goal, print_json, refusal
+from hyperbit.controller.commands.connection import ENDPOINT, connected, read_payload
 from hyperbit.controller.commands.goal_rows import read_goal_rows
 
 if TYPE_CHECKING:

@@ -17,17 +17,9 @@ from rich.table import Table
 from rich.text import Text
 
 from hyperbit.controller.commands import common
-from hyperbit.controller.commands.common import (
-    ENDPOINT,
-    ArmName,
-    AsJson,
-    CommandFailed,
-    Connect,
-    ZenohFile,
-    arm_name,
-    print_json,
-)
-from hyperbit.controller.commands.connection import START, connected
+from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
+from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json
+from hyperbit.controller.commands.connection import ENDPOINT, START, connected
 from hyperbit.controller.commands.use.list import reason_and_faults
 
 COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}

@@ -8,7 +8,7 @@ import msgspec
 
 from hyperbit.controller.armfile.actuators import ending_time, longest_travel, read_wired, travel_times
 from hyperbit.controller.armfile.error_states import error_state
-from hyperbit.controller.armfile.locks import WORDS
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.places import placed_faults
 from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, BusSettings, RealTimeSettings
 from hyperbit.controller.armfile.strict import InputFaults
@@ -79,7 +79,7 @@ def read_arm(path: Path) -> ExecutedArm:
         rest=settings.rest_time,
         planner_timeout=settings.planner_timeout,
         locked=sum(1 << k for k, entry in enumerate(wired) if entry.stuck is not None),
-        locked_states=sum(1 << k for k, entry in enumerate(wired) if entry.stuck == WORDS[1]),
+        locked_states=sum(1 << k for k, entry in enumerate(wired) if entry.stuck == STATES[1]),
         continue_on_stuck=settings.on_stuck == "continue",
         contract_on_stop=settings.on_stop == "contract",
         ending=ending_time(settings, len(actuators)),

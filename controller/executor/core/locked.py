@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from hyperbit.controller.armfile.locks import WORDS, lock_warning, locks_in_words
+from hyperbit.controller.armfile.locks import STATES, lock_warning, locks_in_words
 from hyperbit.controller.executor.core.bits import first, indices, merged
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
@@ -51,7 +51,7 @@ class LockedActuators:
             return Refusal(Reason.NO_SUCH_ACTUATOR, count=len(self._labels), index=actuator)
         reading = measured >> actuator & 1
         if state >= 0 and readable >> actuator & 1 and reading != state:
-            return Refusal(Reason.END_STOP_CONTRADICTS, actuator=self._labels[actuator], state=WORDS[reading])
+            return Refusal(Reason.END_STOP_CONTRADICTS, actuator=self._labels[actuator], state=STATES[reading])
         return None
 
     def change(self, actuator: int, state: int) -> None:

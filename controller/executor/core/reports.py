@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 
-from hyperbit.controller.armfile.locks import WORDS
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.executor.core.arm import ExecutedArm
 from hyperbit.controller.executor.core.bits import indices
 from hyperbit.controller.executor.core.events import Health
@@ -110,6 +110,6 @@ class Reports:
         return journal + tuple(self._unknown(k) for k in indices(self._motion.readings.homing & self._master.known))
 
     def _unknown(self, k: int) -> ArmFault:
-        label, guess = self._arm.actuators[k], WORDS[self._motion.actuation.states >> k & 1]
+        label, guess = self._arm.actuators[k], STATES[self._motion.actuation.states >> k & 1]
         text = f"the state of actuator {label} is unknown: the next goal homes it to {guess} first; or use `jog`"
         return ArmFault("unknown-position", label, text)

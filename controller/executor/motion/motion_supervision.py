@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hyperbit.controller.armfile.locks import WORDS
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.executor.core.bits import indices, merged
 from hyperbit.controller.executor.core.kinds import Ends, Kinds
 from hyperbit.drivers.canopen.faults import ArmFault
@@ -243,7 +243,7 @@ class MotionSupervision:
 
     def _reads(self, k: int, ends: Ends) -> str:
         """Returns in words what the end-stops of a late actuator read."""
-        should, other = WORDS[self._commanded >> k & 1], WORDS[1 - (self._commanded >> k & 1)]
+        should, other = STATES[self._commanded >> k & 1], STATES[1 - (self._commanded >> k & 1)]
         if self._at_other_end(ends) >> k & 1:
             return f"its end-stop still reads {other}"
         if self._kinds.ends_extended & self._kinds.ends_contracted & 1 << k:
@@ -251,7 +251,7 @@ class MotionSupervision:
         return f"its end-stop does not read {should}"
 
     def _stuck(self, k: int, ends: Ends) -> Finding:
-        should, place = WORDS[self._commanded >> k & 1], self._places[k]
+        should, place = STATES[self._commanded >> k & 1], self._places[k]
         limit = self._travel(k) + self._kinds.margin[k]
         if self._missed[k] >= MOST_MISSED:
             text = f"actuator {place} missed {self._missed[k]} commands; its end-stop did not change"
@@ -260,7 +260,7 @@ class MotionSupervision:
         return Finding(k, ArmFault("stuck", place, text))
 
     def _stray(self, k: int, ends: Ends) -> Finding:
-        should, other = WORDS[self._commanded >> k & 1], WORDS[1 - (self._commanded >> k & 1)]
+        should, other = STATES[self._commanded >> k & 1], STATES[1 - (self._commanded >> k & 1)]
         place = self._places[k]
         reads = f"reads {other}" if self._at_other_end(ends) >> k & 1 else f"does not read {should} any more"
         text = f"actuator {place} moved without a command: its end-stop {reads}; check it, then reset"

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from hyperbit.controller.manipulator.locked import STATES
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN, BeginSeconds, Jog
 from hyperbit.controller.motion.decoding.setpoint import parse
 from hyperbit.controller.obstacles.notation import ObstacleList, parse_obstacles

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hyperbit.controller.manipulator.locked import STATES
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.motion.stages.feed import Feed, PlannedPoint, PlanProof, Route
 from hyperbit.controller.motion.stages.program import delay_of, in_groups
 from hyperbit.controller.planning.core.arm import ArmState, States, packed

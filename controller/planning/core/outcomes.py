@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hyperbit.controller.manipulator.locked import STATES
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.motion.stages.feed import PlanProof
 from hyperbit.controller.motion.targets import GoalTarget, measured_pose
 from hyperbit.controller.planning.core.arm import Measured
