@@ -30,15 +30,15 @@ class Seen(Protocol):
     """
 
     @property
-    def name(self) -> str: ...  # noqa: D102  # see above
+    def name(self) -> str: ...  # see above
     @property
-    def alive(self) -> bool: ...  # noqa: D102
+    def alive(self) -> bool: ...
     @property
-    def state(self) -> Message | None: ...  # noqa: D102
+    def state(self) -> Message | None: ...
     @property
-    def diagnostics(self) -> Message | None: ...  # noqa: D102
+    def diagnostics(self) -> Message | None: ...
     @property
-    def actuators(self) -> Iterable[str]: ...  # noqa: D102
+    def actuators(self) -> Iterable[str]: ...
 
 
 class Counters:
