@@ -223,6 +223,7 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
         stream: number of the followed stream, -1 if none.
         faults: active faults and warnings.
         homing: packed, 1 where the state is unknown until the next program homes the actuator; `outputs` has a guess.
+        unread: packed, 1 where the actuator was switched, and neither an end-stop nor its output, read back, has told.
     """
 
     at: Seconds
@@ -242,6 +243,7 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
     stream: Annotated[int, Meta(ge=-1)]
     faults: Annotated[tuple[Fault, ...], Meta(max_length=100)]
     homing: States = b""
+    unread: States = b""
 
 
 class Diagnostics(Message, frozen=True, tag="diagnostics"):

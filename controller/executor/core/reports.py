@@ -68,6 +68,7 @@ class Reports:
             known=known,
             sensed=pack(motion.kinds.sensed, size),
             homing=pack(motion.readings.homing & self._master.known, size),
+            unread=pack(motion.actuation.unproven, size),
             locked=pack(self._locked.mask, size),
             locks=self._locked.number,
             moving=motion.moving,

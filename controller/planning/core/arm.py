@@ -25,7 +25,7 @@ Measured = NDArray[np.int8]  # actuator states, -1 unknown
 _AFTER_PROGRAMS = ("executing", "ready")  # modes in which programs end, or have ended
 
 # Fields of a snapshot from which `ArmState` computes.
-OF_ACTUATORS = ("outputs", "measured", "known", "sensed", "homing", "locked", "moving")
+OF_ACTUATORS = ("outputs", "measured", "known", "sensed", "homing", "unread", "locked", "moving")
 
 
 def measured_states(measured: bytes, known: bytes, actuators: int) -> Measured:
@@ -96,11 +96,20 @@ class ArmState:
         """Where a plan starts that is made now."""
         return ArmStart(self.snapshot.outputs, packed(self.commanded), packed(self.states), self.snapshot.locked)
 
+    @property
+    def _none(self) -> bytes:
+        return bytes((len(self.manipulator.actuators) + 7) // 8)
+
+    @cached_property
+    def unread(self) -> list[str]:
+        """Labels of the actuators that were switched, and of which neither an end-stop nor a read has told yet."""
+        mask = self.unpacked(self.snapshot.unread or self._none)
+        return [self.manipulator.actuators[k] for k in np.flatnonzero(mask)]
+
     @cached_property
     def homing(self) -> NDArray[np.bool_]:
         """Which actuators have an unknown state until they are homed, shape (A,)."""
-        empty = bytes((len(self.manipulator.actuators) + 7) // 8)
-        return self.unpacked(self.snapshot.homing or empty).astype(np.bool_)
+        return self.unpacked(self.snapshot.homing or self._none).astype(np.bool_)
 
     @cached_property
     def known(self) -> bool:

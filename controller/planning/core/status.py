@@ -114,6 +114,7 @@ class Status:
             "configuration": self._measured["configuration"],
             "commanded": None if state is None or not state.known else state.states.tolist(),
             "measured": self._measured["measured"],
+            "unread": [] if state is None else state.unread,
             "tip": self._measured["tip"],
             "goal": None if report is None else report.id,
             "waypoint": None if report is None else report.waypoint,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from hyperbit.controller.executor.core.events import ExecutorTick, Health
-from hyperbit.controller.program import TICK, Fault, Snapshot
+from hyperbit.controller.executor.core.reports import SNAPSHOT_EVERY
+from hyperbit.controller.program import TICK, Fault, Snapshot, unpack
 from tests.executor.rig import Rig, ready
 
 
@@ -18,6 +19,18 @@ def test_no_snapshot_is_sent_between_the_rpdos_of_a_commit_and_its_sync() -> Non
     rig.master.slow_rpdos = False
     rig.go()
     assert len(rig.of(Snapshot)) > shown
+
+
+def test_actuators_that_were_switched_and_not_read_back_are_told() -> None:
+    rig = ready()
+    rig.run(0b111)
+    rig.go()
+    rig.master.unread = 0b101
+    rig.go(SNAPSHOT_EVERY + TICK)
+    assert unpack(rig.snapshot.unread) == 0b101
+    rig.master.unread = 0
+    rig.go(SNAPSHOT_EVERY + TICK)
+    assert unpack(rig.snapshot.unread) == 0
 
 
 def test_a_journal_that_cannot_be_written_is_a_warning_until_it_can() -> None:

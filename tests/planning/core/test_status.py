@@ -93,6 +93,13 @@ def test_the_state_of_an_arm_at_rest(bench: StatusBench) -> None:
     assert json.dumps(state)
 
 
+def test_actuators_that_nobody_has_read_back_are_named(bench: StatusBench) -> None:
+    bench.show(unread=bytes([0b10, 0b1]))
+    assert bench.state()["unread"] == ["1.diagonal", "3.right"]
+    bench.show(unread=b"")
+    assert bench.state()["unread"] == []
+
+
 def test_the_tip_follows_the_measured_states(bench: StatusBench) -> None:
     bench.show()
     bench.state()

@@ -46,7 +46,7 @@ class Judge:
         self.proofs = Proofs(self.account, arm)
         self.commands = Commands(self.account, arm, self.proofs)
         self.silence = Silence(self.account, self._lose_silent)
-        self.snapshots = Snapshots(self.account, self.silence)
+        self.snapshots = Snapshots(self.account, self.silence, self.proofs)
         self.travels, self.reasons = Travels(self.account, arm), Reasons(self.account)
         self.programs = Programs(self.account, self.snapshots, self.silence, self.travels, self.reasons, self.proofs)
         self.pulses = Pulses(self.account)

@@ -45,6 +45,11 @@ class Proofs:
         self._known_at = [0.0] * self._a.arm.count  # when the process heard of each actuator's SYNC [s]
         self._asked: dict[tuple[str, int, int], float] = {}  # last request for each byte of outputs [s]
 
+    @property
+    def unread(self) -> int:
+        """Mask of the actuators without end-stops that were switched, and that nobody has read since."""
+        return self._open | self.missed
+
     def switched(self, commit: Commit, here: int) -> None:
         """The process hears that the SYNC of a commit was sent to the boards of the actuators of a mask."""
         a, paired, here = self._a, self._a.arm.paired, here & commit.mask
@@ -93,7 +98,7 @@ class Proofs:
 
     def done(self, run: Run, verified: bool, text: str) -> None:
         """Judges that a program is done."""
-        wrong = run.moved & (self._open | self.missed)
+        wrong = run.moved & self.unread
         require(not wrong, f"{text} is done, and nobody has read back the outputs of {wrong:b}")
         told = verified == (not run.moved & self.forgone)
         require(told, f"{text} tells verified as {verified}, {run.moved:b} has moved, nobody reads {self.forgone:b}")

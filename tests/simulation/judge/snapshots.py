@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from hyperbit.controller.program import Snapshot, unpack
 from tests.simulation.judge.account import EPSILON, Account
+from tests.simulation.judge.proofs import Proofs
 from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.verdict import require
 
@@ -22,10 +23,11 @@ class Snapshots:
     Args:
         account: of the executor.
         silence: of the planner.
+        proofs: tells what was read back.
     """
 
-    def __init__(self, account: Account, silence: Silence) -> None:
-        self._a, self._silence = account, silence
+    def __init__(self, account: Account, silence: Silence, proofs: Proofs) -> None:
+        self._a, self._silence, self._proofs = account, silence, proofs
         self.begin()
 
     def begin(self) -> None:
@@ -166,6 +168,8 @@ class Snapshots:
         if mode in ("ready", "executing"):
             self._judge_outputs(snapshot, homing)
             self.judge_states(snapshot.measured, snapshot.known, "a snapshot")
+            unread, so = unpack(snapshot.unread), self._proofs.unread
+            require(unread == so, f"{unread:b} are told as not read back, and {so:b} are not")
             self._judge_moving(snapshot)
         degraded = sum(fault.code == "degraded" for fault in snapshot.faults)
         require(degraded == a.locked.bit_count(), f"{degraded} warnings of locks, {a.locked:b} are locked")

@@ -122,6 +122,9 @@ class States:
         extra = [f for f in told if f not in theirs and f[0] not in OWN | SHELL]
         if extra:
             return f"{extra} are no faults"
+        unread = [label for k, label in enumerate(a.modules.labels) if unpack(snapshot.unread) >> k & 1]
+        if payload["unread"] != unread:
+            return f"unread are {unread}"
         codes = {fault[0] for fault in told}
         everything = (1 << len(a.modules.labels)) - 1
         surely = unpack(snapshot.known) | unpack(snapshot.homing) == everything
