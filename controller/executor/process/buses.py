@@ -57,6 +57,7 @@ class CanBuses:
         """Takes the settings of each bus."""
         self._buses = {one.name: CanBus(one) for one in settings}
         self._unopened = set(self._buses)
+        self._told: dict[str, str] = {}  # why a bus could not be opened
         self._next_try = 0.0
         self._waiting: deque[Event] = deque()
 
@@ -124,9 +125,9 @@ class CanBuses:
             try:
                 self._buses[name].open()
                 self._unopened.discard(name)
-            except InterfaceInUse:
-                if first:  # the loop has not begun
-                    raise
             except BusError as error:
-                if first:
+                if first and isinstance(error, InterfaceInUse):  # the loop has not begun
+                    raise
+                if str(error) != self._told.get(name):
+                    self._told[name] = str(error)
                     log.error("%s; tried again every %g s", error, OPEN_EVERY)
