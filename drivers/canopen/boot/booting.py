@@ -7,8 +7,8 @@ from functools import partial
 
 from hyperbit.drivers.canopen.boot.board_boot import boot_board
 from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.board import Station
 from hyperbit.drivers.canopen.run.outputs import OutputLines
-from hyperbit.drivers.canopen.run.station import Station
 from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 _MOST_REBOOTS = 5  # restarts of one board during its boot

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from hyperbit.drivers.canopen.faults import ArmFault, FaultLog
 from hyperbit.drivers.canopen.layout import Layout, lay_out
 from hyperbit.drivers.canopen.pdo import union
-from hyperbit.drivers.canopen.run.board import Board, StateImage
+from hyperbit.drivers.canopen.run.board import Board, StateImage, Station
 from hyperbit.drivers.canopen.run.outputs import Key, OutputLines
 from hyperbit.drivers.canopen.run.reception import Reception
-from hyperbit.drivers.canopen.run.station import Station
 from hyperbit.drivers.canopen.status import MasterStatus
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from hyperbit.drivers.canopen.faults import ArmFault
-from hyperbit.drivers.canopen.run.station import Station
+from hyperbit.drivers.canopen.run.board import Station
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.canopen.wire.link import Link, Outgoing

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from hyperbit.drivers.canopen.pdo import subs_of
-from hyperbit.drivers.canopen.run.station import Station
+from hyperbit.drivers.canopen.run.board import Station
 from hyperbit.drivers.canopen.wire.cia301 import wire_bits
 from hyperbit.drivers.canopen.wire.link import Link
 

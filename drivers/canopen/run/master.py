@@ -22,7 +22,7 @@ from hyperbit.drivers.canopen.wire.events import (
     FrameReceived,
     SendFailed,
 )
-from hyperbit.drivers.canopen.wire.load import BITS
+from hyperbit.drivers.canopen.wire.link import BITS
 from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 

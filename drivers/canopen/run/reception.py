@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.board import Station
 from hyperbit.drivers.canopen.run.outputs import OutputLines
-from hyperbit.drivers.canopen.run.station import Station
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from hyperbit.drivers.canopen.wiring import MASTER

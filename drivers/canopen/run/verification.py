@@ -6,9 +6,8 @@ from collections.abc import Generator
 
 from hyperbit.drivers.canopen.faults import ArmFault, board_error
 from hyperbit.drivers.canopen.pdo import subs_of, union
-from hyperbit.drivers.canopen.run.board import Board
+from hyperbit.drivers.canopen.run.board import Board, Station
 from hyperbit.drivers.canopen.run.boards import Boards
-from hyperbit.drivers.canopen.run.station import Station
 from hyperbit.drivers.canopen.run.switching import OutputSwitching
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
 from hyperbit.drivers.canopen.sdo.objects import Need, abort_words

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import socket
+import struct
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -14,7 +15,6 @@ import can
 from hyperbit.drivers.canopen.faults import BusError
 from hyperbit.drivers.canopen.wire.cia301 import BUS_OFF, REMOTE, RESTARTED, Frame, wire_bits
 from hyperbit.drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
-from hyperbit.drivers.canopen.wire.interface_lock import lock_interface
 from hyperbit.drivers.canopen.wiring import BusWiring
 
 _MOST_EVENTS = 256  # in one poll, so that a flood does not block the caller
@@ -58,6 +58,40 @@ def read_error(identifier: int, data: bytes) -> ErrorFrame:
     # Drivers before Linux 6.1 tell the counters with a state, and without the flag.
     told = identifier & _COUNTERS or (controller and (state is not None or any(data[6:8])))
     return ErrorFrame(state, (data[6], data[7]) if told else None, controller and bool(data[1] & _OVERRUN))
+
+
+class InterfaceInUse(BusError):
+    """Another process of this computer owns the interface."""
+
+
+def lock_interface(channel: str) -> socket.socket:
+    """Returns what holds the lock of a SocketCAN interface until it is closed, or until the process ends.
+
+    It is a Unix socket in the abstract namespace, which belongs to a network namespace as interfaces do.
+
+    Raises:
+        InterfaceInUse: another process holds it; the text names the process.
+    """
+    address = f"\0hyperbit/can/{channel}"
+    lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        lock.bind(address)
+    except OSError:
+        with lock:
+            raise InterfaceInUse(f"process {_owner(lock, address)} of hyperbit uses {channel}: stop it first") from None
+    lock.listen()
+    return lock
+
+
+def _owner(client: socket.socket, address: str) -> int | str:
+    """Returns the id of the process that listens at an address."""
+    try:
+        client.connect(address)
+    except OSError:
+        return "(unknown)"
+    size = struct.calcsize("3i")
+    pid: int = struct.unpack("3i", client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))[0]
+    return pid
 
 
 class CanBus:

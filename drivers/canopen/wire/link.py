@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.status import BusStatus, Traffic
-from hyperbit.drivers.canopen.wire.cia301 import Frame
-from hyperbit.drivers.canopen.wire.load import Meter
+from hyperbit.drivers.canopen.wire.cia301 import Frame, wire_bits
 from hyperbit.drivers.canopen.wire.tx_echo import TxPending
 from hyperbit.drivers.canopen.wiring import BusWiring
 
+BITS = tuple(wire_bits(size) for size in range(9))  # on the wire, by bytes of data
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
 _ECHOED = 0.03  # [s] within which nearly all commands are sent
 _UNUSABLE = ("closed", "down", "bus-off")
@@ -34,6 +34,49 @@ class Outgoing:
         self.frame = frame
         self.first_at: float | None = None
         self.sent = self.cancelled = False
+
+
+class Meter:
+    """Counts the traffic of one bus.
+
+    Attributes:
+        tx_frames: frames sent.
+        rx_frames: frames received.
+        frames_per_second: sent and received frames, over about the last second.
+        bits_per_second: bits of those frames, with the greatest possible number of stuff bits.
+    """
+
+    def __init__(self) -> None:
+        self.tx_frames = self.rx_frames = 0
+        self.frames_per_second = self.bits_per_second = 0.0
+        self._bits = 0
+        self._counted: tuple[float, int, int] | None = None
+
+    def sent(self, size: int) -> None:
+        """Counts a sent frame of `size` bytes of data."""
+        self.tx_frames += 1
+        self._bits += BITS[min(size, 8)]
+
+    def unsent(self, size: int) -> None:
+        """Subtracts a frame that could not be sent."""
+        self.tx_frames -= 1
+        self._bits -= BITS[min(size, 8)]
+
+    def received(self, bits: int) -> None:
+        """Counts a received frame of `bits` on the wire."""
+        self.rx_frames += 1
+        self._bits += bits
+
+    def tick(self, now: float) -> None:
+        """Computes the rates once a second; `now` in [s]."""
+        if self._counted is not None and now - self._counted[0] < 1.0:
+            return
+        frames = self.tx_frames + self.rx_frames
+        if self._counted is not None:
+            elapsed = now - self._counted[0]
+            self.frames_per_second = (frames - self._counted[1]) / elapsed
+            self.bits_per_second = (self._bits - self._counted[2]) / elapsed
+        self._counted = now, frames, self._bits
 
 
 class Link:
