@@ -68,7 +68,7 @@ class Master:
             case FrameReceived(bus, frame):
                 link.received(BITS[min(len(frame.data), 8)])
                 if not self._receptions[bus].receive_frame(frame, time):
-                    link.ignored()
+                    link.ignored += 1
             case FrameEchoed(bus, frame):
                 if not (sent := link.echoed(frame, time)):  # another program of this computer has sent it
                     self.receive_event(FrameReceived(bus, frame, None), now)
@@ -77,12 +77,12 @@ class Master:
                     self._receptions[bus].echoed(each, time)
             case FrameIgnored(_, bits):
                 link.received(bits)
-                link.ignored()
+                link.ignored += 1
             case BusChanged(_, state, why, errors):
                 if (fault := link.changed(state, why, errors, time)) is not None:
                     self._lose(fault)
             case BusOverrun(bus):
-                link.overrun()
+                link.overruns += 1
                 if not self._booting.under_way:
                     self._inputs.hurry(bus, time)
             case SendFailed(bus, frame, why):

@@ -1,4 +1,4 @@
-"""One CAN bus from the master's side: its state, the frames being sent, and the frames that wait."""
+"""One CAN bus from the master's side: its state and load, the frames being sent, and the frames that wait."""
 
 from __future__ import annotations
 
@@ -15,82 +15,26 @@ BITS = tuple(wire_bits(size) for size in range(9))  # on the wire, by bytes of d
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
 _ECHOED = 0.03  # [s] within which nearly all commands are sent
 _UNUSABLE = ("closed", "down", "bus-off")
-_BUS_OFF = "the controller is bus-off after too many errors; check cable, termination, bit rate"
 
 
 class Outgoing:
-    """A queued frame, which is sent again if the bus was full.
-
-    Attributes:
-        frame: the frame.
-        first_at: time when it was handed out first [s]; None while it waits.
-        sent: whether it was sent, as far as is known.
-        cancelled: it will not be sent any more.
-    """
+    """A queued frame, which is sent again if the bus was full."""
 
     __slots__ = ("cancelled", "first_at", "frame", "sent")
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
-        self.first_at: float | None = None
-        self.sent = self.cancelled = False
-
-
-class Meter:
-    """Counts the traffic of one bus.
-
-    Attributes:
-        tx_frames: frames sent.
-        rx_frames: frames received.
-        frames_per_second: sent and received frames, over about the last second.
-        bits_per_second: bits of those frames, with the greatest possible number of stuff bits.
-    """
-
-    def __init__(self) -> None:
-        self.tx_frames = self.rx_frames = 0
-        self.frames_per_second = self.bits_per_second = 0.0
-        self._bits = 0
-        self._counted: tuple[float, int, int] | None = None
-
-    def sent(self, size: int) -> None:
-        """Counts a sent frame of `size` bytes of data."""
-        self.tx_frames += 1
-        self._bits += BITS[min(size, 8)]
-
-    def unsent(self, size: int) -> None:
-        """Subtracts a frame that could not be sent."""
-        self.tx_frames -= 1
-        self._bits -= BITS[min(size, 8)]
-
-    def received(self, bits: int) -> None:
-        """Counts a received frame of `bits` on the wire."""
-        self.rx_frames += 1
-        self._bits += bits
-
-    def tick(self, now: float) -> None:
-        """Computes the rates once a second; `now` in [s]."""
-        if self._counted is not None and now - self._counted[0] < 1.0:
-            return
-        frames = self.tx_frames + self.rx_frames
-        if self._counted is not None:
-            elapsed = now - self._counted[0]
-            self.frames_per_second = (frames - self._counted[1]) / elapsed
-            self.bits_per_second = (self._bits - self._counted[2]) / elapsed
-        self._counted = now, frames, self._bits
+        self.first_at: float | None = None  # when it was handed out first [s]; None while it waits
+        self.sent = False  # as far as is known
+        self.cancelled = False  # it will not be sent any more
 
 
 class Link:
-    """One CAN bus.
+    """One CAN bus; its `state` is "closed", "active", "warning", "passive", "bus-off" or "down".
 
     `rearm` arms the bus. The loss of the bus (bus-off, down, or stuck) disarms it. RPDOs and SYNC are sent only while
     it is armed: the kernel sends the frames that it still holds when the bus comes back. Only a release, which switches
     lines off, is sent on a bus that is not armed.
-
-    Attributes:
-        wiring: name, interface, channel and bit rate.
-        state: "closed", "active", "warning", "passive", "bus-off" or "down".
-        armed: whether RPDOs and SYNC may be sent.
-        pending: frames that were handed out and have not been echoed.
 
     Args:
         wiring: name, interface, channel and bit rate.
@@ -99,11 +43,10 @@ class Link:
     """
 
     def __init__(self, wiring: BusWiring, send: Callable[[str, Frame], None], stuck_after: float) -> None:
-        self.wiring = wiring
-        self.name = wiring.name
-        self.state = "closed"
-        self.armed = False
-        self.pending = TxPending(longest=max(1.0, 2 * stuck_after))
+        self.wiring, self.name = wiring, wiring.name
+        self.state, self.armed = "closed", False
+        self.pending = TxPending()
+        self.ignored = self.overruns = 0  # received frames that were not understood, and losses of frames
         self._hand_out, self._stuck_after = send, stuck_after
         self._lost_at = -1.0
         self._failing_since: float | None = None
@@ -111,9 +54,10 @@ class Link:
         self._queue: deque[Outgoing] = deque()
         self._urgent: deque[Outgoing] = deque()
         self._unsent: dict[Frame, Outgoing] = {}  # from the queue, handed out and not yet sent
-        self._meter = Meter()
         self._errors = 0, 0
-        self._dropped = self._ignored = self._overruns = 0
+        self._dropped = self._tx_frames = self._rx_frames = self._bits = 0
+        self._counted: tuple[float, int, int] | None = None  # time, frames and bits when the rates were computed
+        self._frames_per_second = self._bits_per_second = 0.0
 
     @property
     def usable(self) -> bool:
@@ -142,7 +86,7 @@ class Link:
 
     def rearm(self) -> ArmFault | None:
         """Arms the bus and drops waiting frames; returns a fault if the bus is not usable."""
-        self.clear()
+        self._clear()
         self.armed = self.usable
         if self.armed:
             self.pending.give_up()
@@ -151,19 +95,11 @@ class Link:
         code = "bus-off" if self.state == "bus-off" else "bus-down"
         return ArmFault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface")
 
-    def clear(self) -> None:
-        """Drops the queued frames."""
-        for outgoing in (*self._urgent, *self._queue, *self._unsent.values()):
-            outgoing.cancelled = True
-        self._urgent.clear()
-        self._queue.clear()
-        self._unsent.clear()
-
     def send_frame(self, frame: Frame, now: float) -> None:
         """Hands out a frame at once."""
         self._sent_since_tick = True
         self.pending.sent(frame, now)
-        self._meter.sent(len(frame.data))
+        self._count_sent(frame, 1)
         self._hand_out(self.name, frame)
 
     def queue(self, outgoing: Outgoing, now: float, urgent: bool = False) -> None:
@@ -173,17 +109,10 @@ class Link:
 
     def received(self, bits: int) -> None:
         """Counts a received frame of `bits` on the wire."""
-        self._meter.received(bits)
+        self._rx_frames += 1
+        self._bits += bits
         if self.state == "bus-off":  # the error frame of its restart was missed
             self.state = "active"
-
-    def ignored(self) -> None:
-        """Counts a received frame that was not understood."""
-        self._ignored += 1
-
-    def overrun(self) -> None:
-        """Counts a loss of received frames."""
-        self._overruns += 1
 
     def echoed(self, frame: Frame, now: float) -> list[Frame]:
         """Takes the echo of a frame; returns the frames that were sent, see `TxPending.came_back`."""
@@ -201,7 +130,7 @@ class Link:
         if not self.pending.failed(frame):
             return
         self._dropped += 1
-        self._meter.unsent(len(frame.data))
+        self._count_sent(frame, -1)
         self._failed_since_tick = True
         if self._failing_since is None:
             self._failing_since = now
@@ -219,23 +148,23 @@ class Link:
         """Takes a new state and new error counters; returns a fault if the bus is lost."""
         if errors is not None:
             self._errors = errors
-        if state is None:
-            return None
-        if state in ("down", "bus-off"):
-            return self._lose(state, why or (_BUS_OFF if state == "bus-off" else "the interface is down"), now)
-        if self.state in ("down", "closed"):  # it was opened again
-            self.pending.forget()
-            self.clear()
-        self.state = state
-        self.armed &= self.usable
+        if state == "bus-off":
+            advice = "the controller is bus-off after too many errors; check cable, termination, bit rate"
+            return self._lose(state, "bus-off", why or advice, now)
+        if state == "down":
+            return self._lose(state, "bus-down", why or "the interface is down", now)
+        if state is not None:
+            if self.state in ("down", "closed"):  # it was opened again
+                self.pending.forget()
+                self._clear()
+            self.state = state
+            self.armed &= self.usable
         return None
 
     def tick(self, now: float, clock: float) -> ArmFault | None:
         """Call every period; returns a fault if the bus is stuck.
 
-        Args:
-            now: time that stands still while the loop stalls [s].
-            clock: real time [s].
+        `now` stands still while the loop stalls, `clock` is the real time [s].
         """
         if self._sent_since_tick and not self._failed_since_tick:
             self._failing_since = None
@@ -244,11 +173,11 @@ class Link:
             for outgoing in self._unsent.values():
                 outgoing.sent = True
             self._unsent.clear()
-        self.pending.tick(now)
-        self._meter.tick(clock)
+        self.pending.give_up(now - max(1.0, 2 * self._stuck_after))
+        self._count_rates(clock)
         if self.armed and self._stuck_for(now) > self._stuck_after:
             why = f"no frame was sent for {self._stuck_after:g} s: is the bus full, and does another node acknowledge?"
-            return self._lose(self.state, why, now)
+            return self._lose(self.state, "bus-busy", why, now)
         self._pump(now)
         return None
 
@@ -262,22 +191,36 @@ class Link:
 
     def status(self, worst_case: Traffic) -> BusStatus:
         """Returns state and counters, with the computed worst case."""
-        meter = self._meter
         return BusStatus(
             name=self.name,
             state=self.state,
-            tx_frames=meter.tx_frames,
-            rx_frames=meter.rx_frames,
+            tx_frames=self._tx_frames,
+            rx_frames=self._rx_frames,
             tx_errors=self._errors[0],
             rx_errors=self._errors[1],
             dropped=self._dropped,
-            ignored=self._ignored,
-            overruns=self._overruns,
-            frames_per_second=meter.frames_per_second,
-            bits_per_second=meter.bits_per_second,
-            load=min(1.0, meter.bits_per_second / self.wiring.bitrate),
+            ignored=self.ignored,
+            overruns=self.overruns,
+            frames_per_second=self._frames_per_second,
+            bits_per_second=self._bits_per_second,
+            load=min(1.0, self._bits_per_second / self.wiring.bitrate),
             worst_case=worst_case,
         )
+
+    def _count_sent(self, frame: Frame, count: int) -> None:
+        self._tx_frames += count
+        self._bits += count * BITS[min(len(frame.data), 8)]
+
+    def _count_rates(self, clock: float) -> None:
+        """Computes the rates once a second."""
+        frames = self._tx_frames + self._rx_frames
+        if self._counted is not None:
+            began, frames_before, bits_before = self._counted
+            if (elapsed := clock - began) < 1.0:
+                return
+            self._frames_per_second = (frames - frames_before) / elapsed
+            self._bits_per_second = (self._bits - bits_before) / elapsed
+        self._counted = clock, frames, self._bits
 
     def _pump(self, now: float) -> None:
         """Hands out queued frames, a few at a time: SDO transfers must not delay the heartbeat on a slow bus."""
@@ -292,15 +235,20 @@ class Link:
                 self._unsent[outgoing.frame] = outgoing
                 self.send_frame(outgoing.frame, now)
 
+    def _clear(self) -> None:
+        """Drops the queued frames."""
+        for outgoing in (*self._urgent, *self._queue, *self._unsent.values()):
+            outgoing.cancelled = True
+        self._urgent.clear()
+        self._queue.clear()
+        self._unsent.clear()
+
     def _stuck_for(self, now: float) -> float:
         """Returns for how long a frame has been waiting to be sent [s]."""
         since = [t for t in (self._failing_since, self.pending.oldest) if t is not None]
         return now - min(since) if since else 0.0
 
-    def _lose(self, state: str, why: str, now: float) -> ArmFault:
-        self.armed = False
-        self.state = state
-        self._lost_at = now
-        self.clear()
-        code = {"bus-off": "bus-off", "down": "bus-down"}.get(state, "bus-busy")
+    def _lose(self, state: str, code: str, why: str, now: float) -> ArmFault:
+        self.armed, self.state, self._lost_at = False, state, now
+        self._clear()
         return ArmFault(code, self.name, f"{self.name}: {why}")

@@ -2,53 +2,40 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from typing import NamedTuple
 
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Frame
 
-
-class HandedOut(NamedTuple):
-    """When a frame was handed out: its number, and the time [s]."""
-
-    number: int
-    at: float
+HandedOut = tuple[int, float]  # number of a frame that was handed out, and time [s]
 
 
 class TxPending:
-    """The frames that wait for their echo.
+    """The frames that wait for their echo; `last_echo` is the time of the last echo [s].
 
     SocketCAN echoes each frame when it was sent (receive_own_messages). Frames are matched by identifier and data,
     since controllers with several mailboxes do not keep the order. All controllers send a frame before one that was
     handed out later and has a greater identifier. So the echo of the later frame shows that the echo of the earlier
     one was lost. Some interfaces never echo frames: no frame counts as pending until the first echo.
-
-    Attributes:
-        last_echo: time of the last echo [s]; None before the first.
-
-    Args:
-        longest: a frame is not waited for any longer [s].
     """
 
-    def __init__(self, longest: float) -> None:
+    def __init__(self) -> None:
         self.last_echo: float | None = None
-        self._longest = longest
         self._number = 0
         self._pending: dict[Frame, list[HandedOut]] = {}
         self._given_up: Counter[Frame] = Counter()
 
     @property
     def count(self) -> int:
-        """Number of pending frames."""
         return 0 if self.last_echo is None else sum(map(len, self._pending.values()))
 
     @property
     def oldest(self) -> float | None:
         """Time when the oldest pending frame was handed out [s]; None if no frame is pending."""
-        if not self._pending or self.last_echo is None:
+        if self.last_echo is None:
             return None
-        return min(out[0].at for out in self._pending.values())
+        return min((outs[0][1] for outs in self._pending.values()), default=None)
 
     def holds(self, cob_id: int) -> bool:
         """Returns whether a frame with an identifier is pending."""
@@ -56,13 +43,13 @@ class TxPending:
 
     def commanded(self, before: float) -> bool:
         """Returns whether an NMT command, SYNC or RPDO is pending that was handed out before a time [s]."""
-        outs = (out[0].at for frame, out in self._pending.items() if frame.id < cia301.SDO_ANSWER)
+        outs = (outs[0][1] for frame, outs in self._pending.items() if frame.id < cia301.SDO_ANSWER)
         return self.last_echo is not None and min(outs, default=before) < before
 
     def sent(self, frame: Frame, now: float) -> None:
         """Records a frame that is handed out."""
         self._number += 1
-        self._pending.setdefault(frame, []).append(HandedOut(self._number, now))
+        self._pending.setdefault(frame, []).append((self._number, now))
 
     def failed(self, frame: Frame) -> bool:
         """Removes a frame that could not be sent; returns whether it was pending."""
@@ -84,27 +71,18 @@ class TxPending:
         self._given_up.update(lost)
         return [*lost, frame]
 
-    def tick(self, now: float) -> None:
-        """Stops to wait for frames that are pending for longer than `longest`."""
-        for old in [frame for frame, outs in self._pending.items() if now - outs[0].at > self._longest]:
-            self._give_up(old)
-
-    def give_up(self) -> None:
-        """Stops to wait for all pending frames; their echoes are still recognized."""
-        for frame in list(self._pending):
-            self._give_up(frame)
+    def give_up(self, before: float = math.inf) -> None:
+        """Stops to wait for frames that were handed out before a time [s]; their echoes are still recognized."""
+        for frame in [frame for frame, outs in self._pending.items() if outs[0][1] < before]:
+            self._given_up[frame] += len(self._pending.pop(frame))
 
     def forget(self) -> None:
         """Forgets all frames: a bus that was opened again cannot echo them."""
         self._pending.clear()
         self._given_up.clear()
 
-    def _give_up(self, frame: Frame) -> None:
-        self._given_up[frame] += len(self._pending.pop(frame))
-
     def _remove(self, frame: Frame) -> HandedOut | None:
-        outs = self._pending.get(frame)
-        if not outs:
+        if (outs := self._pending.get(frame)) is None:
             return None
         out = outs.pop(0)
         if not outs:
