@@ -1,4 +1,4 @@
-"""One board: NMT state, heartbeats or node guarding, emergencies and inputs, as received from the bus."""
+"""One board: NMT state, heartbeats or node guarding, emergencies and inputs, as received, and procedures with it."""
 
 from __future__ import annotations
 
@@ -22,21 +22,14 @@ _WINDOW = 10  # periods of the heartbeat in which it is counted
 
 @dataclass
 class StateImage:
-    """Levels of all input lines. Each board writes its own lines.
+    """Levels of all input lines. Each board writes its own lines."""
 
-    Attributes:
-        ends: levels of the input lines.
-        up: mask of the input lines whose board is ready.
-        known: mask of the actuators whose boards are all ready: that of the outputs and those of the end-stops.
-    """
-
-    ends: int = 0
-    up: int = 0
-    known: int = 0
+    ends: int = 0  # levels
+    up: int = 0  # mask of the input lines whose board is ready
+    known: int = 0  # mask of the actuators whose boards are all ready: that of the outputs and those of the end-stops
     _missing: dict[str, int] = field(default_factory=dict)  # actuators of each board that is not ready
 
     def set_ready(self, board: BoardLayout, ready: bool) -> None:
-        """Records whether a board is ready."""
         if ready:
             self._missing.pop(board.name, None)
             self.up |= board.input_lines
@@ -48,20 +41,13 @@ class StateImage:
 
 
 class BeatCount:
-    """Counts the heartbeats of one node id: two boards send twice as many.
-
-    Attributes:
-        period: configured period of the heartbeat [s]; 0 if unknown, or with node guarding.
-    """
+    """Counts the heartbeats of one node id: two boards send twice as many."""
 
     def __init__(self) -> None:
-        self.period = 0.0
-        self._heard = self._windows = 0
+        self.period = 0.0  # of the heartbeat, as configured [s]; 0 if unknown, or with node guarding
+        self.heard = 0
+        self._windows = 0
         self._began: float | None = None
-
-    def heard(self) -> None:
-        """Counts a heartbeat."""
-        self._heard += 1
 
     def twice(self, now: float, stalled: bool) -> bool:
         """Returns whether two successive windows of 10 periods had 15 heartbeats or more. Call at each tick.
@@ -69,70 +55,56 @@ class BeatCount:
         Frames that were held up come at once, but after a window with few of them.
         """
         if not self.period or stalled or self._began is None:
-            self._began, self._heard, self._windows = now, 0, 0
+            self._began, self.heard, self._windows = now, 0, 0
         elif now - self._began >= _WINDOW * self.period:
-            self._windows = self._windows + 1 if self._heard >= 1.5 * _WINDOW else 0
-            self._began, self._heard = now, 0
+            self._windows = self._windows + 1 if self.heard >= 1.5 * _WINDOW else 0
+            self._began, self.heard = now, 0
         return self._windows >= 2
 
 
 class Board:
-    """One board.
-
-    Attributes:
-        layout: wiring of the board.
-        state: NMT state; None if unknown.
-        frames: number of frames received from the board.
-        boots: number of boot-up messages received from it.
-        restarted: whether it has restarted since its last boot, so that its outputs are off or unknown.
-        input_frames: number of TPDOs received from it.
-        emergency: error code of its last emergency; None without an emergency, or after its end.
-        guarded: whether node guarding supervises the board, in place of heartbeats.
-        emergency_register: error register, 1001h, in that emergency; 0 without one.
-        unverified: number of switches and reads whose outputs could not be read back.
-        history: newest error, 1003h sub 1, at the end of the last boot; None if it is not there.
-        ignored_errors: bits of the error register 1001h that are no fault.
-        warnings: sentences on the board's limits from its last boot, without its name.
-        expected: values of its objects at the end of the last boot.
-        beats: counts its heartbeats.
-        released: whether outputs were written off before the last start.
-        held: whether an NMT command 80h of another program, and nothing else, has made it leave operational, so that
-            its pins hold; None: something else may have changed them.
+    """One board on its bus.
 
     Args:
+        index: index of the board.
         layout: wiring of the board.
+        link: its bus.
         image: takes the inputs of the board.
         report: takes faults.
     """
 
-    def __init__(self, layout: BoardLayout, image: StateImage, report: Callable[[ArmFault], None]) -> None:
-        self.layout = layout
-        self.state: State | None = None
-        self.frames = self.boots = self.input_frames = 0
+    def __init__(
+        self, index: int, layout: BoardLayout, link: Link, image: StateImage, report: Callable[[ArmFault], None]
+    ) -> None:
+        self.index, self.layout, self.link, self.name = index, layout, link, layout.name
+        self.runner = Runner(layout.node, link)
+        self.questioning = self._question_again = False  # whether a question for its inputs waits for the answer
+        self.state: State | None = None  # NMT state; None: unknown
+        self.frames = self.boots = self.input_frames = 0  # that were understood; boot-up messages and TPDOs among them
+        self.guarded = False  # the master polls it by remote frames: it sends no heartbeats
+        self.emergency: int | None = None  # code of the last one; None after its end
+        self.emergency_register = 0  # error register that came with it
+        self.ignored_errors = 0  # bits of 1001h that are no fault, or stood already at the boot
+        self.history: int | None = None  # newest entry of 1003h at the boot; None: not asked, or there is none
+        self.unverified = 0  # counts switches and reads whose outputs could not be read back
+        self.warnings: tuple[str, ...] = ()  # limits of the board
+        self.expected: tuple[Need, ...] = ()  # values of its objects at the end of the last boot
+        self.beats = BeatCount()
+        self.restarted = False  # since the last boot
+        self.released = False  # outputs were written off before the last start
+        # Whether an NMT command 80h of another program, and nothing else, has made it leave operational, so that its
+        # pins hold. None: something else may have changed them.
+        self.held: bool | None = None
         self._image, self.report = image, report
         self._inputs = 0
-        self._ready = self._booted = self._lost = self.restarted = False
+        self._ready = self._booted = self._lost = False
         self._frames_before = 0  # number of frames when the board was lost
         self._beat_at: float | None = None
-        self.emergency: int | None = None
-        self.guarded = False
-        self.ignored_errors = self.emergency_register = self.unverified = 0
-        self.history: int | None = None
-        self.warnings: tuple[str, ...] = ()
-        self.expected: tuple[Need, ...] = ()
-        self.beats = BeatCount()
-        self.released = False
-        self.held: bool | None = None
         self._toggle: int | None = None  # toggle bit of the last answer to node guarding
         self._tpdos: dict[int, tuple[int, list[Carried]]] = {}
         self.set_tpdos(layout.tpdos)
         image.set_ready(layout, False)
         image.ends |= sum(bit.line for bit in layout.inputs if bit.inverted)
-
-    @property
-    def name(self) -> str:
-        """Name for messages, e.g. "can0/5"."""
-        return self.layout.name
 
     @property
     def heard(self) -> bool:
@@ -153,6 +125,11 @@ class Board:
             self._frames_before = self.frames
         self._image.set_ready(self.layout, ready)
 
+    @property
+    def stopped(self) -> bool:
+        """Whether it is heard, and is stopped: it answers no SDO."""
+        return self.state is State.STOPPED and not self._lost
+
     def forget(self) -> None:
         """Marks outputs, inputs and NMT state as unknown until the next boot."""
         self.released &= not self._booted  # an attempt that failed is not the last start
@@ -164,10 +141,23 @@ class Board:
         self.ready = False
         self.report(fault)
 
-    @property
-    def stopped(self) -> bool:
-        """Whether it is heard, and is stopped: it answers no SDO."""
-        return self.state is State.STOPPED and not self._lost
+    def cancel(self) -> None:
+        """Cancels the running procedure."""
+        self.runner.cancel()
+        self.questioning = self._question_again = False
+
+    def question(self, now: float) -> None:
+        """Asks for the inputs; asks again after a running question, whose answer may be too old."""
+        if self.questioning:
+            self._question_again = True
+        elif self._ready and self.layout.inputs:
+            self.questioning, self._question_again = True, False
+            self.runner.start(self._ask_inputs(), self._answered, now)
+
+    def probe(self, now: float) -> None:
+        """Asks for the device type, 1000h; any answer shows that the board is back."""
+        if not self.runner.running:
+            self.runner.start(_ask_presence(), None, now)
 
     def obey(self, command: int) -> None:
         """Takes an NMT command of another program for the board."""
@@ -189,49 +179,42 @@ class Board:
         self._set_inputs(self._inputs & ~(0xFF << shift) | (value & 0xFF) << shift)
 
     def receive_frame(self, cob_id: int, data: bytes, now: float) -> bool:
-        """Takes a frame from the board.
+        """Takes a frame from the board; returns whether it was understood. Call `runner.check` afterwards.
 
-        Args:
-            cob_id: COB-ID of the frame.
-            data: 0..8 bytes.
-            now: time that stands still while the loop stalls [s].
-
-        Returns:
-            Whether the frame was understood.
+        `now` stands still while the loop stalls [s].
         """
         function = cob_id & 0x780
         if function == cia301.HEARTBEAT:
             if len(data) != 1 or not self._receive_state(data[0], now):
                 return False
         elif (tpdo := self._tpdos.get(cob_id)) is not None:
-            size, carried = tpdo
-            if len(data) < size:
-                self._refuse_inputs(len(data), size)
+            if not self._receive_inputs(data, *tpdo):
                 return False
-            if len(data) > size:
-                self._warn_of_padding(len(data), size)
-            self.input_frames += 1
-            number, inputs = int.from_bytes(data, "little"), self._inputs
-            for bit, place, count in carried:
-                mask = (1 << count) - 1
-                inputs = inputs & ~(mask << bit) | (number >> place & mask) << bit
-            self._set_inputs(inputs)
         elif function == cia301.EMERGENCY and len(data) >= 2:
             self._receive_emergency(int.from_bytes(data[:2], "little"), data[2] if len(data) > 2 else 0)
-        elif function != cia301.SDO_ANSWER or len(data) != 8:
+        elif function == cia301.SDO_ANSWER and len(data) == 8:
+            self.runner.receive_sdo(data, now)
+        else:
             return False
         self.frames += 1
         return True
 
-    def tick(self, now: float, timeout: float) -> None:
-        """Reports the board as lost after a silence of `timeout` [s]."""
-        if self._lost or self._beat_at is None or now - self._beat_at < timeout:
-            return
-        self._lost, self.held = True, None
-        if self._ready:
-            self.ready = False
-            missing = "no answer to node guarding" if self.guarded else "no heartbeat"
-            self._fault("board-lost", f"{missing} for {timeout:g} s: is it powered and wired?")
+    def tick(self, now: float, timeout: float, stalled: bool) -> None:
+        """Handles timeouts: reports the board as lost after a silence of `timeout` [s], and finds a second board.
+
+        After a stall of the loop, `stalled`, the frames of a longer time come at once.
+        """
+        if not self._lost and self._beat_at is not None and now - self._beat_at >= timeout:
+            self._lost, self.held = True, None
+            if self._ready:
+                self.ready = False
+                missing = "no answer to node guarding" if self.guarded else "no heartbeat"
+                self._fault("board-lost", f"{missing} for {timeout:g} s: is it powered and wired?")
+        self.runner.tick(now)
+        twice = self.beats.twice(now, stalled) or self.runner.answered_twice
+        if twice and self._ready:
+            text = f"two boards answer as {self.name}: give each its own node id, then reset"
+            self.fail(ArmFault("duplicate-node", self.name, text))
 
     def status(self, now: float) -> BoardStatus:
         """Returns the status for diagnostics."""
@@ -256,7 +239,7 @@ class Board:
         if (state := STATES.get(byte)) is None:
             return False
         self.state = state
-        self.beats.heard()
+        self.beats.heard += 1
         self._beat_at, self._lost = now, False
         if state is not State.OPERATIONAL and not (self.held and state is State.PRE_OPERATIONAL):
             self.held = None
@@ -281,78 +264,43 @@ class Board:
         if self._ready:  # before, it may be old: the boot reads 1001h
             self._fault("emergency", f"it reports {cia301.emergency_words(code)}: remove the cause, then reset")
 
-    def _set_inputs(self, inputs: int) -> None:
-        changed = inputs ^ self._inputs
-        if not changed:
-            return
-        self._inputs = inputs
-        ends = self._image.ends
-        for line, place, _ in self.layout.inputs:
-            if changed & place:
-                ends ^= line
-        self._image.ends = ends
-
-    def _refuse_inputs(self, size: int, expected: int) -> None:
-        if self._ready:  # during a boot it may still send its previous mapping
-            what = f"its inputs came in {size} bytes, not in {expected}"
-            self._fault("wrong-length", f"{what}: does another device send its TPDO?")
-
-    def _warn_of_padding(self, size: int, mapped: int) -> None:
-        """Warns once of a TPDO that is longer than its mapping; its first bytes count (CiA 301, 7.5.2.36)."""
-        text = f"its inputs come in {size} bytes, though {mapped} are mapped: only the first ones are used"
-        if self._ready and text not in self.warnings:
+    def _receive_inputs(self, data: bytes, size: int, carried: Iterable[Carried]) -> bool:
+        """Takes a TPDO. Of one that is longer than its mapping the first bytes count (CiA 301, 7.5.2.36)."""
+        if len(data) < size:
+            if self._ready:  # during a boot it may still send its previous mapping
+                what = f"its inputs came in {len(data)} bytes, not in {size}"
+                self._fault("wrong-length", f"{what}: does another device send its TPDO?")
+            return False
+        text = f"its inputs come in {len(data)} bytes, though {size} are mapped: only the first ones are used"
+        if len(data) > size and self._ready and text not in self.warnings:
             self.warnings = (*self.warnings, text)
+        self.input_frames += 1
+        number, inputs = int.from_bytes(data, "little"), self._inputs
+        for bit, place, count in carried:
+            mask = (1 << count) - 1
+            inputs = inputs & ~(mask << bit) | (number >> place & mask) << bit
+        self._set_inputs(inputs)
+        return True
 
-    def _fault(self, code: str, what: str) -> None:
-        self.report(ArmFault(code, self.name, f"board {self.name}: {what}"))
+    def _set_inputs(self, inputs: int) -> None:
+        changed, self._inputs = inputs ^ self._inputs, inputs
+        if changed:
+            self._image.ends ^= union(bit.line for bit in self.layout.inputs if changed & bit.place)
 
-
-class Station:
-    """One board on its bus.
-
-    Attributes:
-        index: index of the board.
-        board: the state of the board.
-        runner: runs procedures with it.
-        questioning: whether a question for its inputs waits for the answer.
-    """
-
-    def __init__(self, index: int, board: Board, link: Link) -> None:
-        self.index, self.board = index, board
-        self.runner = Runner(board.layout.node, link)
-        self.questioning = False
-        self._again = False
-
-    def cancel(self) -> None:
-        """Cancels the running procedure."""
-        self.runner.cancel()
-        self.questioning = self._again = False
-
-    def question(self, now: float) -> None:
-        """Asks for the inputs; asks again after a running question, whose answer may be too old."""
-        if self.questioning:
-            self._again = True
-        elif self.board.ready and self.board.layout.inputs:
-            self.questioning, self._again = True, False
-            self.runner.start(_ask_inputs(self.board), self._answered, now)
-
-    def probe(self, now: float) -> None:
-        """Asks for the device type, 1000h; any answer shows that the board is back."""
-        if not self.runner.running:
-            self.runner.start(_ask_presence(), None, now)
+    def _ask_inputs(self) -> Procedure:
+        before = self.input_frames
+        for sub in subs_of(self.layout.input_bits):
+            outcome = yield Transfer(0x6000, sub, timeout=_INPUT_TIMEOUT, tries=2, fresh=True)
+            if outcome.data and self.input_frames == before:  # otherwise a TPDO has brought newer values
+                self.set_input(sub, outcome.data[0])
 
     def _answered(self, fault: ArmFault | None, now: float) -> None:
         self.questioning = False
-        if self._again:
+        if self._question_again:
             self.question(now)
 
-
-def _ask_inputs(board: Board) -> Procedure:
-    before = board.input_frames
-    for sub in subs_of(board.layout.input_bits):
-        outcome = yield Transfer(0x6000, sub, timeout=_INPUT_TIMEOUT, tries=2, fresh=True)
-        if outcome.data and board.input_frames == before:  # otherwise a TPDO has brought newer values
-            board.set_input(sub, outcome.data[0])
+    def _fault(self, code: str, what: str) -> None:
+        self.report(ArmFault(code, self.name, f"board {self.name}: {what}"))
 
 
 def _ask_presence() -> Procedure:

@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hyperbit.drivers.canopen.boot.booting import Booting
 from hyperbit.drivers.canopen.faults import Busy
 from hyperbit.drivers.canopen.pdo import union
-from hyperbit.drivers.canopen.run.boards import Boards
+from hyperbit.drivers.canopen.run.board import Board
 from hyperbit.drivers.canopen.run.commit import BusCommit
-from hyperbit.drivers.canopen.wire.cia301 import Frame
+from hyperbit.drivers.canopen.run.outputs import OutputLines
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
+from hyperbit.drivers.canopen.wire.link import Link
 
 
 @dataclass
 class Switch:
-    """A stage or a release.
-
-    Attributes:
-        commits: those of its buses; no SYNC is handed out before the RPDOs of all of them were sent.
-        off: mask of the lines that a release switches off; None: it is a stage.
-    """
+    """A stage or a release. No SYNC is handed out before the RPDOs of all its buses were sent."""
 
     commits: list[BusCommit]
-    off: int | None = None
+    off: int | None = None  # mask of the lines that a release switches off; None: it is a stage
 
     @property
     def collecting(self) -> bool:
         """Whether it waits for RPDOs."""
         return any(commit.collecting for commit in self.commits)
-
-    @property
-    def under_way(self) -> bool:
-        """Whether it may still switch something."""
-        return any(commit.under_way for commit in self.commits)
 
 
 class OutputSwitching:
@@ -48,23 +42,33 @@ class OutputSwitching:
         switched: masks of switched lines, each with the real time of its SYNC [s].
 
     Args:
-        boards: of the arm.
+        boards: all boards.
+        links: all buses.
+        outputs: output lines of all boards.
         booting: boots the boards; a release switches lines off during a boot, too.
         longest: a commit that takes longer is cancelled, since its SYNC would be too late [s, real time].
     """
 
-    def __init__(self, boards: Boards, booting: Booting, longest: float) -> None:
+    def __init__(
+        self,
+        boards: Sequence[Board],
+        links: Mapping[str, Link],
+        outputs: OutputLines,
+        booting: Booting,
+        longest: float,
+    ) -> None:
         self.failed: str | None = None
         self.switched: list[tuple[int, float]] = []
-        self._boards, self._booting, self._longest = boards, booting, longest
-        self._commits = {n: BusCommit(link, boards.outputs, self.switched) for n, link in boards.links.items()}
+        self._boards, self._links, self._outputs = boards, links, outputs
+        self._booting, self._longest = booting, longest
+        self._commits = {name: BusCommit(link, outputs, self.switched) for name, link in links.items()}
         self._stage = Switch([])
         self._releases: dict[str, Switch] = {}
 
     @property
     def under_way(self) -> bool:
         """Whether a stage is under way, or a frame of one that was given up."""
-        return self._stage.under_way
+        return any(commit.under_way for commit in self._stage.commits)
 
     def busy(self, bus: str) -> bool:
         """Returns whether frames on their way may still switch something on a bus."""
@@ -94,19 +98,19 @@ class OutputSwitching:
             Busy: frames of a bus were not sent yet, or a bus or a board is not ready.
             ValueError: `outputs` has a bit that is no line.
         """
-        due = self._boards.outputs.due(outputs)
-        if self._stage.under_way:
+        due = self._outputs.due(outputs)
+        if self.under_way:
             raise Busy("frames of the previous commit were not sent yet")
         self.failed = None
         if not due:
             return
         refusals = (self._commits[bus].refusal(keys) for bus, keys in due.items())
-        if refusal := self._boards.refusal() or next(filter(None, refusals), None):
+        if refusal := self._refusal(None) or next(filter(None, refusals), None):
             raise Busy(refusal)
         self._stage = Switch([self._commits[bus] for bus in due])
         for bus, keys in due.items():
             self._releases.pop(bus, None)
-            self._commits[bus].begin(outputs, self._boards.frames_of(bus, keys, None), now, time)
+            self._commits[bus].begin(outputs, [], keys, now, time)
         self._advance(now, time)
 
     def release(self, outputs: int, now: float, time: float) -> None:
@@ -114,11 +118,16 @@ class OutputSwitching:
 
         A release is also for boards that are not ready, for buses that were lost and send frames again, and for a boot
         under way. One that cannot begin now, begins at a later call. One that waits for its echoes goes on.
+        It leaves out boards that have restarted: their outputs are off, and their frames could switch others on.
+        Doubtful lines of the same boards go off too: their levels are unknown, and a release switches nothing on.
         """
-        states, off = self._boards.released(~outputs)
+        states, doubtful = self._outputs.states, self._outputs.doubtful
+        alive = union(board.layout.output_lines for board in self._boards if not board.restarted)
+        off = (states | doubtful) & ~outputs & alive
+        touched = union(lines for board in self._boards if (lines := board.layout.output_lines) & off)
         for bus in self._commits:
-            if here := off & self._boards.outputs.lines_of(bus):
-                self._release(bus, states, here, now, time)
+            if here := off & self._outputs.lines_of(bus):
+                self._release(bus, states & ~off & ~(doubtful & touched), here, now, time)
         self._advance(now, time)
 
     def give_up(self, why: str) -> None:
@@ -154,6 +163,23 @@ class OutputSwitching:
                 commit.tick(now)
         self._advance(now, time)
 
+    def _refusal(self, off: int | None) -> str | None:
+        """Returns why nothing may be switched now, or None; `off` is the mask of a release, see `Switch`.
+
+        A lost board may still hear a release, so it counts only whether its bus sends frames, armed or not.
+        """
+        if off is not None:
+            links = [board.link for board in self._boards if board.layout.output_lines & off]
+            lost = [link for link in links if not link.usable]
+        else:
+            lost = [link for link in self._links.values() if not link.armed]
+        if lost:
+            return f"{lost[0].name} is {lost[0].state} or was lost: nothing is sent until its boards are booted"
+        for board in self._boards if off is None else ():
+            if not board.ready:
+                return f"board {board.name} is not ready: nothing is sent until it is booted"
+        return None
+
     def _release(self, bus: str, states: int, off: int, now: float, time: float) -> None:
         commit, last = self._commits[bus], self._releases.get(bus)
         if last is not None and last.collecting and (last.off, commit.states) == (off, states):
@@ -161,16 +187,21 @@ class OutputSwitching:
         if commit in self._stage.commits:
             self._give_up(self._stage, "an output had to be switched off first")
         commit.give_up("it is replaced")
-        keys = self._boards.outputs.due(states, off)[bus]
-        if self._boards.refusal(off) or commit.refusal(keys):
+        keys = self._outputs.due(states, off)[bus]
+        if self._refusal(off) or commit.refusal(keys):
             return
-        booted = self._boards.left_out(bus, off) if self._booting.under_way else ()
+        # A SYNC would also switch a lost board that is operational and has latched a frame. So a lost board leaves
+        # operational first, unless it has lines that go off: such a board gets its frame like a ready one.
+        here = [board for board in self._boards if board.link.name == bus]
+        left_out = {b.index: b for b in here if not b.ready and not b.layout.output_lines & off}
+        orders = [cia301.command(Command.PRE_OPERATIONAL, board.layout.node) for board in left_out.values()]
+        keys = [key for key in keys if not self._outputs.frames[key].boards <= left_out.keys()]
         self._stage.commits = [other for other in self._stage.commits if other is not commit]
         self._releases[bus] = Switch([commit], off)
-        commit.begin(states, self._boards.frames_of(bus, keys, off), now, time)
-        for station in (self._boards.stations[i] for i in sorted(booted)):
-            if station.board.heard:  # it was told to leave operational, in which its boot may have put it
-                self._booting.rebooted(station, time)
+        commit.begin(states, orders, keys, now, time)
+        for board in left_out.values():
+            if board.heard:  # it was told to leave operational, in which its boot may have put it
+                self._booting.rebooted(board, time)
 
     def _advance(self, now: float, time: float) -> None:
         """Hands out the SYNCs of stage and releases whose RPDOs were sent, and ends those that take too long."""
@@ -183,7 +214,7 @@ class OutputSwitching:
                 self._give_up(switch, f"{late} for {self._longest:g} s")
             elif waiting:
                 continue
-            elif refusal := self._boards.refusal(switch.off):
+            elif refusal := self._refusal(switch.off):
                 self._give_up(switch, refusal)
             else:
                 for commit in switch.commits:
