@@ -21,20 +21,17 @@ class BusCommit:
     SYNC switches when its RPDO is sent, and a frame that was handed out cannot be called back. So the next commit of
     the bus waits for these frames, as it waits for a SYNC. It waits for every older RPDO with its COB-ID, too.
 
-    Args:
-        link: the bus.
-        outputs: output lines of all boards; they change when the SYNC was sent.
-        record: takes the masks of switched lines, each with the real time of its SYNC [s].
+    `record` takes the masks of switched lines, each with the real time of its SYNC [s].
     """
 
     def __init__(self, link: Link, outputs: OutputLines, record: list[tuple[int, float]]) -> None:
-        self.bus = link.name
+        self.link, self.bus = link, link.name
         self.states = 0  # levels of all lines after the commit
         self.began = 0.0  # [s, real time]
         self.collecting = False  # no SYNC was handed out, so that nothing has switched but boards without SYNC
         self.waiting: dict[Frame, Key | None] = {}  # RPDOs and NMT commands that were handed out and not sent yet
         self.failed: str | None = None  # why, as a sentence
-        self._link, self._outputs, self._record = link, outputs, record
+        self._outputs, self._record = outputs, record
         self._syncing = False  # SYNC was handed out and not sent yet
         self._leaving: dict[Frame, Key] = {}  # frames of a commit given up that switch without SYNC
 
@@ -60,7 +57,7 @@ class BusCommit:
         """Returns why no commit with these RPDOs may begin now, or None."""
         if self.under_way:
             return "frames of the previous commit were not sent yet"
-        older = [cob_id for _, cob_id in keys if self._link.pending.holds(cob_id)]
+        older = [cob_id for _, cob_id in keys if self.link.pending.holds(cob_id)]
         return f"{self.bus}: an older frame {older[0]:03X}h was not sent yet" if older else None
 
     def begin(self, states: int, orders: Sequence[Frame], keys: Sequence[Key], clock: float, now: float) -> None:
@@ -68,12 +65,11 @@ class BusCommit:
         self.states, self.collecting, self.failed, self.began = states, True, None, clock
         self.waiting = dict.fromkeys(orders) | {self._outputs.send(key, states): key for key in keys}
         for frame in list(self.waiting):
-            self._link.send_frame(frame, now)
+            self.link.send_frame(frame, now)
 
     def sync(self, now: float) -> None:
-        """Hands out the SYNC."""
         self.collecting, self._syncing = False, True
-        self._link.send_frame(_SYNC, now)
+        self.link.send_frame(_SYNC, now)
 
     def give_up(self, why: str) -> None:
         """Cancels it if its SYNC was not handed out: no SYNC is sent for it.
@@ -94,7 +90,6 @@ class BusCommit:
         self._syncing, self._leaving = False, {}
 
     def sent(self, frame: Frame, clock: float) -> None:
-        """Records that a frame was sent, at a real time [s]."""
         switched = 0
         if frame.id == cia301.SYNC:
             if self._syncing:
@@ -106,7 +101,6 @@ class BusCommit:
             self._record.append((switched, clock))
 
     def send_failed(self, frame: Frame, why: str) -> None:
-        """Records that a frame could not be sent."""
         if frame.id == cia301.SYNC and self._syncing:
             self._syncing, self.failed = False, f"{self.bus}: the SYNC was not sent: {why}"
         elif frame in self.waiting:
@@ -116,12 +110,8 @@ class BusCommit:
             self._leaving.pop(frame, None)
 
     def tick(self, clock: float) -> None:
-        """Call every period. On a bus without echoes, frames that did not fail count as sent.
-
-        A frame that is neither sent nor lost for long is in doubt: nothing may wait for it for ever.
-        """
-        if self.unknown and clock - self.began > _LONGEST:
+        if self.unknown and clock - self.began > _LONGEST:  # in doubt: nothing may wait for a frame for ever
             self.lost()
-        if not self._link.echoes:
+        if not self.link.echoes:  # frames that did not fail count as sent
             for frame in [*self.waiting, *self._leaving, *([_SYNC] if self._syncing else ())]:
                 self.sent(frame, clock)

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterable
 from hyperbit.drivers.canopen.boot.booting import Booting
 from hyperbit.drivers.canopen.faults import ArmFault, FaultLog
 from hyperbit.drivers.canopen.layout import lay_out
+from hyperbit.drivers.canopen.pdo import union
 from hyperbit.drivers.canopen.run.board import Board, StateImage
 from hyperbit.drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
-from hyperbit.drivers.canopen.run.input_watch import InputWatch
 from hyperbit.drivers.canopen.run.outputs import OutputLines
 from hyperbit.drivers.canopen.run.switching import OutputSwitching
-from hyperbit.drivers.canopen.run.verification import Verification
+from hyperbit.drivers.canopen.run.verification import InputWatch, Verification
 from hyperbit.drivers.canopen.status import MasterStatus
 from hyperbit.drivers.canopen.wire import cia301, events
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
@@ -63,7 +63,7 @@ class Master:
         self._inputs = InputWatch(self._boards, links, sum(1 << line for line in wiring.interlock_lines))
         longest = timing.heartbeat_timeout / 2
         self._switching = OutputSwitching(self._boards, self._links, self._outputs, self._booting, longest)
-        self._verification = Verification(self._boards, self._links, self._outputs, self._switching)
+        self._verification = Verification(self._boards, self._outputs, self._switching.commits)
 
     def receive_event(self, event: events.Event, now: float) -> None:
         """Takes an event of a bus."""
@@ -205,12 +205,12 @@ class Master:
     @property
     def collecting(self) -> bool:
         """Whether the commit still waits for the echo of RPDOs; only the last of them changes anything."""
-        return self._switching.collecting
+        return any(commit.collecting for commit in self._switching.commits.values())
 
     @property
     def leaving(self) -> int:
         """Mask of the lines that frames already handed out will switch: SYNCs, and RPDOs of boards without SYNC."""
-        return self._switching.leaving
+        return union(commit.leaving for commit in self._switching.commits.values())
 
     @property
     def commit_failed(self) -> str | None:
@@ -240,7 +240,8 @@ class Master:
     @property
     def outputs_known(self) -> bool:
         """Whether `outputs` are known: all boards are ready, and no SYNC is being sent."""
-        return all(board.ready for board in self._boards) and not self._switching.unknown
+        sending = any(commit.unknown for commit in self._switching.commits.values())
+        return not sending and all(board.ready for board in self._boards)
 
     @property
     def ends(self) -> int:

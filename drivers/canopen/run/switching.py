@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from hyperbit.drivers.canopen.boot.booting import Booting
 from hyperbit.drivers.canopen.faults import Busy
@@ -16,37 +15,18 @@ from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from hyperbit.drivers.canopen.wire.link import Link
 
 
-@dataclass
-class Switch:
-    """A stage or a release. No SYNC is handed out before the RPDOs of all its buses were sent."""
-
-    commits: list[BusCommit]
-    off: int | None = None  # mask of the lines that a release switches off; None: it is a stage
-
-    @property
-    def collecting(self) -> bool:
-        """Whether it waits for RPDOs."""
-        return any(commit.collecting for commit in self.commits)
-
-
 class OutputSwitching:
     """Starts stages and releases of output lines, and gives them up.
 
     A SYNC is handed out only after all RPDOs were sent. So none waits in a queue when a bus fails, and the frames that
     the kernel still holds switch nothing when the bus comes back. Each bus has its own release, which no other bus
-    delays.
+    delays. A release switches lines off during a boot, too.
     Times `now` are real times, times `time` stand still while the loop stalls [s].
 
     Attributes:
         failed: why the last stage has failed, as a sentence; None after a success.
         switched: masks of switched lines, each with the real time of its SYNC [s].
-
-    Args:
-        boards: all boards.
-        links: all buses.
-        outputs: output lines of all boards.
-        booting: boots the boards; a release switches lines off during a boot, too.
-        longest: a commit that takes longer is cancelled, since its SYNC would be too late [s, real time].
+        commits: of all buses, by name.
     """
 
     def __init__(
@@ -59,35 +39,16 @@ class OutputSwitching:
     ) -> None:
         self.failed: str | None = None
         self.switched: list[tuple[int, float]] = []
-        self._boards, self._links, self._outputs = boards, links, outputs
-        self._booting, self._longest = booting, longest
-        self._commits = {name: BusCommit(link, outputs, self.switched) for name, link in links.items()}
-        self._stage = Switch([])
-        self._releases: dict[str, Switch] = {}
+        self.commits = {name: BusCommit(link, outputs, self.switched) for name, link in links.items()}
+        self._boards, self._outputs, self._booting = boards, outputs, booting
+        self._longest = longest  # a commit that takes longer is cancelled, since its SYNC would be too late [s]
+        self._stage: list[BusCommit] = []
+        self._releases: dict[str, int] = {}  # of each bus, mask of the lines that its last release switches off
 
     @property
     def under_way(self) -> bool:
         """Whether a stage is under way, or a frame of one that was given up."""
-        return any(commit.under_way for commit in self._stage.commits)
-
-    def busy(self, bus: str) -> bool:
-        """Returns whether frames on their way may still switch something on a bus."""
-        return self._commits[bus].under_way
-
-    @property
-    def collecting(self) -> bool:
-        """Whether RPDOs are awaited."""
-        return any(commit.collecting for commit in self._commits.values())
-
-    @property
-    def unknown(self) -> bool:
-        """Whether a frame that switches was handed out, and may or may not be sent."""
-        return any(commit.unknown for commit in self._commits.values())
-
-    @property
-    def leaving(self) -> int:
-        """Mask of the lines that frames already handed out will switch, whatever is commanded now."""
-        return union(commit.leaving for commit in self._commits.values())
+        return any(commit.under_way for commit in self._stage)
 
     def commit(self, outputs: int, now: float, time: float) -> None:
         """Switches all output lines to `outputs`: sends RPDOs, and one SYNC on each bus after all of them.
@@ -104,13 +65,13 @@ class OutputSwitching:
         self.failed = None
         if not due:
             return
-        refusals = (self._commits[bus].refusal(keys) for bus, keys in due.items())
+        refusals = (self.commits[bus].refusal(keys) for bus, keys in due.items())
         if refusal := self._refusal(None) or next(filter(None, refusals), None):
             raise Busy(refusal)
-        self._stage = Switch([self._commits[bus] for bus in due])
+        self._stage = [self.commits[bus] for bus in due]
         for bus, keys in due.items():
             self._releases.pop(bus, None)
-            self._commits[bus].begin(outputs, [], keys, now, time)
+            self.commits[bus].begin(outputs, [], keys, now, time)
         self._advance(now, time)
 
     def release(self, outputs: int, now: float, time: float) -> None:
@@ -125,7 +86,7 @@ class OutputSwitching:
         alive = union(board.layout.output_lines for board in self._boards if not board.restarted)
         off = (states | doubtful) & ~outputs & alive
         touched = union(lines for board in self._boards if (lines := board.layout.output_lines) & off)
-        for bus in self._commits:
+        for bus in self.commits:
             if here := off & self._outputs.lines_of(bus):
                 self._release(bus, states & ~off & ~(doubtful & touched), here, now, time)
         self._advance(now, time)
@@ -136,35 +97,31 @@ class OutputSwitching:
 
     def forget(self) -> None:
         """Cancels everything; the caller reads the outputs back."""
-        for commit in self._commits.values():
+        for commit in self.commits.values():
             commit.lost()
-        self._stage, self._releases, self.failed = Switch([]), {}, None
+        self._stage, self._releases, self.failed = [], {}, None
 
     def sent(self, bus: str, frame: Frame, now: float, time: float) -> None:
-        """Records that a frame of the master was sent."""
-        if (commit := self._commits[bus]).under_way:
+        if (commit := self.commits[bus]).under_way:
             commit.sent(frame, now)
             self._advance(now, time)
 
     def send_failed(self, bus: str, frame: Frame, why: str) -> None:
-        """Records that a frame of the master could not be sent."""
-        self._commits[bus].send_failed(frame, why)
+        self.commits[bus].send_failed(frame, why)
         self._end_failed()
 
     def bus_lost(self, bus: str) -> None:
-        """Records the loss of a bus."""
-        self._commits[bus].lost()
+        self.commits[bus].lost()
         self._end_failed()
 
     def tick(self, now: float, time: float) -> None:
-        """Call every period."""
-        for commit in self._commits.values():
+        for commit in self.commits.values():
             if commit.under_way:
                 commit.tick(now)
         self._advance(now, time)
 
     def _refusal(self, off: int | None) -> str | None:
-        """Returns why nothing may be switched now, or None; `off` is the mask of a release, see `Switch`.
+        """Returns why nothing may be switched now, or None; `off`: lines of a release, None: a stage.
 
         A lost board may still hear a release, so it counts only whether its bus sends frames, armed or not.
         """
@@ -172,7 +129,7 @@ class OutputSwitching:
             links = [board.link for board in self._boards if board.layout.output_lines & off]
             lost = [link for link in links if not link.usable]
         else:
-            lost = [link for link in self._links.values() if not link.armed]
+            lost = [commit.link for commit in self.commits.values() if not commit.link.armed]
         if lost:
             return f"{lost[0].name} is {lost[0].state} or was lost: nothing is sent until its boards are booted"
         for board in self._boards if off is None else ():
@@ -181,10 +138,10 @@ class OutputSwitching:
         return None
 
     def _release(self, bus: str, states: int, off: int, now: float, time: float) -> None:
-        commit, last = self._commits[bus], self._releases.get(bus)
-        if last is not None and last.collecting and (last.off, commit.states) == (off, states):
+        commit = self.commits[bus]
+        if commit.collecting and self._releases.get(bus) == off and commit.states == states:
             return
-        if commit in self._stage.commits:
+        if commit in self._stage:
             self._give_up(self._stage, "an output had to be switched off first")
         commit.give_up("it is replaced")
         keys = self._outputs.due(states, off)[bus]
@@ -192,12 +149,12 @@ class OutputSwitching:
             return
         # A SYNC would also switch a lost board that is operational and has latched a frame. So a lost board leaves
         # operational first, unless it has lines that go off: such a board gets its frame like a ready one.
-        here = [board for board in self._boards if board.link.name == bus]
+        here = [board for board in self._boards if board.link is commit.link]
         left_out = {b.index: b for b in here if not b.ready and not b.layout.output_lines & off}
         orders = [cia301.command(Command.PRE_OPERATIONAL, board.layout.node) for board in left_out.values()]
         keys = [key for key in keys if not self._outputs.frames[key].boards <= left_out.keys()]
-        self._stage.commits = [other for other in self._stage.commits if other is not commit]
-        self._releases[bus] = Switch([commit], off)
+        self._stage = [other for other in self._stage if other is not commit]
+        self._releases[bus] = off
         commit.begin(states, orders, keys, now, time)
         for board in left_out.values():
             if board.heard:  # it was told to leave operational, in which its boot may have put it
@@ -205,31 +162,32 @@ class OutputSwitching:
 
     def _advance(self, now: float, time: float) -> None:
         """Hands out the SYNCs of stage and releases whose RPDOs were sent, and ends those that take too long."""
-        for switch in (self._stage, *self._releases.values()):
-            if not switch.collecting:
+        releases = [([self.commits[bus]], off) for bus, off in self._releases.items()]
+        for commits, off in [(self._stage, None), *releases]:
+            if not any(commit.collecting for commit in commits):
                 continue
-            waiting = [commit.bus for commit in switch.commits if commit.waiting]
-            if now - switch.commits[0].began > self._longest:
+            waiting = [commit.bus for commit in commits if commit.waiting]
+            if now - commits[0].began > self._longest:
                 late = f"frames on {', '.join(waiting)} were not sent" if waiting else "the executor was halted"
-                self._give_up(switch, f"{late} for {self._longest:g} s")
+                self._give_up(commits, f"{late} for {self._longest:g} s")
             elif waiting:
                 continue
-            elif refusal := self._refusal(switch.off):
-                self._give_up(switch, refusal)
+            elif refusal := self._refusal(off):
+                self._give_up(commits, refusal)
             else:
-                for commit in switch.commits:
+                for commit in commits:
                     commit.sync(time)
 
-    def _give_up(self, switch: Switch, why: str) -> None:
-        if switch.collecting:
-            for commit in switch.commits:
+    def _give_up(self, commits: Sequence[BusCommit], why: str) -> None:
+        if any(commit.collecting for commit in commits):
+            for commit in commits:
                 commit.give_up(why)
             self._end_failed()
 
     def _end_failed(self) -> None:
         """Gives a stage up on all its buses if one of them has failed."""
-        why = next((commit.failed for commit in self._stage.commits if commit.failed), None)
+        why = next((commit.failed for commit in self._stage if commit.failed), None)
         if why is not None:
             self.failed = self.failed or why
-            for commit in self._stage.commits:
+            for commit in self._stage:
                 commit.give_up(why)

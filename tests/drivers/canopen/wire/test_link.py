@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Frame
-from hyperbit.drivers.canopen.wire.link import Link, Outgoing
-from hyperbit.drivers.canopen.wire.tx_echo import TxPending
+from hyperbit.drivers.canopen.wire.link import Link, Outgoing, TxPending
 from hyperbit.drivers.canopen.wiring import BusWiring
 
 BEAT = Frame(0x77F, b"\x05")
