@@ -63,15 +63,7 @@ class BeatCount:
 
 
 class Board:
-    """One board on its bus.
-
-    Args:
-        index: index of the board.
-        layout: wiring of the board.
-        link: its bus.
-        image: takes the inputs of the board.
-        report: takes faults.
-    """
+    """One board on its bus. It writes its inputs into `image`, and its faults to `report`."""
 
     def __init__(
         self, index: int, layout: BoardLayout, link: Link, image: StateImage, report: Callable[[ArmFault], None]
@@ -136,13 +128,12 @@ class Board:
         self.ready = self._booted = False
         self.state = self.history = None
 
-    def fail(self, fault: ArmFault) -> None:
+    def fail(self, code: str, text: str) -> None:
         """Marks outputs and inputs as unknown until the next boot, and reports a fault."""
         self.ready = False
-        self.report(fault)
+        self.report(ArmFault(code, self.name, text))
 
     def cancel(self) -> None:
-        """Cancels the running procedure."""
         self.runner.cancel()
         self.questioning = self._question_again = False
 
@@ -170,7 +161,6 @@ class Board:
         self.guarded, self._toggle = True, None
 
     def set_tpdos(self, tpdos: Iterable[Pdo]) -> None:
-        """Sets the TPDOs that carry the inputs."""
         self._tpdos = {pdo.cob_id: (pdo.size, carries(pdo.mapping, INPUTS)) for pdo in tpdos}
 
     def set_input(self, sub: int, value: int) -> None:
@@ -179,10 +169,7 @@ class Board:
         self._set_inputs(self._inputs & ~(0xFF << shift) | (value & 0xFF) << shift)
 
     def receive_frame(self, cob_id: int, data: bytes, now: float) -> bool:
-        """Takes a frame from the board; returns whether it was understood. Call `runner.check` afterwards.
-
-        `now` stands still while the loop stalls [s].
-        """
+        """Takes a frame from the board; returns whether it was understood. Call `runner.check` afterwards."""
         function = cob_id & 0x780
         if function == cia301.HEARTBEAT:
             if len(data) != 1 or not self._receive_state(data[0], now):
@@ -207,17 +194,14 @@ class Board:
         if not self._lost and self._beat_at is not None and now - self._beat_at >= timeout:
             self._lost, self.held = True, None
             if self._ready:
-                self.ready = False
-                missing = "no answer to node guarding" if self.guarded else "no heartbeat"
-                self._fault("board-lost", f"{missing} for {timeout:g} s: is it powered and wired?")
+                what = "no answer to node guarding" if self.guarded else "no heartbeat"
+                self.fail("board-lost", f"board {self.name}: {what} for {timeout:g} s: is it powered and wired?")
         self.runner.tick(now)
         twice = self.beats.twice(now, stalled) or self.runner.answered_twice
         if twice and self._ready:
-            text = f"two boards answer as {self.name}: give each its own node id, then reset"
-            self.fail(ArmFault("duplicate-node", self.name, text))
+            self.fail("duplicate-node", f"two boards answer as {self.name}: give each its own node id, then reset")
 
     def status(self, now: float) -> BoardStatus:
-        """Returns the status for diagnostics."""
         state = "unknown" if self.state is None else self.state.words
         return BoardStatus(
             bus=self.layout.bus,
@@ -248,12 +232,12 @@ class Board:
             self.restarted = True
             self._toggle = None
         if state is State.BOOT_UP and self._booted:  # also if it was lost before that
-            self.ready = self._booted = self.released = False
-            self._fault("board-rebooted", "it has restarted, its outputs are unknown: check its supply, then reset")
+            self._booted = self.released = False
+            what = "it has restarted, its outputs are unknown: check its supply, then reset"
+            self.fail("board-rebooted", f"board {self.name}: {what}")
         elif self._ready and state is not State.OPERATIONAL:
-            self.ready = False
             what = f"it left the state operational without a command and is {state.words} now"
-            self._fault("board-stopped", f"{what}: read its errors, then reset")
+            self.fail("board-stopped", f"board {self.name}: {what}: read its errors, then reset")
         return True
 
     def _receive_emergency(self, code: int, register: int) -> None:

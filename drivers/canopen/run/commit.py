@@ -37,7 +37,7 @@ class BusCommit:
 
     @property
     def under_way(self) -> bool:
-        """Whether a frame of it was handed out and may still switch something."""
+        """Whether a frame was handed out that may still switch something."""
         return self.collecting or self.unknown
 
     @property

@@ -36,29 +36,24 @@ class Heartbeat:
         """Sends the heartbeats and polls that are due at `clock`; `now` stands still while the loop stalls."""
         self._last = clock
         for link in self._links:
-            due = clock >= self._sent.get(link.name, -math.inf) + self._period - 1e-6
+            sent = self._sent.get(link.name, -math.inf)
+            due = clock >= sent + self._period - 1e-6
             if link.usable and (due or link.failing or link.misses_echo(now, BEAT)):  # its echo tells of the others
                 link.send_frame(BEAT, now)
-                self._before[link.name] = self._sent.get(link.name, -math.inf)
-                self._sent[link.name] = clock
+                self._before[link.name], self._sent[link.name] = sent, clock
         for board in self._boards:
-            if board.guarded:
-                self._poll(board, clock, now)
-
-    def _poll(self, board: Board, clock: float, now: float) -> None:
-        """Sends the remote frame of node guarding if it is due and the previous one was sent."""
-        at, last = self._polls.get(board.index, (-math.inf, None))
-        if not board.link.usable or clock < at + self._period - 1e-6:
-            return
-        if last is None:
-            at = clock - self._period * (board.index % _PHASES) / _PHASES
-        elif not (last.sent or last.cancelled):
-            return
-        else:
-            at = max(at + self._period, clock - self._period / 2)
-        outgoing = Outgoing(Frame(cia301.REMOTE | cia301.HEARTBEAT + board.layout.node))
-        self._polls[board.index] = at, outgoing
-        board.link.queue(outgoing, now, urgent=True)
+            at, last = self._polls.get(board.index, (-math.inf, None))
+            if not board.guarded or not board.link.usable or clock < at + self._period - 1e-6:
+                continue
+            if last is None:
+                at = clock - self._period * (board.index % _PHASES) / _PHASES
+            elif last.sent or last.cancelled:
+                at = max(at + self._period, clock - self._period / 2)
+            else:
+                continue
+            outgoing = Outgoing(Frame(cia301.REMOTE | cia301.HEARTBEAT + board.layout.node))
+            self._polls[board.index] = at, outgoing
+            board.link.queue(outgoing, now, urgent=True)
 
     def send_failed(self, bus: str, frame: Frame) -> None:
         """Records that a frame could not be sent; the next tick repeats a heartbeat."""
@@ -95,7 +90,6 @@ class LoopClock:
         return self.now + min(max(clock - self._ticked, 0.0), _LONGEST_STEP)
 
     def tick(self, clock: float) -> float:
-        """Advances to a tick at a real time; returns the time [s]."""
         self.stalled = self._ticked is not None and clock - self._ticked > _LONGEST_STEP
         self.now, self._ticked = self.at(clock), clock
         return self.now

@@ -15,8 +15,8 @@ from hyperbit.drivers.canopen.run.switching import OutputSwitching
 from hyperbit.drivers.canopen.run.verification import InputWatch, Verification
 from hyperbit.drivers.canopen.status import MasterStatus
 from hyperbit.drivers.canopen.wire import cia301, events
-from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
-from hyperbit.drivers.canopen.wire.link import BITS, Link
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, wire_bits
+from hyperbit.drivers.canopen.wire.link import Link
 from hyperbit.drivers.canopen.wire.load import worst_case
 from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
@@ -29,12 +29,8 @@ class Master:
     The master has no I/O, no clock and no threads, and no method blocks. Actuator k is bit k of integers of states and
     of masks. So is line k of outputs and inputs; output lines 0 to A - 1 belong to the A actuators.
     `now` is CLOCK_MONOTONIC [s], or any clock that never goes back. No event raises an exception.
-
-    Args:
-        wiring: buses, boards and actuators.
-        timing: times of boards and actuators.
-        send: hands out a frame for a bus, by its name; must not call the master and never fails. `FrameEchoed` or
-            `SendFailed` tell whether the frame was sent, `SendFailed` before the next `tick`.
+    `send` hands out a frame for a bus, by its name; it must not call the master and never fails. `FrameEchoed` or
+    `SendFailed` tell whether the frame was sent, `SendFailed` before the next `tick`.
 
     Attributes:
         board_of: index of the board with the outputs of each actuator.
@@ -70,7 +66,7 @@ class Master:
         link, time = self._links[event.bus], self._clock.at(now)
         match event:
             case events.FrameReceived(bus, frame):
-                link.received(BITS[min(len(frame.data), 8)])
+                link.received(wire_bits(len(frame.data)))
                 if not self._receive_frame(bus, frame, time):
                     link.ignored += 1
             case events.FrameEchoed(bus, frame):
@@ -141,15 +137,12 @@ class Master:
         self._booting.begin(lost, time)
 
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
-        """Switches output lines. `committing`, `commit_failed` and `drain_switched` tell the result.
+        """Switches output lines to `outputs`. `committing`, `commit_failed` and `drain_switched` tell the result.
 
-        Args:
-            outputs: levels of all lines.
-            now: see above.
-            release: only switch lines off, see `OutputSwitching.release`; otherwise see `OutputSwitching.commit`.
+        With `release` it only switches lines off, see `OutputSwitching.release`.
 
         Raises:
-            Busy: a commit is running, or a bus or a board is not ready.
+            Busy: frames of the last commit were not sent yet, or a bus or a board is not ready.
             ValueError: `outputs` has a bit that is no line.
         """
         self._report_pause(now)
@@ -180,11 +173,6 @@ class Master:
     def boot_faults(self) -> list[ArmFault]:
         """Faults of the last boot: one for each board or bus that is not ready."""
         return self._booting.faults
-
-    @property
-    def ready(self) -> bool:
-        """Whether all boards are ready, and all buses are armed."""
-        return all(board.ready for board in self._boards) and all(link.armed for link in self._links.values())
 
     @property
     def back(self) -> bool:

@@ -53,21 +53,15 @@ def _placed(bit: int, carried: Iterable[Carried]) -> int:
 
 
 class OutputLines:
-    """The output lines of all boards. Bits of frames without a line keep the value that was read back.
-
-    Attributes:
-        states: levels of the lines after the last SYNC.
-        unread: mask of the lines that were switched, and were not read back with this level since.
-        missed: mask of the lines whose pulse was not read back while it was on; the caller clears it.
-        doubtful: mask of the lines that may be on: the bus was lost while a SYNC was being sent, or the end of a pulse
-            was not read back.
-        pulsed: mask of the lines that are on for a pulse only.
-        frames: the RPDO frames.
-    """
+    """The output lines of all boards, as masks. Bits of frames without a line keep the value that was read back."""
 
     def __init__(self, layout: Layout, pulsed: int) -> None:
-        self.states = self.unread = self.missed = self.doubtful = 0
-        self.pulsed = pulsed
+        self.pulsed = pulsed  # on for a pulse only
+        self.states = 0  # levels after the last SYNC
+        self.unread = 0  # switched, and not read back with this level since
+        self.missed = 0  # whose pulse was not read back while it was on; the caller clears it
+        # May be on: the bus was lost while a SYNC was being sent, or the end of a pulse was not read back.
+        self.doubtful = 0
         self._moved = [0] * len(layout.boards)  # lines of each board that may have changed since `begin_read`
         self._boards = layout.boards
         self._trusted = union(b.output_lines for b in layout.boards if not b.settings.verify)
@@ -115,11 +109,10 @@ class OutputLines:
         self._moved[i] = 0
 
     def read(self, i: int, sub: int, byte: int) -> tuple[int, int]:
-        """Takes an output byte of board `i`, in a sub-index, that was asked for at `begin_read`.
+        """Takes an output byte of board `i` that was asked for at `begin_read`.
 
-        Returns:
-            Mask of the lines that have their level, and of those that have another one. Lines that have switched
-            meanwhile are in neither.
+        Returns the lines that have their level, and those that have another one. Lines that have switched meanwhile
+        are in neither.
         """
         here = [bit for bit in self._boards[i].outputs if bit.place >> 8 * (sub - 1) & 0xFF]
         levels = union(bit.line for bit in here if bool(byte << 8 * (sub - 1) & bit.place) != bit.inverted)
@@ -139,11 +132,8 @@ class OutputLines:
         """Returns the frames to send before a SYNC, for each bus that needs a SYNC.
 
         A bus needs a SYNC if an output changes on it, or if its boards have latched other bytes. Then all frames with
-        unknown or other latched bytes are sent too, since the SYNC applies them as well.
-
-        Args:
-            states: levels of all lines.
-            released: mask of lines; not 0: only their buses get a SYNC, and their frames are always sent.
+        unknown or other latched bytes are sent too, since the SYNC applies them as well. If lines are `released`, only
+        their buses get a SYNC, and their frames are always sent.
 
         Raises:
             ValueError: `states` has a bit that is no line.
@@ -195,7 +185,6 @@ class OutputLines:
         self._latched |= {key: None for key in self.frames if key[0] == bus}
 
     def lines_of(self, bus: str) -> int:
-        """Returns the mask of the lines on a bus."""
         return union(frame.lines for frame in self.frames.values() if frame.bus == bus)
 
     def bits(self, i: int) -> int:
@@ -227,7 +216,6 @@ class OutputLines:
         self._uncertain &= set(self.frames)
 
     def _wanted(self, key: Key, states: int) -> int:
-        """Returns the bytes of a frame for the states, as a number."""
         frame = self.frames[key]
         levels = union(bit.place for bit in frame.bits if bool(states & bit.line) != bit.inverted)
         return self._image[key] & ~frame.used | levels

@@ -30,12 +30,7 @@ class OutputSwitching:
     """
 
     def __init__(
-        self,
-        boards: Sequence[Board],
-        links: Mapping[str, Link],
-        outputs: OutputLines,
-        booting: Booting,
-        longest: float,
+        self, boards: Sequence[Board], links: Mapping[str, Link], outputs: OutputLines, booting: Booting, longest: float
     ) -> None:
         self.failed: str | None = None
         self.switched: list[tuple[int, float]] = []
@@ -51,14 +46,7 @@ class OutputSwitching:
         return any(commit.under_way for commit in self._stage)
 
     def commit(self, outputs: int, now: float, time: float) -> None:
-        """Switches all output lines to `outputs`: sends RPDOs, and one SYNC on each bus after all of them.
-
-        Nothing is sent if nothing changes.
-
-        Raises:
-            Busy: frames of a bus were not sent yet, or a bus or a board is not ready.
-            ValueError: `outputs` has a bit that is no line.
-        """
+        """Switches all output lines: sends RPDOs, and one SYNC on each bus after all of them, if anything changes."""
         due = self._outputs.due(outputs)
         if self.under_way:
             raise Busy("frames of the previous commit were not sent yet")

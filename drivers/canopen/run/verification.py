@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Mapping, Sequence
 
-from hyperbit.drivers.canopen.faults import ArmFault, board_error
+from hyperbit.drivers.canopen.faults import board_error
 from hyperbit.drivers.canopen.pdo import subs_of, union
 from hyperbit.drivers.canopen.run.board import Board
 from hyperbit.drivers.canopen.run.commit import BusCommit
@@ -193,7 +193,7 @@ class Verification:
     def _fail(self, board: Board, code: str, text: str) -> None:
         i = board.index
         self._silent[i] = self._wrong[i] = self._stays[i] = self._missed[i] = 0
-        board.fail(ArmFault(code, board.name, text))
+        board.fail(code, text)
 
     def _object(self, board: Board, need: Need) -> Reads:
         """Checks that an object still has its value from the end of the boot."""
@@ -206,7 +206,7 @@ class Verification:
                 f"board {board.name} has {need.words(present)} in {need.place}; {need.words(need.value)} is needed"
                 " and was there: another program writes to it, or it has restarted; reset configures it again"
             )
-            board.fail(ArmFault("board-changed", board.name, text))
+            board.fail("board-changed", text)
 
     def _errors(self, board: Board) -> Reads:
         """Checks the error register, 1001h, for an error without an emergency."""
@@ -214,9 +214,13 @@ class Verification:
             outcome = yield Transfer(0x1001, 0, fresh=True)
             found = (outcome.data or b"\0")[0]
             register = found & ~board.ignored_errors & ~board.emergency_register
-            if not register and not (found and (yield from self._new_error(board))):
+            if found and not register and board.history is not None and board.emergency is None:
+                outcome = yield Transfer(0x1003, 1, fresh=True)
+                newest = int.from_bytes(outcome.data[:4], "little") if outcome.data else board.history
+                if newest != board.history and newest & 0xFFFF:  # new since the boot; 0000h is an end
+                    register = found
+            if not register:
                 return
-            register = register or found
             yield Wait(lambda: False, 4 * _PAUSE)
         history = yield Transfer(0x1003, 1)
         text = f"error register 1001h sub 0 is {register:02X}h"
@@ -225,14 +229,6 @@ class Verification:
             text += f"; 1003h sub 1 tells {cia301.emergency_words(code)}"
         if board.ready:
             board.report(board_error(board.name, text))
-
-    def _new_error(self, board: Board) -> Generator[Step, SdoOutcome, bool]:
-        """Returns whether the error history, 1003h sub 1, has a new error since the boot; an entry 0000h is an end."""
-        if board.history is None or board.emergency is not None:
-            return False
-        outcome = yield Transfer(0x1003, 1, fresh=True)
-        newest = int.from_bytes(outcome.data[:4], "little") if outcome.data else board.history
-        return newest != board.history and bool(newest & 0xFFFF)
 
 
 def _place(board: Board, sub: int) -> str:

@@ -12,13 +12,9 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Frame, wire_bits
 from hyperbit.drivers.canopen.wiring import BusWiring
 
-BITS = tuple(wire_bits(size) for size in range(9))  # on the wire, by bytes of data
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
 _ECHOED = 0.03  # [s] within which nearly all commands are sent
 _UNUSABLE = ("closed", "down", "bus-off")
-
-
-HandedOut = tuple[int, float]  # number of a frame that was handed out, and time [s]
 
 
 class TxPending:
@@ -32,34 +28,28 @@ class TxPending:
 
     def __init__(self) -> None:
         self.last_echo: float | None = None
-        self._number = 0
-        self._pending: dict[Frame, list[HandedOut]] = {}
+        self._pending: list[tuple[Frame, float]] = []  # with the time [s], in the order in which they were handed out
         self._given_up: Counter[Frame] = Counter()
 
     @property
     def count(self) -> int:
-        return 0 if self.last_echo is None else sum(map(len, self._pending.values()))
+        return 0 if self.last_echo is None else len(self._pending)
 
     @property
     def oldest(self) -> float | None:
         """Time when the oldest pending frame was handed out [s]; None if no frame is pending."""
-        if self.last_echo is None:
-            return None
-        return min((outs[0][1] for outs in self._pending.values()), default=None)
+        return self._pending[0][1] if self.count else None
 
     def holds(self, cob_id: int) -> bool:
-        """Returns whether a frame with an identifier is pending."""
-        return self.last_echo is not None and any(frame.id == cob_id for frame in self._pending)
+        return self.last_echo is not None and any(frame.id == cob_id for frame, _ in self._pending)
 
     def commanded(self, before: float) -> bool:
         """Returns whether an NMT command, SYNC or RPDO is pending that was handed out before a time [s]."""
-        outs = (outs[0][1] for frame, outs in self._pending.items() if frame.id < cia301.SDO_ANSWER)
-        return self.last_echo is not None and min(outs, default=before) < before
+        pending = self._pending if self.last_echo is not None else ()
+        return any(frame.id < cia301.SDO_ANSWER and at < before for frame, at in pending)
 
     def sent(self, frame: Frame, now: float) -> None:
-        """Records a frame that is handed out."""
-        self._number += 1
-        self._pending.setdefault(frame, []).append((self._number, now))
+        self._pending.append((frame, now))
 
     def failed(self, frame: Frame) -> bool:
         """Removes a frame that could not be sent; returns whether it was pending."""
@@ -67,37 +57,38 @@ class TxPending:
 
     def came_back(self, frame: Frame, now: float) -> list[Frame]:
         """Takes an echo; returns the frames that were sent, whose echoes were lost but for the last; none: not ours."""
-        if (out := self._remove(frame)) is None:
-            if frame not in self._given_up:
-                return []
+        if (place := self._remove(frame)) is not None:
+            earlier = (each for each, _ in self._pending[:place])
+            lost = [each for each in earlier if each.id & ~REMOTE < frame.id & ~REMOTE]
+            for each in lost:
+                self._remove(each)
+            self._given_up.update(lost)
+        elif frame in self._given_up:
+            lost = []
             self._given_up[frame] -= 1
             self._given_up = +self._given_up  # without zeros
-            self.last_echo = now
-            return [frame]
+        else:
+            return []
         self.last_echo = now
-        lost = [f for f, outs in self._pending.items() for o in outs if f.id & ~REMOTE < frame.id & ~REMOTE and o < out]
-        for each in lost:
-            self._remove(each)
-        self._given_up.update(lost)
         return [*lost, frame]
 
     def give_up(self, before: float = math.inf) -> None:
         """Stops to wait for frames that were handed out before a time [s]; their echoes are still recognized."""
-        for frame in [frame for frame, outs in self._pending.items() if outs[0][1] < before]:
-            self._given_up[frame] += len(self._pending.pop(frame))
+        old = {frame for frame, at in self._pending if at < before}
+        self._given_up.update(frame for frame, _ in self._pending if frame in old)
+        self._pending = [(frame, at) for frame, at in self._pending if frame not in old]
 
     def forget(self) -> None:
         """Forgets all frames: a bus that was opened again cannot echo them."""
         self._pending.clear()
         self._given_up.clear()
 
-    def _remove(self, frame: Frame) -> HandedOut | None:
-        if (outs := self._pending.get(frame)) is None:
-            return None
-        out = outs.pop(0)
-        if not outs:
-            del self._pending[frame]
-        return out
+    def _remove(self, frame: Frame) -> int | None:
+        """Removes the oldest of equal frames; returns its place, or None."""
+        place = next((k for k, (each, _) in enumerate(self._pending) if each == frame), None)
+        if place is not None:
+            del self._pending[place]
+        return place
 
 
 class Outgoing:
@@ -117,12 +108,8 @@ class Link:
 
     `rearm` arms the bus. The loss of the bus (bus-off, down, or stuck) disarms it. RPDOs and SYNC are sent only while
     it is armed: the kernel sends the frames that it still holds when the bus comes back. Only a release, which switches
-    lines off, is sent on a bus that is not armed.
-
-    Args:
-        wiring: name, interface, channel and bit rate.
-        send: hands out a frame for a bus, by its name.
-        stuck_after: the bus counts as lost if no frame could be sent for this time [s].
+    lines off, is sent on a bus that is not armed. The bus counts as lost if no frame could be sent for `stuck_after`
+    [s].
     """
 
     def __init__(self, wiring: BusWiring, send: Callable[[str, Frame], None], stuck_after: float) -> None:
@@ -154,7 +141,6 @@ class Link:
 
     @property
     def echoes(self) -> bool:
-        """Whether the interface echoes frames that were sent."""
         return self.pending.last_echo is not None
 
     def misses_echo(self, now: float, last: Frame) -> bool:
@@ -179,7 +165,6 @@ class Link:
         return ArmFault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface")
 
     def send_frame(self, frame: Frame, now: float) -> None:
-        """Hands out a frame at once."""
         self._sent_since_tick = True
         self.pending.sent(frame, now)
         self._count_sent(frame, 1)
@@ -191,7 +176,6 @@ class Link:
         self._pump(now)
 
     def received(self, bits: int) -> None:
-        """Counts a received frame of `bits` on the wire."""
         self._rx_frames += 1
         self._bits += bits
         if self.state == "bus-off":  # the error frame of its restart was missed
@@ -245,10 +229,7 @@ class Link:
         return None
 
     def tick(self, now: float, clock: float) -> ArmFault | None:
-        """Call every period; returns a fault if the bus is stuck.
-
-        `now` stands still while the loop stalls, `clock` is the real time [s].
-        """
+        """Returns a fault if the bus is stuck. `now` stands still while the loop stalls, `clock` is real time [s]."""
         if self._sent_since_tick and not self._failed_since_tick:
             self._failing_since = None
         self._sent_since_tick = self._failed_since_tick = False
@@ -273,7 +254,6 @@ class Link:
         return ArmFault("bus-passive", self.name, text)
 
     def status(self, worst_case: Traffic) -> BusStatus:
-        """Returns state and counters, with the computed worst case."""
         return BusStatus(
             name=self.name,
             state=self.state,
@@ -292,7 +272,7 @@ class Link:
 
     def _count_sent(self, frame: Frame, count: int) -> None:
         self._tx_frames += count
-        self._bits += count * BITS[min(len(frame.data), 8)]
+        self._bits += count * wire_bits(len(frame.data))
 
     def _count_rates(self, clock: float) -> None:
         """Computes the rates once a second."""
@@ -319,7 +299,6 @@ class Link:
                 self.send_frame(outgoing.frame, now)
 
     def _clear(self) -> None:
-        """Drops the queued frames."""
         for outgoing in (*self._urgent, *self._queue, *self._unsent.values()):
             outgoing.cancelled = True
         self._urgent.clear()

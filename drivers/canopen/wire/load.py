@@ -11,14 +11,9 @@ from hyperbit.drivers.canopen.wiring import BusWiring, Timing
 def worst_case(layout: Layout, timing: Timing, bus: BusWiring) -> Traffic:
     """Returns the greatest traffic of boards and master on a bus without faults.
 
-    Each frame has the greatest number of stuff bits. There is one transition in each travel time, without a pause. Each
-    transition sends all RPDOs and switches all actuators; each end-stop causes its own TPDO. SDO transfers and
-    emergencies are not counted.
-
-    Args:
-        layout: boards of all buses.
-        timing: times of boards and actuators; a travel time below 1 ms counts as 1 ms.
-        bus: the bus.
+    Each frame has the greatest number of stuff bits. There is one transition in each travel time, without a pause; a
+    travel time below 1 ms counts as 1 ms. Each transition sends all RPDOs and switches all actuators; each end-stop
+    causes its own TPDO. SDO transfers and emergencies are not counted.
     """
     boards = [board for board in layout.boards if board.bus == bus.name]
     frames = {pdo.cob_id: pdo.size for board in boards for pdo in board.rpdos}

@@ -201,7 +201,7 @@ class Watching:
         require(master.inputs_known == inputs, f"inputs {master.inputs_known:b} are known; {inputs:b} are")
         require(master.known == wiring.actuators, f"actuators {master.known:b} are known; all are")
         require(master.board_of == wiring.board_of, f"{master.board_of} are told as boards of the actuators")
-        require(master.ready and master.outputs_known and master.back, "the master is not ready")
+        require(master.outputs_known and master.back, "the master is not ready")
         require(not master.doubtful, f"outputs {master.doubtful:b} are doubtful")
         if outputs is not None:
             require(master.outputs == outputs, f"outputs are told as {master.outputs:b}; they are {outputs:b}")
