@@ -187,10 +187,7 @@ class Board:
         return True
 
     def tick(self, now: float, timeout: float, stalled: bool) -> None:
-        """Handles timeouts: reports the board as lost after a silence of `timeout` [s], and finds a second board.
-
-        After a stall of the loop, `stalled`, the frames of a longer time come at once.
-        """
+        """Ends timeouts; finds the loss of the board, after a silence of `timeout` [s], and a second board."""
         if not self._lost and self._beat_at is not None and now - self._beat_at >= timeout:
             self._lost, self.held = True, None
             if self._ready:

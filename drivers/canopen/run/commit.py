@@ -54,7 +54,6 @@ class BusCommit:
         return lines & (self.states ^ self._outputs.states)
 
     def refusal(self, keys: Sequence[Key]) -> str | None:
-        """Returns why no commit with these RPDOs may begin now, or None."""
         if self.under_way:
             return "frames of the previous commit were not sent yet"
         older = [cob_id for _, cob_id in keys if self.link.pending.holds(cob_id)]

@@ -18,17 +18,13 @@ BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 
 
 class Heartbeat:
-    """Sends the master's heartbeat on all buses, and polls boards with node guarding.
-
-    It also finds pauses of the executor in which boards had neither. `clock` is real time [s].
-    """
+    """Sends the master's heartbeat, polls boards with node guarding, finds pauses without. `clock` is real time [s]."""
 
     def __init__(self, links: Collection[Link], boards: Sequence[Board], timing: Timing) -> None:
         self._links, self._boards = links, boards
         self._period, self._timeout = timing.heartbeat, timing.heartbeat_timeout
         self._polls: dict[int, tuple[float, Outgoing]] = {}  # of boards with node guarding, by index: time and frame
-        self._last: float | None = None  # time of the last `tick`
-        self._paused_at: float | None = None  # time of the last `tick` before a pause that was told
+        self._last: float | None = None  # time of the last `tick`; None also after a pause that was told
         self._sent: dict[str, float] = {}  # of each bus, time of the last heartbeat
         self._before: dict[str, float] = {}  # and the one before it
 
@@ -63,11 +59,11 @@ class Heartbeat:
     def find_pause(self, clock: float) -> ArmFault | None:
         """Returns a fault if boards have lost their master since the last `tick`; each pause once."""
         last = self._last
-        if last is None or last == self._paused_at or clock - last < self._timeout - self._period:
+        if last is None or clock - last < self._timeout - self._period:
             return None
         if not any(link.armed and clock - self._sent.get(link.name, clock) >= self._timeout for link in self._links):
             return None
-        self._paused_at = last
+        self._last = None
         what = "the boards lost their master and did what on_loss says"
         return ArmFault("halted", "executor", f"the executor was halted for {clock - last:.2f} s: {what}")
 
@@ -85,9 +81,8 @@ class LoopClock:
 
     def at(self, clock: float) -> float:
         """Returns the time at a real time [s]."""
-        if self._ticked is None:
-            return self.now
-        return self.now + min(max(clock - self._ticked, 0.0), _LONGEST_STEP)
+        passed = 0.0 if self._ticked is None else clock - self._ticked
+        return self.now + min(max(passed, 0.0), _LONGEST_STEP)
 
     def tick(self, clock: float) -> float:
         self.stalled = self._ticked is not None and clock - self._ticked > _LONGEST_STEP

@@ -16,8 +16,7 @@ from hyperbit.drivers.canopen.run.verification import InputWatch, Verification
 from hyperbit.drivers.canopen.status import MasterStatus
 from hyperbit.drivers.canopen.wire import cia301, events
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, wire_bits
-from hyperbit.drivers.canopen.wire.link import Link
-from hyperbit.drivers.canopen.wire.load import worst_case
+from hyperbit.drivers.canopen.wire.link import Link, worst_case
 from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 _OWN = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", BEAT.id: "the master's heartbeat"}  # frames that only a master sends
@@ -57,8 +56,7 @@ class Master:
         links = tuple(self._links.values())
         self._heartbeat = Heartbeat(links, self._boards, timing)
         self._inputs = InputWatch(self._boards, links, sum(1 << line for line in wiring.interlock_lines))
-        longest = timing.heartbeat_timeout / 2
-        self._switching = OutputSwitching(self._boards, self._links, self._outputs, self._booting, longest)
+        self._switching = OutputSwitching(self._boards, self._links, self._outputs, self._booting, timing)
         self._verification = Verification(self._boards, self._outputs, self._switching.commits)
 
     def receive_event(self, event: events.Event, now: float) -> None:

@@ -109,10 +109,9 @@ class OutputLines:
         self._moved[i] = 0
 
     def read(self, i: int, sub: int, byte: int) -> tuple[int, int]:
-        """Takes an output byte of board `i` that was asked for at `begin_read`.
+        """Takes an output byte of board `i` that was asked for at `begin_read`; returns its right and wrong lines.
 
-        Returns the lines that have their level, and those that have another one. Lines that have switched meanwhile
-        are in neither.
+        Lines that have switched meanwhile are in neither.
         """
         here = [bit for bit in self._boards[i].outputs if bit.place >> 8 * (sub - 1) & 0xFF]
         levels = union(bit.line for bit in here if bool(byte << 8 * (sub - 1) & bit.place) != bit.inverted)
@@ -174,10 +173,7 @@ class OutputLines:
         return union(self._switch(key, states) for key in self.frames if key[0] == bus)
 
     def bus_lost(self, bus: str, states: int | None) -> None:
-        """Records the loss of a bus: nothing is known of its latched bytes, and of pulses not read off.
-
-        `states` are the levels that its SYNC, which was being sent, may have switched to; None: none was being sent.
-        """
+        """Records the loss of a bus; `states`: levels that its SYNC, which was being sent, may have switched to."""
         lines = self.lines_of(bus)
         self.doubtful |= self.released & lines
         if states is not None:

@@ -13,6 +13,7 @@ from hyperbit.drivers.canopen.run.outputs import OutputLines
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from hyperbit.drivers.canopen.wire.link import Link
+from hyperbit.drivers.canopen.wiring import Timing
 
 
 class OutputSwitching:
@@ -22,21 +23,17 @@ class OutputSwitching:
     the kernel still holds switch nothing when the bus comes back. Each bus has its own release, which no other bus
     delays. A release switches lines off during a boot, too.
     Times `now` are real times, times `time` stand still while the loop stalls [s].
-
-    Attributes:
-        failed: why the last stage has failed, as a sentence; None after a success.
-        switched: masks of switched lines, each with the real time of its SYNC [s].
-        commits: of all buses, by name.
     """
 
     def __init__(
-        self, boards: Sequence[Board], links: Mapping[str, Link], outputs: OutputLines, booting: Booting, longest: float
+        self, boards: Sequence[Board], links: Mapping[str, Link], outputs: OutputLines, booting: Booting, timing: Timing
     ) -> None:
-        self.failed: str | None = None
-        self.switched: list[tuple[int, float]] = []
+        self.failed: str | None = None  # why the last stage has failed, as a sentence; None after a success
+        self.switched: list[tuple[int, float]] = []  # masks of lines, each with the real time of its SYNC [s]
         self.commits = {name: BusCommit(link, outputs, self.switched) for name, link in links.items()}
         self._boards, self._outputs, self._booting = boards, outputs, booting
-        self._longest = longest  # a commit that takes longer is cancelled, since its SYNC would be too late [s]
+        # A commit that takes longer is cancelled, since its SYNC would be too late [s].
+        self._longest = timing.heartbeat_timeout / 2
         self._stage: list[BusCommit] = []
         self._releases: dict[str, int] = {}  # of each bus, mask of the lines that its last release switches off
 
@@ -79,9 +76,13 @@ class OutputSwitching:
                 self._release(bus, states & ~off & ~(doubtful & touched), here, now, time)
         self._advance(now, time)
 
-    def give_up(self, why: str) -> None:
-        """Gives up a stage whose SYNC was not handed out; `why` is the reason for `failed`, as a sentence."""
-        self._give_up(self._stage, why)
+    def give_up(self, why: str, commits: Sequence[BusCommit] | None = None) -> None:
+        """Gives up the stage, or a release, if its SYNC was not handed out; `why` is a sentence."""
+        commits = self._stage if commits is None else commits
+        if any(commit.collecting for commit in commits):
+            for commit in commits:
+                commit.give_up(why)
+            self._end_failed()
 
     def forget(self) -> None:
         """Cancels everything; the caller reads the outputs back."""
@@ -114,8 +115,7 @@ class OutputSwitching:
         A lost board may still hear a release, so it counts only whether its bus sends frames, armed or not.
         """
         if off is not None:
-            links = [board.link for board in self._boards if board.layout.output_lines & off]
-            lost = [link for link in links if not link.usable]
+            lost = [b.link for b in self._boards if b.layout.output_lines & off and not b.link.usable]
         else:
             lost = [commit.link for commit in self.commits.values() if not commit.link.armed]
         if lost:
@@ -130,7 +130,7 @@ class OutputSwitching:
         if commit.collecting and self._releases.get(bus) == off and commit.states == states:
             return
         if commit in self._stage:
-            self._give_up(self._stage, "an output had to be switched off first")
+            self.give_up("an output had to be switched off first")
         commit.give_up("it is replaced")
         keys = self._outputs.due(states, off)[bus]
         if self._refusal(off) or commit.refusal(keys):
@@ -157,20 +157,14 @@ class OutputSwitching:
             waiting = [commit.bus for commit in commits if commit.waiting]
             if now - commits[0].began > self._longest:
                 late = f"frames on {', '.join(waiting)} were not sent" if waiting else "the executor was halted"
-                self._give_up(commits, f"{late} for {self._longest:g} s")
+                self.give_up(f"{late} for {self._longest:g} s", commits)
             elif waiting:
                 continue
             elif refusal := self._refusal(off):
-                self._give_up(commits, refusal)
+                self.give_up(refusal, commits)
             else:
                 for commit in commits:
                     commit.sync(time)
-
-    def _give_up(self, commits: Sequence[BusCommit], why: str) -> None:
-        if any(commit.collecting for commit in commits):
-            for commit in commits:
-                commit.give_up(why)
-            self._end_failed()
 
     def _end_failed(self) -> None:
         """Gives a stage up on all its buses if one of them has failed."""

@@ -79,11 +79,9 @@ class Verification:
             self._missed[i] += self._answers[i]
             self._answers[i] = False
             if self._missed[i] == _MOST_MISSED and lines & self._fragile:
-                text = (
-                    f"pulses of board {board.name} were over {_MOST_MISSED} times before they were read back: give"
-                    " longer pulses or end-stops, or verify: false in boards.nodes"
-                )
-                self._fail(board, "not-verified", text)
+                text = f"pulses of board {board.name} were over {_MOST_MISSED} times before they were read back"
+                advice = "give longer pulses or end-stops, or verify: false in boards.nodes"
+                self._fail(board, "not-verified", f"{text}: {advice}")
         return missed & self._fragile
 
     def tick(self, now: float) -> None:
@@ -116,7 +114,6 @@ class Verification:
             board.runner.start(self._read_outputs(board, self._outputs.unread), None, now)
 
     def _due(self, board: Board, now: float) -> bool:
-        """Returns whether unread outputs of a board may be read now."""
         i = board.index
         if self._pause[i]:
             self._next_read[i], self._pause[i] = now + self._pause[i], 0.0
@@ -153,7 +150,6 @@ class Verification:
             self._compare(board, sub, outcome.data[0])
 
     def _compare(self, board: Board, sub: int, found: int) -> None:
-        """Compares an output byte with the switched levels."""
         i, outputs = board.index, self._outputs
         released, off = outputs.released & ~self._stays[i], outputs.pulsed & ~outputs.states
         right, wrong = outputs.read(i, sub, found)
@@ -171,11 +167,9 @@ class Verification:
         most = _PULSE_TRIES if wrong & outputs.pulsed else _TRIES
         if wrong and self._wrong[i] >= most and board.ready:
             used, should = (bits >> 8 * (sub - 1) & 0xFF for bits in (board.layout.output_bits, outputs.bits(i)))
-            text = (
-                f"board {board.name} has {found & used:02X}h in {_place(board, sub)}; {should:02X}h was switched: it"
-                " does not follow RPDO and SYNC, or another program writes to it; reset configures it again"
-            )
-            self._fail(board, "not-switched", text)
+            text = f"board {board.name} has {found & used:02X}h in {_place(board, sub)}; {should:02X}h was switched"
+            cause = "it does not follow RPDO and SYNC, or another program writes to it; reset configures it again"
+            self._fail(board, "not-switched", f"{text}: {cause}")
 
     def _unread(self, board: Board, sub: int, outcome: SdoOutcome) -> None:
         """Counts a read without a result; it verifies nothing, so the board stays due. A silent board will be lost."""
@@ -202,11 +196,10 @@ class Verification:
             if outcome.data is None or need.met(present := int.from_bytes(outcome.data[: need.size], "little")):
                 return
         if board.ready:
-            text = (
-                f"board {board.name} has {need.words(present)} in {need.place}; {need.words(need.value)} is needed"
-                " and was there: another program writes to it, or it has restarted; reset configures it again"
-            )
-            board.fail("board-changed", text)
+            has, needed = need.words(present), need.words(need.value)
+            text = f"board {board.name} has {has} in {need.place}; {needed} is needed and was there"
+            cause = "another program writes to it, or it has restarted; reset configures it again"
+            board.fail("board-changed", f"{text}: {cause}")
 
     def _errors(self, board: Board) -> Reads:
         """Checks the error register, 1001h, for an error without an emergency."""

@@ -56,9 +56,6 @@ def lock_interface(channel: str) -> socket.socket:
     """Returns what holds the lock of a SocketCAN interface until it is closed, or until the process ends.
 
     It is a Unix socket in the abstract namespace, which belongs to a network namespace as interfaces do.
-
-    Raises:
-        InterfaceInUse: another process holds it; the text names the process.
     """
     address = f"\0hyperbit/can/{channel}"
     lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -85,8 +82,7 @@ class CanBus:
         self.wiring, self.name, self._clock = wiring, wiring.name, clock
         self._bus: can.BusABC | None = None
         self._lock: socket.socket | None = None
-        self._closed = True
-        self._down = False
+        self._closed, self._down = True, False
         self._pause, self._next_try = _FIRST_PAUSE, 0.0
         self._events: list[Event] = []
 
@@ -112,13 +108,10 @@ class CanBus:
 
         The number changes when the bus is opened again: ask for it after each `poll`.
         """
-        if self._bus is None:
-            return None
-        try:
-            number = self._bus.fileno()
-        except Exception:  # virtual interfaces have none
-            return None
-        return number if number >= 0 else None
+        with contextlib.suppress(Exception):  # virtual interfaces have none
+            if self._bus is not None and (number := self._bus.fileno()) >= 0:
+                return number
+        return None
 
     def send_frame(self, frame: Frame) -> str | None:
         """Sends a frame now or not at all; returns why it was not sent, or None. The caller tells the master."""

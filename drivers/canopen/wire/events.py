@@ -1,7 +1,4 @@
-"""Events of a CAN bus, as plain data: its name, and what happened. `bus.CanBus` makes them, `master.Master` takes them.
-
-Times `at` are times on the bus, CLOCK_MONOTONIC [s]; None if the interface does not tell.
-"""
+"""Events of a CAN bus, as plain data: its name, and what happened. `bus.CanBus` makes them, `Master` takes them."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ class FrameReceived(NamedTuple):
 
     bus: str
     frame: Frame
-    at: float | None = None
+    at: float | None = None  # time on the bus, CLOCK_MONOTONIC [s]; None if the interface does not tell
 
 
 class FrameIgnored(NamedTuple):
@@ -30,7 +27,7 @@ class FrameEchoed(NamedTuple):
 
     bus: str
     frame: Frame
-    at: float | None = None
+    at: float | None = None  # likewise
 
 
 class SendFailed(NamedTuple):

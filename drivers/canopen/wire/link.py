@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.layout import Layout
 from hyperbit.drivers.canopen.status import BusStatus, Traffic
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Frame, wire_bits
-from hyperbit.drivers.canopen.wiring import BusWiring
+from hyperbit.drivers.canopen.wiring import BusWiring, Timing
 
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
 _ECHOED = 0.03  # [s] within which nearly all commands are sent
-_UNUSABLE = ("closed", "down", "bus-off")
 
 
 class TxPending:
@@ -45,8 +46,8 @@ class TxPending:
 
     def commanded(self, before: float) -> bool:
         """Returns whether an NMT command, SYNC or RPDO is pending that was handed out before a time [s]."""
-        pending = self._pending if self.last_echo is not None else ()
-        return any(frame.id < cia301.SDO_ANSWER and at < before for frame, at in pending)
+        waits = any(frame.id < cia301.SDO_ANSWER and at < before for frame, at in self._pending)
+        return waits and self.last_echo is not None
 
     def sent(self, frame: Frame, now: float) -> None:
         self._pending.append((frame, now))
@@ -91,16 +92,14 @@ class TxPending:
         return place
 
 
+@dataclass(slots=True, eq=False)
 class Outgoing:
     """A queued frame, which is sent again if the bus was full."""
 
-    __slots__ = ("cancelled", "first_at", "frame", "sent")
-
-    def __init__(self, frame: Frame) -> None:
-        self.frame = frame
-        self.first_at: float | None = None  # when it was handed out first [s]; None while it waits
-        self.sent = False  # as far as is known
-        self.cancelled = False  # it will not be sent any more
+    frame: Frame
+    first_at: float | None = None  # when it was handed out first [s]; None while it waits
+    sent: bool = False  # as far as is known
+    cancelled: bool = False  # it will not be sent any more
 
 
 class Link:
@@ -131,12 +130,10 @@ class Link:
 
     @property
     def usable(self) -> bool:
-        """Whether the bus can send frames, as far as is known."""
-        return self.state not in _UNUSABLE
+        return self.state not in ("closed", "down", "bus-off")
 
     @property
     def failing(self) -> bool:
-        """Whether the last frames could not be sent."""
         return self._failing_since is not None
 
     @property
@@ -167,7 +164,8 @@ class Link:
     def send_frame(self, frame: Frame, now: float) -> None:
         self._sent_since_tick = True
         self.pending.sent(frame, now)
-        self._count_sent(frame, 1)
+        self._tx_frames += 1
+        self._bits += wire_bits(len(frame.data))
         self._hand_out(self.name, frame)
 
     def queue(self, outgoing: Outgoing, now: float, urgent: bool = False) -> None:
@@ -197,7 +195,8 @@ class Link:
         if not self.pending.failed(frame):
             return
         self._dropped += 1
-        self._count_sent(frame, -1)
+        self._tx_frames -= 1
+        self._bits -= wire_bits(len(frame.data))
         self._failed_since_tick = True
         if self._failing_since is None:
             self._failing_since = now
@@ -270,12 +269,7 @@ class Link:
             worst_case=worst_case,
         )
 
-    def _count_sent(self, frame: Frame, count: int) -> None:
-        self._tx_frames += count
-        self._bits += count * wire_bits(len(frame.data))
-
     def _count_rates(self, clock: float) -> None:
-        """Computes the rates once a second."""
         frames = self._tx_frames + self._rx_frames
         if self._counted is not None:
             began, frames_before, bits_before = self._counted
@@ -306,7 +300,6 @@ class Link:
         self._unsent.clear()
 
     def _stuck_for(self, now: float) -> float:
-        """Returns for how long a frame has been waiting to be sent [s]."""
         since = [t for t in (self._failing_since, self.pending.oldest) if t is not None]
         return now - min(since) if since else 0.0
 
@@ -314,3 +307,21 @@ class Link:
         self.armed, self.state, self._lost_at = False, state, now
         self._clear()
         return ArmFault(code, self.name, f"{self.name}: {why}")
+
+
+def worst_case(layout: Layout, timing: Timing, bus: BusWiring) -> Traffic:
+    """Returns the greatest traffic of boards and master on a bus without faults.
+
+    Each frame has the greatest number of stuff bits. There is one transition in each travel time, without a pause; a
+    travel time below 1 ms counts as 1 ms. Each transition sends all RPDOs and switches all actuators; each end-stop
+    causes its own TPDO. SDO transfers and emergencies are not counted.
+    """
+    boards = [board for board in layout.boards if board.bus == bus.name]
+    frames = {pdo.cob_id: pdo.size for board in boards for pdo in board.rpdos}
+    commits = 1 / max(timing.travel_time, 0.001)
+    heartbeats = (len(boards) + 1) * wire_bits(1) / timing.heartbeat
+    rpdos = commits * sum(wire_bits(size) for size in frames.values())
+    sync = commits * wire_bits(0) if frames else 0.0
+    greatest = {board.name: max((pdo.size for pdo in board.tpdos), default=0) for board in boards}
+    tpdos = commits * sum(len(board.inputs) * wire_bits(greatest[board.name]) for board in boards)
+    return Traffic(heartbeats, sync, rpdos, tpdos, (heartbeats + sync + rpdos + tpdos) / bus.bitrate)
