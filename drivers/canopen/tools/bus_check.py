@@ -24,37 +24,18 @@ _MOST_CHANGES = 4  # changes that the answer lists
 
 @dataclass(frozen=True)
 class CheckedBoard:
-    """What the check has found on one board.
+    """What the check has found on one board."""
 
-    Attributes:
-        board: name of the board, e.g. "can0/5".
-        text: its device type, the values that the boot will write, and its limits; or what is wrong.
-        code: code of what is wrong, as of a fault; "": it can be booted and reports no error.
-    """
-
-    board: str
-    text: str
-    code: str = ""
-
-    @property
-    def ok(self) -> bool:
-        """Whether the board can be booted and reports no error."""
-        return not self.code
+    board: str  # name, e.g. "can0/5"
+    text: str  # its device type, the values that the boot will write, and its limits; or what is wrong
+    code: str = ""  # of what is wrong, as of a fault; "": it can be booted and reports no error
 
 
 def check_bus(session: Session, wiring: Wiring, timing: Timing) -> list[CheckedBoard]:
     """Asks all boards in parallel; returns their answers, after that of each bus that cannot be used.
 
     The check writes only values that the objects have already, to find read-only objects. So no frame that is lost, and
-    no end of the process, leaves another value on a board.
-
-    Args:
-        session: with the buses of the wiring.
-        wiring: buses and boards.
-        timing: heartbeat times.
-
-    Raises:
-        MasterHeard: a master sends its heartbeat.
+    no end of the process, leaves another value on a board. Raises MasterHeard.
     """
     boards = {(board.bus, board.node): board for board in lay_out(wiring).boards}
     texts: dict[Node, CheckedBoard] = {}

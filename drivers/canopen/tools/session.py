@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
-from types import TracebackType
-from typing import Protocol
 
 from hyperbit.drivers.canopen.faults import ArmFault, BusError
 from hyperbit.drivers.canopen.sdo.procedure import Order, Procedure, Runner, Wait
@@ -27,16 +25,6 @@ _CHECK = "check cable, termination, bit rate, and that a board on this bus has p
 Node = tuple[str, int]  # name of the bus, and node id
 
 
-class Clock(Protocol):
-    """The time; the module `time` is one."""
-
-    def monotonic(self) -> float:
-        """Returns the time [s]."""
-
-    def sleep(self, seconds: float, /) -> None:
-        """Waits."""
-
-
 class MasterHeard(Exception):
     """A master, such as an executor, sends its heartbeat on a bus; the text is the bus's name."""
 
@@ -44,21 +32,24 @@ class MasterHeard(Exception):
 class Session:
     """Open buses, and the procedures with their nodes. Use it in a `with` statement; each method blocks until its end.
 
+    `heartbeat` is the period of a master's heartbeat [s], if it is known; `clock` and `sleep` are the time.
+
     Attributes:
         states: last NMT state of each node, from heartbeats and answers to remote frames (CiA 301, 7.2.8.3.2).
-        heard: frames of others since the last `exchange`.
-
-    Args:
-        buses: the buses, still closed.
-        heartbeat: period of a master's heartbeat [s], if it is known.
-        clock: the time.
+        heard: frames of others since the caller has cleared it.
     """
 
-    def __init__(self, buses: Iterable[CanBus], heartbeat: float = 0.0, clock: Clock = time) -> None:
+    def __init__(
+        self,
+        buses: Iterable[CanBus],
+        heartbeat: float = 0.0,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
         self.states: dict[Node, State] = {}
         self.heard: list[Frame] = []
         self._buses = {bus.name: bus for bus in buses}
-        self._listen, self._clock = max(LISTEN, PERIODS * heartbeat), clock
+        self._listen, self._clock, self._sleep = max(LISTEN, PERIODS * heartbeat), clock, sleep
         self._outbox: list[tuple[str, Frame]] = []
         self._links = {
             bus.name: Link(bus.wiring, lambda name, frame: self._outbox.append((name, frame)), _STUCK_AFTER)
@@ -73,38 +64,26 @@ class Session:
         try:
             for bus in self._buses.values():
                 bus.open()
-                self._links[bus.name].changed("active", "", None, self._clock.monotonic())
+                self._links[bus.name].changed("active", "", None, self._clock())
             self.listen()
         except BaseException:
-            self.close()
+            self.__exit__()
             raise
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Closes the buses."""
+    def __exit__(self, *raised: object) -> None:
         for bus in self._buses.values():
             bus.close()
 
     def listen(self) -> None:
-        """Listens for a master; call it again after each question to the user.
-
-        Raises:
-            MasterHeard: a master sends its heartbeat.
-        """
+        """Listens for a master, and raises MasterHeard; call it again after each question to the user."""
         self.wait(lambda: False, self._listen)
 
     def wait(self, until: Callable[[], bool], seconds: float) -> bool:
-        """Waits until a condition holds, at most for a time [s]; returns whether it holds.
-
-        Raises:
-            MasterHeard: a master sends its heartbeat.
-        """
-        end = self._clock.monotonic() + seconds
+        """Waits until a condition holds, at most for a time [s]; returns whether it holds. Raises MasterHeard."""
+        end = self._clock() + seconds
         while not until():
-            now = self._clock.monotonic()
+            now = self._clock()
             if now >= end:
                 return False
             for bus in self._buses.values():
@@ -115,17 +94,13 @@ class Session:
                 raise MasterHeard(self._master)
             self._tick(now)
             self._flush(now)
-            self._clock.sleep(_POLL)
+            self._sleep(_POLL)
         return True
 
     def run(self, procedures: Mapping[Node, Procedure]) -> dict[Node, ArmFault | None]:
-        """Runs procedures with nodes in parallel; returns the fault of each, or None.
-
-        Raises:
-            MasterHeard: a master sends its heartbeat.
-        """
+        """Runs procedures with nodes in parallel; returns the fault of each, or None. Raises MasterHeard."""
         ended: dict[Node, ArmFault | None] = {}
-        now = self._clock.monotonic()
+        now = self._clock()
         for node, procedure in procedures.items():
             runner = self._runners[node] = Runner(node[1], self._links[node[0]])
             runner.start(procedure, lambda fault, _, node=node: ended.update({node: fault}), now)  # type: ignore[misc]
@@ -143,12 +118,10 @@ class Session:
 
     def trouble(self, bus: str) -> ArmFault | None:
         """Returns why no board of a bus can be reached, or None: call it after `run`."""
-        link = self._links[bus]
         if bus in self._faults:
             return self._faults[bus]
-        passive = link.passive()
-        if passive is not None:
-            return ArmFault(passive.code, bus, f"no frame leaves {bus}, its controller is error-passive: {_CHECK}")
+        if self._links[bus].state == "passive":
+            return ArmFault("bus-passive", bus, f"no frame leaves {bus}, its controller is error-passive: {_CHECK}")
         if bus not in self._came_back:
             return ArmFault("bus-busy", bus, f"nothing came back from {bus}, not even a frame of its own: {_CHECK}")
         return None
@@ -160,19 +133,17 @@ class Session:
         """
         if node not in self.states:
             poll = Outgoing(Frame(cia301.REMOTE | cia301.HEARTBEAT + node[1]))
-            self._links[node[0]].queue(poll, self._clock.monotonic())
+            self._links[node[0]].queue(poll, self._clock())
             yield Wait(lambda: node in self.states, _ANSWER)
             poll.cancelled = True
 
     def reset(self, node: Node, timeout: float) -> float | None:
         """Resets a node by NMT; returns the time to its boot-up message [s], or None (CiA 301, 7.2.8.3.1).
 
-        Raises:
-            BusError: the bus does not take the command.
-            MasterHeard: a master sends its heartbeat.
+        Raises MasterHeard, and BusError if the bus does not take the command.
         """
         self.states.pop(node, None)
-        began = self._clock.monotonic()
+        began = self._clock()
 
         def steps() -> Procedure:
             yield Order(Command.RESET_NODE)
@@ -181,14 +152,10 @@ class Session:
         self.run({node: steps()})
         if (fault := self.trouble(node[0])) is not None:
             raise BusError(fault.message)
-        return self._clock.monotonic() - began if node in self.states else None
+        return self._clock() - began if node in self.states else None
 
     def send_frame(self, bus: str, frame: Frame) -> None:
-        """Sends a frame at once, outside procedures.
-
-        Raises:
-            BusError: the bus does not take it.
-        """
+        """Sends a frame at once, outside procedures; raises BusError if the bus does not take it."""
         if (why := self._buses[bus].send_frame(frame)) is not None:
             raise BusError(f"{bus}: {why}")
 
@@ -196,7 +163,6 @@ class Session:
         link = self._links[event.bus]
         if isinstance(event, BusChanged):
             self._note(link.changed(event.state, event.why, event.errors, now))
-            return
         if not isinstance(event, FrameEchoed | FrameReceived):
             return
         self._came_back.add(event.bus)
@@ -211,8 +177,7 @@ class Session:
                 self._master = event.bus
             elif node and state is not None:
                 self.states[event.bus, node] = state
-        runner = self._runners.get((event.bus, node))
-        if runner is not None:
+        if (runner := self._runners.get((event.bus, node))) is not None:
             if function == cia301.SDO_ANSWER and len(frame.data) == 8:
                 runner.receive_sdo(frame.data, now)
             runner.check(now)

@@ -66,8 +66,8 @@ def test_check_says_the_same(case):
     world = case.world()
     world.run(5.0)  # of late ones, the check knows no boot time
     [answer] = asked(world)
-    assert answer.ok == (not case.refused or case.variant in UNSEEN_WITHOUT_WRITING), answer.text
-    if not answer.ok:
+    assert (not answer.code) == (not case.refused or case.variant in UNSEEN_WITHOUT_WRITING), answer.text
+    if answer.code:
         told = [words for words in case.refused if words != IN_VAIN]
         assert all(words in answer.text for words in told), answer.text
     if case.variant not in UNSEEN_WITHOUT_WRITING:

@@ -42,7 +42,7 @@ class SessionInWorld(Session):
         self.buses = {bus.name: WorldBus(world, bus) for bus in world.wiring.buses}
         self._world = world
         world.use(self)
-        super().__init__(self.buses.values(), 0.0, self)  # type: ignore[arg-type]
+        super().__init__(self.buses.values(), 0.0, self.monotonic, self.sleep)  # type: ignore[arg-type]
 
     def monotonic(self) -> float:
         return self._world.now
