@@ -52,7 +52,7 @@ class LssIdentity(NamedTuple):
 
 
 class Lss:
-    """Talks to the LSS slaves of a bus; raises what the session raises."""
+    """Talks to the LSS slaves of a bus. Raises LssRefused, and what the session raises."""
 
     def __init__(self, session: Session, bus: str) -> None:
         self._session, self._bus = session, bus
@@ -78,11 +78,7 @@ class Lss:
         return [one for one, node in found.items() if node == _WITHOUT_ID]
 
     def select(self, identity: LssIdentity | None) -> tuple[LssIdentity, int]:
-        """Selects one board, or the only one on the bus (None), for configuration; returns its identity and node id.
-
-        Raises:
-            LssRefused: no such board answers, or several do.
-        """
+        """Selects one board, or the only one on the bus (None), for configuration; returns its identity and node id."""
         for attempt in range(_TRIES):
             self.release()  # an earlier session may have ended in the configuration state
             try:
@@ -91,8 +87,7 @@ class Lss:
             except LssSilent:
                 if attempt == _TRIES - 1:
                     raise
-        parts = [self._ask("inquire identity", part) for part in _INQUIRE]
-        told = (int.from_bytes(part[1:5], "little") for part in parts)
+        told = [int.from_bytes(self._ask("inquire identity", part)[1:5], "little") for part in _INQUIRE]
         return LssIdentity(*told), self._ask("inquire node id", _INQUIRE_NODE_ID)[1]
 
     def configure(self, old: int, node: int | None, bitrate: int | None) -> None:
@@ -100,9 +95,6 @@ class Lss:
 
         A node id that was set and not stored would still apply after an NMT reset of the communication. If the board
         does not confirm that it has stored, it gets its `old` node id back.
-
-        Raises:
-            LssRefused: the board refuses, or does not confirm that it has stored.
         """
         try:
             if node is not None:
@@ -178,8 +170,7 @@ class Lss:
 
     def _exchange(self, request: bytes, code: int | None = None, timeout: float = _PAUSE) -> list[bytes]:
         """Sends a request; returns all answers since the last one. It waits for one whose first byte is `code`."""
-        session = self._session
-        before = len(session.heard)
+        session, before = self._session, len(self._session.heard)
         session.send_frame(self._bus, Frame(_REQUEST, request.ljust(8, b"\0")))
 
         def answered() -> bool:

@@ -44,11 +44,7 @@ def probe_bus(session: Session, bus: str, nodes: Iterable[int] = NODES, *, in_fu
     """Asks nodes of a bus in parallel; returns those that answer, or send heartbeats, by node id.
 
     A node that neither answers nor sends heartbeats is polled by a remote frame: it may be stopped. Without `in_full`
-    only 1000h and 1018h are read.
-
-    Raises:
-        BusError: the bus cannot be used.
-        MasterHeard: a master sends its heartbeat.
+    only 1000h and 1018h are read. Raises MasterHeard, and BusError if the bus cannot be used.
     """
     asked = {node: ProbedNode(node) for node in nodes}
     faults = session.run({(bus, node): _ask(session, bus, it, in_full) for node, it in asked.items()})

@@ -32,24 +32,16 @@ class MasterHeard(Exception):
 class Session:
     """Open buses, and the procedures with their nodes. Use it in a `with` statement; each method blocks until its end.
 
-    `heartbeat` is the period of a master's heartbeat [s], if it is known; `clock` and `sleep` are the time.
-
-    Attributes:
-        states: last NMT state of each node, from heartbeats and answers to remote frames (CiA 301, 7.2.8.3.2).
-        heard: frames of others since the caller has cleared it.
+    `heartbeat` is the period of a master's heartbeat [s], if it is known.
     """
 
-    def __init__(
-        self,
-        buses: Iterable[CanBus],
-        heartbeat: float = 0.0,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self.states: dict[Node, State] = {}
-        self.heard: list[Frame] = []
+    clock, sleep = staticmethod(time.monotonic), staticmethod(time.sleep)  # [s]
+
+    def __init__(self, buses: Iterable[CanBus], heartbeat: float = 0.0) -> None:
+        self.states: dict[Node, State] = {}  # the last ones, by heartbeats and remote frames (CiA 301, 7.2.8.3.2)
+        self.heard: list[Frame] = []  # frames of others since the caller has cleared it
         self._buses = {bus.name: bus for bus in buses}
-        self._listen, self._clock, self._sleep = max(LISTEN, PERIODS * heartbeat), clock, sleep
+        self._listen = max(LISTEN, PERIODS * heartbeat)
         self._outbox: list[tuple[str, Frame]] = []
         self._links = {
             bus.name: Link(bus.wiring, lambda name, frame: self._outbox.append((name, frame)), _STUCK_AFTER)
@@ -64,7 +56,7 @@ class Session:
         try:
             for bus in self._buses.values():
                 bus.open()
-                self._links[bus.name].changed("active", "", None, self._clock())
+                self._links[bus.name].changed("active", "", None, self.clock())
             self.listen()
         except BaseException:
             self.__exit__()
@@ -81,9 +73,9 @@ class Session:
 
     def wait(self, until: Callable[[], bool], seconds: float) -> bool:
         """Waits until a condition holds, at most for a time [s]; returns whether it holds. Raises MasterHeard."""
-        end = self._clock() + seconds
+        end = self.clock() + seconds
         while not until():
-            now = self._clock()
+            now = self.clock()
             if now >= end:
                 return False
             for bus in self._buses.values():
@@ -92,15 +84,20 @@ class Session:
                     self._flush(now)
             if self._master is not None:
                 raise MasterHeard(self._master)
-            self._tick(now)
+            for link in self._links.values():
+                link.armed = link.usable  # so that a stuck bus is found; nothing is switched here
+                if (fault := link.tick(now, now)) is not None:
+                    self._faults.setdefault(link.name, fault)
+            for runner in self._runners.values():
+                runner.tick(now)
             self._flush(now)
-            self._sleep(_POLL)
+            self.sleep(_POLL)
         return True
 
     def run(self, procedures: Mapping[Node, Procedure]) -> dict[Node, ArmFault | None]:
         """Runs procedures with nodes in parallel; returns the fault of each, or None. Raises MasterHeard."""
         ended: dict[Node, ArmFault | None] = {}
-        now = self._clock()
+        now = self.clock()
         for node, procedure in procedures.items():
             runner = self._runners[node] = Runner(node[1], self._links[node[0]])
             runner.start(procedure, lambda fault, _, node=node: ended.update({node: fault}), now)  # type: ignore[misc]
@@ -133,7 +130,7 @@ class Session:
         """
         if node not in self.states:
             poll = Outgoing(Frame(cia301.REMOTE | cia301.HEARTBEAT + node[1]))
-            self._links[node[0]].queue(poll, self._clock())
+            self._links[node[0]].queue(poll, self.clock())
             yield Wait(lambda: node in self.states, _ANSWER)
             poll.cancelled = True
 
@@ -143,7 +140,7 @@ class Session:
         Raises MasterHeard, and BusError if the bus does not take the command.
         """
         self.states.pop(node, None)
-        began = self._clock()
+        began = self.clock()
 
         def steps() -> Procedure:
             yield Order(Command.RESET_NODE)
@@ -152,7 +149,7 @@ class Session:
         self.run({node: steps()})
         if (fault := self.trouble(node[0])) is not None:
             raise BusError(fault.message)
-        return self._clock() - began if node in self.states else None
+        return self.clock() - began if node in self.states else None
 
     def send_frame(self, bus: str, frame: Frame) -> None:
         """Sends a frame at once, outside procedures; raises BusError if the bus does not take it."""
@@ -161,8 +158,8 @@ class Session:
 
     def _receive(self, event: Event, now: float) -> None:
         link = self._links[event.bus]
-        if isinstance(event, BusChanged):
-            self._note(link.changed(event.state, event.why, event.errors, now))
+        if isinstance(event, BusChanged) and (fault := link.changed(event.state, event.why, event.errors, now)):
+            self._faults.setdefault(link.name, fault)
         if not isinstance(event, FrameEchoed | FrameReceived):
             return
         self._came_back.add(event.bus)
@@ -182,27 +179,14 @@ class Session:
                 runner.receive_sdo(frame.data, now)
             runner.check(now)
 
-    def _tick(self, now: float) -> None:
-        for link in self._links.values():
-            link.armed = link.usable  # so that a stuck bus is found; nothing is switched here
-            self._note(link.tick(now, now))
-        for runner in self._runners.values():
-            runner.tick(now)
-
     def _flush(self, now: float) -> None:
         while self._outbox:
             bus, frame = self._outbox.pop(0)
             if self._buses[bus].send_frame(frame) is not None:
                 self._links[bus].send_failed(frame, now)
 
-    def _note(self, fault: ArmFault | None) -> None:
-        if fault is not None:
-            self._faults.setdefault(fault.source, fault)
-
 
 def stopped(board: str) -> str:
     """Returns the sentence for a stopped board; `board` is its name, e.g. "can0/5"."""
-    return (
-        f"board {board} is stopped, as after the end of an executor with on_loss: contract; it answers no SDO: start"
-        f" the executor, or reset the board: hyperbit board ARM.yaml {board} reset"
-    )
+    what = f"board {board} is stopped, as after the end of an executor with on_loss: contract; it answers no SDO"
+    return f"{what}: start the executor, or reset the board: hyperbit board ARM.yaml {board} reset"
