@@ -54,7 +54,7 @@ def _never_twice(self: BeatCount, now: float, stalled: bool) -> bool:
     return False
 
 
-def _see_no_error(self: Verification, station: Any) -> Any:
+def _see_no_error(self: Verification, board: Any) -> Any:
     yield from ()
 
 
