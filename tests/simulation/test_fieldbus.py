@@ -35,7 +35,7 @@ def test_a_seed_replays_exactly() -> None:
 
 
 def _zero_what_is_not_used(self: OutputLines, key: Any, states: int) -> int:
-    return _wanted(self, key, states) & self._frames[key].used
+    return _wanted(self, key, states) & self.frames[key].used
 
 
 def _leave_changes(self: Undo) -> Any:
@@ -54,7 +54,7 @@ def _never_twice(self: BeatCount, now: float, stalled: bool) -> bool:
     return False
 
 
-def _see_no_error(self: Verification, station: Any) -> Any:
+def _see_no_error(self: Verification, board: Any) -> Any:
     yield from ()
 
 

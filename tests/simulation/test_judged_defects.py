@@ -30,8 +30,7 @@ from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.drivers.canopen.run.board import Board
 from hyperbit.drivers.canopen.run.commit import BusCommit
 from hyperbit.drivers.canopen.run.heartbeat import Heartbeat
-from hyperbit.drivers.canopen.run.input_watch import InputWatch
-from hyperbit.drivers.canopen.run.verification import Verification
+from hyperbit.drivers.canopen.run.verification import InputWatch, Verification
 from hyperbit.drivers.canopen.sdo.procedure import Wait
 from tests.simulation.judge.verdict import Violation
 from tests.simulation.world import World

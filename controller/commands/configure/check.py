@@ -165,7 +165,7 @@ def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
     wiring, timing = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings)
     with session_without_executor(wiring.buses, arm.settings.name, socket, timing.heartbeat) as session:
         told = check_bus(session, wiring, timing)
-    return [{"board": a.board, "ok": a.ok, "answer": a.text, "code": a.code} for a in told]
+    return [{"board": a.board, "ok": not a.code, "answer": a.text, "code": a.code} for a in told]
 
 
 def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:

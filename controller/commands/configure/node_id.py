@@ -11,7 +11,7 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.arguments import AsJson
 from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.configure.probe import Bitrate, Channel, Interface, session_on
-from hyperbit.drivers.canopen.tools.lss import BIT_TIMINGS, Lss, LssIdentity, LssRefused, over
+from hyperbit.drivers.canopen.tools.lss import BIT_TIMINGS, Lss, LssIdentity, LssRefused
 from hyperbit.drivers.canopen.tools.probe import probe_bus
 from hyperbit.drivers.canopen.wiring import MASTER, BusWiring
 
@@ -44,7 +44,7 @@ def node_id(
     try:
         with session_on(bus) as session:
             nodes = [node.node for node in probe_bus(session, channel, in_full=False)]
-            lss = Lss(over(session, channel))
+            lss = Lss(session, channel)
             if list_:
                 show(lss.unconfigured(), channel, as_json)
                 return

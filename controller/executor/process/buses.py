@@ -9,10 +9,9 @@ from typing import Protocol
 
 from hyperbit.drivers.canopen.faults import BusError
 from hyperbit.drivers.canopen.wire import cia301
-from hyperbit.drivers.canopen.wire.bus import CanBus
+from hyperbit.drivers.canopen.wire.bus import CanBus, InterfaceInUse
 from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.canopen.wire.events import Event, FrameEchoed, FrameReceived, SendFailed
-from hyperbit.drivers.canopen.wire.interface_lock import InterfaceInUse
 from hyperbit.drivers.canopen.wiring import MASTER, BusWiring
 
 log = logging.getLogger(__name__)

@@ -7,8 +7,8 @@ from functools import partial
 
 from hyperbit.drivers.canopen.boot.board_boot import boot_board
 from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.run.board import Board
 from hyperbit.drivers.canopen.run.outputs import OutputLines
-from hyperbit.drivers.canopen.run.station import Station
 from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 _MOST_REBOOTS = 5  # restarts of one board during its boot
@@ -18,14 +18,14 @@ class Booting:
     """Boots all boards, and collects their faults.
 
     Args:
-        stations: all boards.
+        boards: all boards.
         outputs: takes the outputs that are read back.
         wiring: tells the error state of boards without an error mode.
         timing: heartbeat and boot times.
     """
 
-    def __init__(self, stations: Sequence[Station], outputs: OutputLines, wiring: Wiring, timing: Timing) -> None:
-        self._stations, self._outputs = stations, outputs
+    def __init__(self, boards: Sequence[Board], outputs: OutputLines, wiring: Wiring, timing: Timing) -> None:
+        self._boards, self._outputs = boards, outputs
         self._error_state, self._timing = wiring.error_state, timing
         self._pending: set[int] = set()  # indices of boards
         self._reboots: dict[int, int] = {}
@@ -44,46 +44,45 @@ class Booting:
 
     def begin(self, lost: Mapping[str, ArmFault], now: float) -> None:
         """Starts the boot of all boards, except those on lost buses. A running boot is cancelled."""
-        for station in self._stations:
-            station.cancel()
-            station.board.forget()
+        for board in self._boards:
+            board.cancel()
+            board.forget()
         self._bus_faults, self._board_faults, self._reboots = dict(lost), {}, {}
-        begun = [station for station in self._stations if station.board.layout.bus not in lost]
-        self._pending = {station.index for station in begun}
-        for station in begun:
-            self._start(station, now)
+        begun = [board for board in self._boards if board.layout.bus not in lost]
+        self._pending = {board.index for board in begun}
+        for board in begun:
+            self._start(board, now)
 
-    def rebooted(self, station: Station, now: float) -> None:
+    def rebooted(self, board: Board, now: float) -> None:
         """Boots a board again that has restarted during its boot: its configuration is lost."""
         if not self._pending:
             return
-        i = station.index
+        i = board.index
         self._reboots[i] = self._reboots.get(i, 0) + 1
-        station.cancel()
+        board.cancel()
         if self._reboots[i] <= _MOST_REBOOTS:
             self._pending.add(i)
             self._board_faults.pop(i, None)
-            self._start(station, now)
+            self._start(board, now)
         else:
-            name = station.board.name
-            text = f"board {name} restarted {self._reboots[i]} times during its boot: check its supply"
-            self._ended(i, ArmFault("board-rebooted", name, text), now)
+            text = f"board {board.name} restarted {self._reboots[i]} times during its boot: check its supply"
+            self._ended(i, ArmFault("board-rebooted", board.name, text), now)
 
     def bus_lost(self, fault: ArmFault) -> None:
         """Cancels the boot of all boards of a bus; the fault of the bus replaces theirs."""
         if not self._pending:
             return
         self._bus_faults.setdefault(fault.source, fault)
-        for station in self._stations:
-            if station.board.layout.bus == fault.source:
-                station.cancel()
-                self._board_faults.pop(station.index, None)
-                self._pending.discard(station.index)
+        for board in self._boards:
+            if board.layout.bus == fault.source:
+                board.cancel()
+                self._board_faults.pop(board.index, None)
+                self._pending.discard(board.index)
         self._find_lost()
 
-    def _start(self, station: Station, now: float) -> None:
-        procedure = boot_board(station.index, station.board, self._outputs, self._timing, self._error_state)
-        station.runner.start(procedure, partial(self._ended, station.index), now)
+    def _start(self, board: Board, now: float) -> None:
+        procedure = boot_board(board.index, board, self._outputs, self._timing, self._error_state)
+        board.runner.start(procedure, partial(self._ended, board.index), now)
 
     def _ended(self, i: int, fault: ArmFault | None, now: float) -> None:
         self._pending.discard(i)
@@ -95,8 +94,8 @@ class Booting:
         """Finds boards that were booted and lost again while others booted; at the end."""
         if self._pending:
             return
-        for station in self._stations:
-            board, i = station.board, station.index
+        for board in self._boards:
+            i = board.index
             if not board.ready and i not in self._board_faults and board.layout.bus not in self._bus_faults:
                 text = f"board {board.name} was lost again while other boards booted: check its supply and wires"
                 self._board_faults[i] = ArmFault("board-lost", board.name, text)

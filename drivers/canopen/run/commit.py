@@ -21,31 +21,23 @@ class BusCommit:
     SYNC switches when its RPDO is sent, and a frame that was handed out cannot be called back. So the next commit of
     the bus waits for these frames, as it waits for a SYNC. It waits for every older RPDO with its COB-ID, too.
 
-    Attributes:
-        bus: name of the bus.
-        states: levels of all lines after the commit.
-        began: when it began [s, real time].
-        collecting: whether no SYNC was handed out, so that nothing has switched but boards without SYNC.
-        waiting: RPDOs and NMT commands that were handed out and not sent yet.
-        failed: why it has failed, as a sentence.
-
-    Args:
-        link: the bus.
-        outputs: output lines of all boards; they change when the SYNC was sent.
-        switched: takes the masks of switched lines, each with the real time of its SYNC [s].
+    `record` takes the masks of switched lines, each with the real time of its SYNC [s].
     """
 
-    def __init__(self, link: Link, outputs: OutputLines, switched: list[tuple[int, float]]) -> None:
-        self.bus, self.states, self.began, self.collecting = link.name, 0, 0.0, False
-        self.waiting: dict[Frame, Key | None] = {}
-        self.failed: str | None = None
-        self._link, self._outputs, self._record = link, outputs, switched
+    def __init__(self, link: Link, outputs: OutputLines, record: list[tuple[int, float]]) -> None:
+        self.link, self.bus = link, link.name
+        self.states = 0  # levels of all lines after the commit
+        self.began = 0.0  # [s, real time]
+        self.collecting = False  # no SYNC was handed out, so that nothing has switched but boards without SYNC
+        self.waiting: dict[Frame, Key | None] = {}  # RPDOs and NMT commands that were handed out and not sent yet
+        self.failed: str | None = None  # why, as a sentence
+        self._outputs, self._record = outputs, record
         self._syncing = False  # SYNC was handed out and not sent yet
         self._leaving: dict[Frame, Key] = {}  # frames of a commit given up that switch without SYNC
 
     @property
     def under_way(self) -> bool:
-        """Whether a frame of it was handed out and may still switch something."""
+        """Whether a frame was handed out that may still switch something."""
         return self.collecting or self.unknown
 
     @property
@@ -56,35 +48,27 @@ class BusCommit:
     @property
     def leaving(self) -> int:
         """Mask of the lines that frames already handed out will switch, whatever is commanded now."""
-        lines = union(map(self._outputs.lines, self._leaving.values()))
+        lines = union(self._outputs.frames[key].lines for key in self._leaving.values())
         if self._syncing:
             lines |= self._outputs.lines_of(self.bus)
         return lines & (self.states ^ self._outputs.states)
 
     def refusal(self, keys: Sequence[Key]) -> str | None:
-        """Returns why no commit with these RPDOs may begin now, or None."""
         if self.under_way:
             return "frames of the previous commit were not sent yet"
-        older = [cob_id for _, cob_id in keys if self._link.pending.holds(cob_id)]
+        older = [cob_id for _, cob_id in keys if self.link.pending.holds(cob_id)]
         return f"{self.bus}: an older frame {older[0]:03X}h was not sent yet" if older else None
 
-    def begin(self, states: int, frames: Sequence[Key | Frame], clock: float, now: float) -> None:
-        """Hands out RPDOs and NMT commands, in order; call `sync` when none of them waits."""
+    def begin(self, states: int, orders: Sequence[Frame], keys: Sequence[Key], clock: float, now: float) -> None:
+        """Hands out NMT commands, then RPDOs; call `sync` when none of them waits."""
         self.states, self.collecting, self.failed, self.began = states, True, None, clock
-        self.waiting = {}
-        for each in frames:
-            if isinstance(each, Frame):
-                self.waiting[each] = None
-            else:
-                self.waiting[self._outputs.frame(each, states)] = each
-                self._outputs.sending(each, states)
+        self.waiting = dict.fromkeys(orders) | {self._outputs.send(key, states): key for key in keys}
         for frame in list(self.waiting):
-            self._link.send_frame(frame, now)
+            self.link.send_frame(frame, now)
 
     def sync(self, now: float) -> None:
-        """Hands out the SYNC."""
         self.collecting, self._syncing = False, True
-        self._link.send_frame(_SYNC, now)
+        self.link.send_frame(_SYNC, now)
 
     def give_up(self, why: str) -> None:
         """Cancels it if its SYNC was not handed out: no SYNC is sent for it.
@@ -92,8 +76,8 @@ class BusCommit:
         The boards may have latched its RPDOs. `OutputLines.due` sends these frames anew before the next SYNC.
         """
         if self.collecting:
-            sent_at_once = {f: key for f, key in self.waiting.items() if key and not self._outputs.on_sync(key)}
-            self._leaving |= sent_at_once
+            frames = self._outputs.frames
+            self._leaving |= {f: key for f, key in self.waiting.items() if key and not frames[key].on_sync}
             self.waiting, self.collecting, self.failed = {}, False, why
 
     def lost(self) -> None:
@@ -105,18 +89,17 @@ class BusCommit:
         self._syncing, self._leaving = False, {}
 
     def sent(self, frame: Frame, clock: float) -> None:
-        """Records that a frame was sent, at a real time [s]."""
+        switched = 0
         if frame.id == cia301.SYNC:
             if self._syncing:
                 self._syncing = False
-                self._switched(self._outputs.switched(self.bus, self.states), clock)
-        elif frame in self.waiting:
-            self._frame_sent(frame, self.waiting.pop(frame), clock)
-        elif frame in self._leaving:
-            self._frame_sent(frame, self._leaving.pop(frame), clock)
+                switched = self._outputs.switched(self.bus, self.states)
+        elif key := self.waiting.pop(frame, None) or self._leaving.pop(frame, None):
+            switched = self._outputs.sent(key, frame, self.states)
+        if switched:
+            self._record.append((switched, clock))
 
     def send_failed(self, frame: Frame, why: str) -> None:
-        """Records that a frame could not be sent."""
         if frame.id == cia301.SYNC and self._syncing:
             self._syncing, self.failed = False, f"{self.bus}: the SYNC was not sent: {why}"
         elif frame in self.waiting:
@@ -126,20 +109,8 @@ class BusCommit:
             self._leaving.pop(frame, None)
 
     def tick(self, clock: float) -> None:
-        """Call every period. On a bus without echoes, frames that did not fail count as sent.
-
-        A frame that is neither sent nor lost for long is in doubt: nothing may wait for it for ever.
-        """
-        if self.unknown and clock - self.began > _LONGEST:
+        if self.unknown and clock - self.began > _LONGEST:  # in doubt: nothing may wait for a frame for ever
             self.lost()
-        if not self._link.echoes:
+        if not self.link.echoes:  # frames that did not fail count as sent
             for frame in [*self.waiting, *self._leaving, *([_SYNC] if self._syncing else ())]:
                 self.sent(frame, clock)
-
-    def _frame_sent(self, frame: Frame, key: Key | None, clock: float) -> None:
-        if key is not None:
-            self._switched(self._outputs.sent(key, frame, self.states), clock)
-
-    def _switched(self, mask: int, clock: float) -> None:
-        if mask:
-            self._record.append((mask, clock))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 
 from hyperbit.drivers.canopen.faults import ArmFault
-from hyperbit.drivers.canopen.run.station import Station
+from hyperbit.drivers.canopen.run.board import Board
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.canopen.wire.link import Link, Outgoing
@@ -18,23 +18,13 @@ BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 
 
 class Heartbeat:
-    """Sends the master's heartbeat on all buses, and polls boards with node guarding.
+    """Sends the master's heartbeat, polls boards with node guarding, finds pauses without. `clock` is real time [s]."""
 
-    It also finds pauses of the executor in which boards had neither. Times are real time [s].
-
-    Args:
-        links: all buses.
-        stations: all boards.
-        timing: period and timeout.
-    """
-
-    def __init__(self, links: Iterable[Link], stations: Sequence[Station], timing: Timing) -> None:
-        self._links, self._timing = tuple(links), timing
-        self._by_name = {link.name: link for link in self._links}
-        self._stations = stations
+    def __init__(self, links: Collection[Link], boards: Sequence[Board], timing: Timing) -> None:
+        self._links, self._boards = links, boards
+        self._period, self._timeout = timing.heartbeat, timing.heartbeat_timeout
         self._polls: dict[int, tuple[float, Outgoing]] = {}  # of boards with node guarding, by index: time and frame
-        self._last: float | None = None  # time of the last `tick`
-        self._paused_at: float | None = None  # time of the last `tick` before a pause that was told
+        self._last: float | None = None  # time of the last `tick`; None also after a pause that was told
         self._sent: dict[str, float] = {}  # of each bus, time of the last heartbeat
         self._before: dict[str, float] = {}  # and the one before it
 
@@ -42,31 +32,24 @@ class Heartbeat:
         """Sends the heartbeats and polls that are due at `clock`; `now` stands still while the loop stalls."""
         self._last = clock
         for link in self._links:
-            due = clock >= self._sent.get(link.name, -math.inf) + self._timing.heartbeat - 1e-6
+            sent = self._sent.get(link.name, -math.inf)
+            due = clock >= sent + self._period - 1e-6
             if link.usable and (due or link.failing or link.misses_echo(now, BEAT)):  # its echo tells of the others
                 link.send_frame(BEAT, now)
-                self._before[link.name] = self._sent.get(link.name, -math.inf)
-                self._sent[link.name] = clock
-        for station in self._stations:
-            if station.board.guarded:
-                self._poll(station, clock, now)
-
-    def _poll(self, station: Station, clock: float, now: float) -> None:
-        """Sends the remote frame of node guarding if it is due and the previous one was sent."""
-        i, board = station.index, station.board
-        link = self._by_name[board.layout.bus]
-        at, last = self._polls.get(i, (-math.inf, None))
-        if not link.usable or clock < at + self._timing.heartbeat - 1e-6:
-            return
-        if last is None:
-            at = clock - self._timing.heartbeat * (i % _PHASES) / _PHASES
-        elif not (last.sent or last.cancelled):
-            return
-        else:
-            at = max(at + self._timing.heartbeat, clock - self._timing.heartbeat / 2)
-        outgoing = Outgoing(Frame(cia301.REMOTE | cia301.HEARTBEAT + board.layout.node))
-        self._polls[i] = at, outgoing
-        link.queue(outgoing, now, urgent=True)
+                self._before[link.name], self._sent[link.name] = sent, clock
+        for board in self._boards:
+            at, last = self._polls.get(board.index, (-math.inf, None))
+            if not board.guarded or not board.link.usable or clock < at + self._period - 1e-6:
+                continue
+            if last is None:
+                at = clock - self._period * (board.index % _PHASES) / _PHASES
+            elif last.sent or last.cancelled:
+                at = max(at + self._period, clock - self._period / 2)
+            else:
+                continue
+            outgoing = Outgoing(Frame(cia301.REMOTE | cia301.HEARTBEAT + board.layout.node))
+            self._polls[board.index] = at, outgoing
+            board.link.queue(outgoing, now, urgent=True)
 
     def send_failed(self, bus: str, frame: Frame) -> None:
         """Records that a frame could not be sent; the next tick repeats a heartbeat."""
@@ -75,45 +58,33 @@ class Heartbeat:
 
     def find_pause(self, clock: float) -> ArmFault | None:
         """Returns a fault if boards have lost their master since the last `tick`; each pause once."""
-        timing, last = self._timing, self._last
-        if last is None or last == self._paused_at or clock - last < timing.heartbeat_timeout - timing.heartbeat:
+        last = self._last
+        if last is None or clock - last < self._timeout - self._period:
             return None
-        armed = [link.name for link in self._links if link.armed]
-        without = any(clock - self._sent.get(name, clock) >= timing.heartbeat_timeout for name in armed)
-        if not without:
+        if not any(link.armed and clock - self._sent.get(link.name, clock) >= self._timeout for link in self._links):
             return None
-        self._paused_at = last
-        text = (
-            f"the executor was halted for {clock - last:.2f} s: the boards lost their master and did what on_loss says"
-        )
-        return ArmFault("halted", "executor", text)
+        self._last = None
+        what = "the boards lost their master and did what on_loss says"
+        return ArmFault("halted", "executor", f"the executor was halted for {clock - last:.2f} s: {what}")
 
 
 class LoopClock:
     """Time for timeouts. It advances by at most 50 ms between two ticks.
 
     Frames that arrive during a stall of the loop are read only after it, so a stall alone must end no timeout.
-
-    Attributes:
-        now: time at the last tick [s].
-        ticked: real time of the last tick [s]; None before the first.
-        stalled: whether the last tick came so late that the time stood still.
     """
 
     def __init__(self) -> None:
-        self.now = 0.0
-        self.ticked: float | None = None
-        self.stalled = False
+        self.now = 0.0  # at the last tick [s]
+        self.stalled = False  # the last tick came so late that the time stood still
+        self._ticked: float | None = None  # real time of the last tick [s]
 
     def at(self, clock: float) -> float:
         """Returns the time at a real time [s]."""
-        if self.ticked is None:
-            return self.now
-        return self.now + min(max(clock - self.ticked, 0.0), _LONGEST_STEP)
+        passed = 0.0 if self._ticked is None else clock - self._ticked
+        return self.now + min(max(passed, 0.0), _LONGEST_STEP)
 
     def tick(self, clock: float) -> float:
-        """Advances to a tick at a real time; returns the time [s]."""
-        self.stalled = self.ticked is not None and clock - self.ticked > _LONGEST_STEP
-        self.now = self.at(clock)
-        self.ticked = clock
+        self.stalled = self._ticked is not None and clock - self._ticked > _LONGEST_STEP
+        self.now, self._ticked = self.at(clock), clock
         return self.now

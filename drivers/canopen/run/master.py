@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from hyperbit.drivers.canopen.boot.booting import Booting
-from hyperbit.drivers.canopen.faults import ArmFault
-from hyperbit.drivers.canopen.run.boards import Boards
-from hyperbit.drivers.canopen.run.heartbeat import Heartbeat, LoopClock
-from hyperbit.drivers.canopen.run.input_watch import InputWatch
+from hyperbit.drivers.canopen.faults import ArmFault, FaultLog
+from hyperbit.drivers.canopen.layout import lay_out
+from hyperbit.drivers.canopen.pdo import union
+from hyperbit.drivers.canopen.run.board import Board, StateImage
+from hyperbit.drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
+from hyperbit.drivers.canopen.run.outputs import OutputLines
 from hyperbit.drivers.canopen.run.switching import OutputSwitching
-from hyperbit.drivers.canopen.run.verification import Verification
+from hyperbit.drivers.canopen.run.verification import InputWatch, Verification
 from hyperbit.drivers.canopen.status import MasterStatus
-from hyperbit.drivers.canopen.wire.cia301 import Frame
-from hyperbit.drivers.canopen.wire.events import (
-    BusChanged,
-    BusOverrun,
-    Event,
-    FrameEchoed,
-    FrameIgnored,
-    FrameReceived,
-    SendFailed,
-)
-from hyperbit.drivers.canopen.wire.load import BITS
+from hyperbit.drivers.canopen.wire import cia301, events
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, wire_bits
+from hyperbit.drivers.canopen.wire.link import Link, worst_case
 from hyperbit.drivers.canopen.wiring import Timing, Wiring
+
+_OWN = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", BEAT.id: "the master's heartbeat"}  # frames that only a master sends
 
 
 class Master:
@@ -32,60 +28,63 @@ class Master:
     The master has no I/O, no clock and no threads, and no method blocks. Actuator k is bit k of integers of states and
     of masks. So is line k of outputs and inputs; output lines 0 to A - 1 belong to the A actuators.
     `now` is CLOCK_MONOTONIC [s], or any clock that never goes back. No event raises an exception.
-
-    Args:
-        wiring: buses, boards and actuators.
-        timing: times of boards and actuators.
-        send: hands out a frame for a bus, by its name; must not call the master and never fails. `FrameEchoed` or
-            `SendFailed` tell whether the frame was sent, `SendFailed` before the next `tick`.
+    `send` hands out a frame for a bus, by its name; it must not call the master and never fails. `FrameEchoed` or
+    `SendFailed` tell whether the frame was sent, `SendFailed` before the next `tick`.
 
     Attributes:
         board_of: index of the board with the outputs of each actuator.
         input_boards_of: indices of the boards with the end-stops of each actuator; none without end-stops.
-        boards: name of each board, e.g. "can0/5".
-        sensed: mask of the actuators that have an end-stop.
     """
 
     def __init__(self, wiring: Wiring, timing: Timing, send: Callable[[str, Frame], None]) -> None:
-        self._boards = boards = Boards(wiring, timing, send)
-        self.board_of = boards.layout.board_of
-        self.input_boards_of = boards.layout.input_boards_of
-        self.boards = tuple(board.name for board in boards.layout.boards)
-        self.sensed = boards.sensed
-        self._links, self._clock, self._timing = boards.links, LoopClock(), timing
-        self._booting = Booting(boards.stations, boards.outputs, wiring, timing)
-        self._receptions = boards.receptions(self._booting.rebooted)
-        self._heartbeat = Heartbeat(boards.links.values(), boards.stations, timing)
-        interlocks = sum(1 << line for line in wiring.interlock_lines)
-        self._inputs = InputWatch(boards.stations, boards.links.values(), interlocks)
-        self._switching = OutputSwitching(boards, self._booting, timing.heartbeat_timeout / 2)
-        self._verification = Verification(boards, self._switching)
+        layout, channels = lay_out(wiring), wiring.channels
+        self.board_of, self.input_boards_of = layout.board_of, layout.input_boards_of
+        pulsed = sum(
+            1 << k | 1 << len(channels) + i for i, k in enumerate(wiring.paired) if channels[k].pulse is not None
+        )
+        self._timing, self._clock = timing, LoopClock()
+        self._log, self._image, self._outputs = FaultLog(), StateImage(), OutputLines(layout, pulsed)
+        stuck_after = 0.8 * (timing.heartbeat_timeout - timing.heartbeat)  # before the boards lose the master
+        self._links = {bus.name: Link(bus, send, stuck_after) for bus in wiring.buses}
+        self._worst_case = {bus.name: worst_case(layout, timing, bus) for bus in wiring.buses}
+        self._boards = [
+            Board(i, board, self._links[board.bus], self._image, self._log.report)
+            for i, board in enumerate(layout.boards)
+        ]
+        self._by_id = {(board.layout.bus, board.layout.node): board for board in self._boards}
+        self._booting = Booting(self._boards, self._outputs, wiring, timing)
+        links = tuple(self._links.values())
+        self._heartbeat = Heartbeat(links, self._boards, timing)
+        self._inputs = InputWatch(self._boards, links, sum(1 << line for line in wiring.interlock_lines))
+        self._switching = OutputSwitching(self._boards, self._links, self._outputs, self._booting, timing)
+        self._verification = Verification(self._boards, self._outputs, self._switching.commits)
 
-    def receive_event(self, event: Event, now: float) -> None:
+    def receive_event(self, event: events.Event, now: float) -> None:
         """Takes an event of a bus."""
         link, time = self._links[event.bus], self._clock.at(now)
         match event:
-            case FrameReceived(bus, frame):
-                link.received(BITS[min(len(frame.data), 8)])
-                if not self._receptions[bus].receive_frame(frame, time):
-                    link.ignored()
-            case FrameEchoed(bus, frame):
+            case events.FrameReceived(bus, frame):
+                link.received(wire_bits(len(frame.data)))
+                if not self._receive_frame(bus, frame, time):
+                    link.ignored += 1
+            case events.FrameEchoed(bus, frame):
                 if not (sent := link.echoed(frame, time)):  # another program of this computer has sent it
-                    self.receive_event(FrameReceived(bus, frame, None), now)
+                    self.receive_event(events.FrameReceived(bus, frame, None), now)
                 for each in sent:
                     self._switching.sent(bus, each, now, time)
-                    self._receptions[bus].echoed(each, time)
-            case FrameIgnored(_, bits):
+                    if each.id == cia301.NMT and (board := self._by_id.get((bus, each.data[1]))) is not None:
+                        board.runner.check(time)  # its procedure may wait for the NMT command
+            case events.FrameIgnored(_, bits):
                 link.received(bits)
-                link.ignored()
-            case BusChanged(_, state, why, errors):
+                link.ignored += 1
+            case events.BusChanged(_, state, why, errors):
                 if (fault := link.changed(state, why, errors, time)) is not None:
                     self._lose(fault)
-            case BusOverrun(bus):
-                link.overrun()
+            case events.BusOverrun(bus):
+                link.overruns += 1
                 if not self._booting.under_way:
                     self._inputs.hurry(bus, time)
-            case SendFailed(bus, frame, why):
+            case events.SendFailed(bus, frame, why):
                 link.send_failed(frame, time)
                 self._switching.send_failed(bus, frame, why)
                 self._heartbeat.send_failed(bus, frame)
@@ -102,7 +101,8 @@ class Master:
                 self._lose(fault)
         self._heartbeat.tick(now, time)
         self._switching.tick(now, time)
-        self._boards.tick(time, self._timing.heartbeat_timeout, self._clock.stalled)
+        for board in self._boards:
+            board.tick(time, self._timing.heartbeat_timeout, self._clock.stalled)
         if not self._booting.under_way:
             self._verification.tick(time)
             self._inputs.tick(time)
@@ -115,7 +115,7 @@ class Master:
         """
         if (fault := self._heartbeat.find_pause(now)) is None:
             return None
-        self._boards.forget()  # the boards' states are unknown after the pause
+        self._forget(self._boards)  # their states are unknown after the pause
         if self._booting.under_way:
             self.boot(now)
             return None
@@ -126,22 +126,21 @@ class Master:
 
         Correctly configured boards are not written to. A running boot begins again. Earlier faults are forgotten.
         """
-        self._boards.log.clear()
+        time = self._clock.at(now)
+        self._log.clear()
         self._switching.forget()
         self._verification.begin()
-        self._inputs.begin(self._clock.at(now))
-        self._booting.begin(self._boards.rearm(), self._clock.at(now))
+        self._inputs.begin(time)
+        lost = {name: fault for name, link in self._links.items() if (fault := link.rearm()) is not None}
+        self._booting.begin(lost, time)
 
     def commit(self, outputs: int, now: float, release: bool = False) -> None:
-        """Switches output lines. `committing`, `commit_failed` and `drain_switched` tell the result.
+        """Switches output lines to `outputs`. `committing`, `commit_failed` and `drain_switched` tell the result.
 
-        Args:
-            outputs: levels of all lines.
-            now: see above.
-            release: only switch lines off, see `OutputSwitching.release`; otherwise see `OutputSwitching.commit`.
+        With `release` it only switches lines off, see `OutputSwitching.release`.
 
         Raises:
-            Busy: a commit is running, or a bus or a board is not ready.
+            Busy: frames of the last commit were not sent yet, or a bus or a board is not ready.
             ValueError: `outputs` has a bit that is no line.
         """
         self._report_pause(now)
@@ -155,11 +154,13 @@ class Master:
     def question(self, board: int, now: float) -> None:
         """Asks a board for its inputs by SDO; see `questioning`."""
         if not self._booting.under_way:
-            self._boards.stations[board].question(self._clock.at(now))
+            self._boards[board].question(self._clock.at(now))
 
     def probe_silent(self, now: float) -> None:
         """Asks lost boards whether they are back; see `back`. Call about once a second."""
-        self._boards.probe_silent(self._clock.at(now))
+        for board in self._boards:
+            if not board.heard and board.link.usable:
+                board.probe(self._clock.at(now))
 
     @property
     def booting(self) -> bool:
@@ -172,19 +173,15 @@ class Master:
         return self._booting.faults
 
     @property
-    def ready(self) -> bool:
-        """Whether all boards are ready, and all buses are armed."""
-        return self._boards.ready
-
-    @property
     def back(self) -> bool:
         """Whether `boot` may succeed: all buses send, and all boards are heard."""
-        return self._boards.back(self._clock.now)
+        fit = all(link.fit(self._clock.now) for link in self._links.values())
+        return fit and all(board.heard for board in self._boards)
 
     @property
     def calm(self) -> bool:
         """Whether no commit, boot, read or question is under way. Only then the master can be pickled."""
-        return not (self.committing or self.booting) and not any(s.runner.running for s in self._boards.stations)
+        return not (self.committing or self.booting or any(board.runner.running for board in self._boards))
 
     @property
     def committing(self) -> bool:
@@ -194,12 +191,12 @@ class Master:
     @property
     def collecting(self) -> bool:
         """Whether the commit still waits for the echo of RPDOs; only the last of them changes anything."""
-        return self._switching.collecting
+        return any(commit.collecting for commit in self._switching.commits.values())
 
     @property
     def leaving(self) -> int:
         """Mask of the lines that frames already handed out will switch: SYNCs, and RPDOs of boards without SYNC."""
-        return self._switching.leaving
+        return union(commit.leaving for commit in self._switching.commits.values())
 
     @property
     def commit_failed(self) -> str | None:
@@ -209,17 +206,17 @@ class Master:
     @property
     def outputs(self) -> int:
         """Levels of the output lines after the last SYNC that was sent, or as read back by `boot`."""
-        return self._boards.outputs.states
+        return self._outputs.states
 
     @property
     def doubtful(self) -> int:
         """Mask of the output lines that may be on, see `OutputLines.doubtful`."""
-        return self._boards.outputs.doubtful
+        return self._outputs.doubtful
 
     @property
     def released(self) -> int:
         """Mask of the output lines whose pulse has ended, and was not read back off."""
-        return self._verification.released
+        return self._outputs.released
 
     @property
     def unread(self) -> int:
@@ -229,35 +226,36 @@ class Master:
     @property
     def outputs_known(self) -> bool:
         """Whether `outputs` are known: all boards are ready, and no SYNC is being sent."""
-        return self._boards.all_known and not self._switching.unknown
+        sending = any(commit.unknown for commit in self._switching.commits.values())
+        return not sending and all(board.ready for board in self._boards)
 
     @property
     def ends(self) -> int:
         """Levels of the input lines; 0 where unknown."""
-        return self._boards.image.ends & self._boards.image.up
+        return self._image.ends & self._image.up
 
     @property
     def inputs_known(self) -> int:
         """Mask of the input lines whose board is ready."""
-        return self._boards.image.up
-
-    @property
-    def boots(self) -> tuple[int, ...]:
-        """Number of boot-up messages of each board so far."""
-        return tuple(station.board.boots for station in self._boards.stations)
+        return self._image.up
 
     @property
     def known(self) -> int:
         """Mask of the actuators whose boards are all ready: that of the outputs and those of the end-stops."""
-        return self._boards.image.known
+        return self._image.known
+
+    @property
+    def boots(self) -> tuple[int, ...]:
+        """Number of boot-up messages of each board so far."""
+        return tuple(board.boots for board in self._boards)
 
     def questioning(self, board: int) -> bool:
         """Returns whether a question to a board still waits for its answer."""
-        return self._boards.stations[board].questioning
+        return self._boards[board].questioning
 
     def drain_faults(self) -> list[ArmFault]:
         """Returns the faults since the last call; each code and source once until the next `boot`."""
-        return self._boards.log.drain()
+        return self._log.drain()
 
     def drain_switched(self) -> list[tuple[int, float]]:
         """Returns the switches since the last call: mask of lines, and time when their SYNC was known as sent [s]."""
@@ -270,19 +268,59 @@ class Master:
         return self._verification.drain_missed()
 
     def warnings(self) -> tuple[ArmFault, ...]:
-        """Returns the warnings of buses and boards."""
-        return self._boards.warnings()
+        """Returns the warnings: error-passive buses; limits of boards, and outputs written off before the start."""
+        passive = tuple(fault for link in self._links.values() if (fault := link.passive()) is not None)
+        boards = [board for board in self._boards if board.ready]
+        limits = (
+            ArmFault("board-limits", b.name, f"board {b.name}: {'; '.join(b.warnings)}") for b in boards if b.warnings
+        )
+        text = "outputs may have been switched off by the board; written off before start"
+        released = (ArmFault("outputs-off", b.name, f"{b.name}: {text}") for b in boards if b.released)
+        return (*passive, *limits, *released)
 
     def status(self) -> MasterStatus:
         """Returns state and counters for diagnostics."""
-        return self._boards.status(self._clock.now)
+        return MasterStatus(
+            buses=tuple(link.status(self._worst_case[name]) for name, link in self._links.items()),
+            boards=tuple(board.status(self._clock.now) for board in self._boards),
+        )
+
+    def _receive_frame(self, bus: str, frame: Frame, time: float) -> bool:
+        """Takes a frame of another node; returns whether it was understood."""
+        cob_id, data = frame
+        rpdo = "an RPDO" if (bus, cob_id) in self._outputs.frames else None
+        if (what := _OWN.get(cob_id, rpdo)) is not None:
+            text = f"another master sends on {bus} ({what}, frame {cob_id:03X}h): stop it, only one may switch"
+            self._log.report(ArmFault("foreign-master", bus, f"{text} the boards"))
+            if cob_id == cia301.NMT and len(data) == 2:
+                here = [board for board in self._boards if board.layout.bus == bus]
+                for each in (board for board in here if data[1] in (0, board.layout.node)):
+                    each.obey(data[0])
+                    if data[0] == Command.START:  # the pins are as 6200h says, so its boot begins again
+                        self._booting.rebooted(each, time)
+            return True
+        board = self._by_id.get((bus, cob_id & 0x7F))
+        if board is None or not 0 <= cob_id <= 0x7FF:
+            return False
+        boots = board.boots
+        understood = board.receive_frame(cob_id, data, time)
+        if board.boots != boots:
+            self._booting.rebooted(board, time)
+        board.runner.check(time)
+        return understood
 
     def _report_pause(self, now: float) -> None:
         if (fault := self.find_pause(now)) is not None:
-            self._boards.log.report(fault)
+            self._log.report(fault)
 
     def _lose(self, fault: ArmFault) -> None:
-        self._boards.forget(fault.source)  # one fault for the bus, not one for each board
+        self._forget(b for b in self._boards if b.layout.bus == fault.source)  # one fault for the bus, not for each
         self._switching.bus_lost(fault.source)
         self._booting.bus_lost(fault)
-        self._boards.log.report(fault)
+        self._log.report(fault)
+
+    def _forget(self, boards: Iterable[Board]) -> None:
+        """Marks the states of boards as unknown until their boot."""
+        for board in boards:
+            board.cancel()
+            board.ready, board.held = False, None

@@ -2,47 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
-from hyperbit.drivers.canopen.layout import Layout
-from hyperbit.drivers.canopen.pdo import Pdo, union
-from hyperbit.drivers.canopen.run.frames import RpdoFrame, assemble
+from hyperbit.drivers.canopen.layout import BoardLayout, Layout
+from hyperbit.drivers.canopen.pdo import Bit, Carried, Pdo, carries, union
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 
 Key = tuple[str, int]  # bus and COB-ID of a frame
 
 
+@dataclass(frozen=True)
+class RpdoFrame:
+    """One RPDO frame of the master, which several boards may receive. Its bytes are one little-endian number."""
+
+    bus: str
+    cob_id: int
+    size: int  # [bytes]
+    on_sync: bool  # whether the boards apply it at the next SYNC, not at once
+    boards: frozenset[int]  # indices of the boards that receive it
+    bits: tuple[Bit, ...]  # its lines, and their bits in the number
+    lines: int  # mask of the lines
+    used: int  # mask of their bits
+
+
+def assemble(boards: Iterable[BoardLayout], rpdos: Mapping[int, tuple[Pdo, ...]]) -> list[RpdoFrame]:
+    """Returns the frames for the RPDOs of boards, by index: one for each bus and COB-ID."""
+    takers: dict[Key, list[tuple[int, BoardLayout, Pdo]]] = {}
+    for i, board in enumerate(boards):
+        for pdo in rpdos.get(i, ()):
+            takers.setdefault((board.bus, pdo.cob_id), []).append((i, board, pdo))
+    frames = []
+    for (bus, cob_id), taking in takers.items():
+        bits: list[Bit] = []
+        for _, board, pdo in taking:
+            carried = carries(pdo.mapping, board.settings.object)
+            bits += [bit._replace(place=place) for bit in board.outputs if (place := _placed(bit.place, carried))]
+        size = max(pdo.size for _, _, pdo in taking)
+        on_sync = all(pdo.on_sync for _, _, pdo in taking)
+        lines, used = union(bit.line for bit in bits), union(bit.place for bit in bits)
+        takes = frozenset(i for i, _, _ in taking)
+        frames.append(RpdoFrame(bus, cob_id, size, on_sync, takes, tuple(bits), lines, used))
+    return frames
+
+
+def _placed(bit: int, carried: Iterable[Carried]) -> int:
+    """Returns the mask of a board's bit in a PDO; 0 if the PDO does not carry it."""
+    number = bit.bit_length() - 1
+    return union(1 << c.place + number - c.bit for c in carried if c.bit <= number < c.bit + c.width)
+
+
 class OutputLines:
-    """The output lines of all boards.
-
-    The bytes of a frame are one little-endian number. Bits without a line keep the value that was read back.
-
-    Attributes:
-        states: levels of the lines after the last SYNC.
-        unread: mask of the lines that were switched, and were not read back with this level since.
-        missed: mask of the lines whose pulse was not read back while it was on; the caller clears it.
-        doubtful: mask of the lines that may be on: the bus was lost while a SYNC was being sent, or the end of a pulse
-            was not read back.
-
-    Args:
-        layout: of the boards.
-        pulsed: mask of the lines that are on for a pulse only.
-    """
+    """The output lines of all boards, as masks. Bits of frames without a line keep the value that was read back."""
 
     def __init__(self, layout: Layout, pulsed: int) -> None:
-        self.states = self.unread = self.missed = self.doubtful = 0
-        self._pulsed = pulsed
+        self.pulsed = pulsed  # on for a pulse only
+        self.states = 0  # levels after the last SYNC
+        self.unread = 0  # switched, and not read back with this level since
+        self.missed = 0  # whose pulse was not read back while it was on; the caller clears it
+        # May be on: the bus was lost while a SYNC was being sent, or the end of a pulse was not read back.
+        self.doubtful = 0
         self._moved = [0] * len(layout.boards)  # lines of each board that may have changed since `begin_read`
         self._boards = layout.boards
         self._trusted = union(b.output_lines for b in layout.boards if not b.settings.verify)
         self._lines = sum(board.output_lines for board in layout.boards)
         self._rpdos = {i: board.rpdos for i, board in enumerate(layout.boards)}
-        self._frames: dict[Key, RpdoFrame] = {}
+        self.frames: dict[Key, RpdoFrame] = {}
         self._image: dict[Key, int] = {}
         # The bytes that the boards apply at the next SYNC. None: unknown, so the frame is sent before any SYNC.
         self._latched: dict[Key, int | None] = {}
         self._uncertain: set[Key] = set()  # frames that may have been sent: the next SYNC may apply them
         self._assemble()
+
+    @property
+    def released(self) -> int:
+        """Mask of the lines whose pulse has ended, and was not read back off."""
+        return self.unread & self.pulsed & ~self.states
 
     def adopt(self, i: int, rpdos: tuple[Pdo, ...], values: Mapping[int, int]) -> None:
         """Sets the RPDOs of board `i`, and the values that were read back, by mapping entry."""
@@ -60,10 +95,11 @@ class OutputLines:
                 place += count
             self._latched[key] = None
             self._uncertain.discard(key)
-            frame = self._frames[key]
+            frame, image = self.frames[key], self._image[key]
+            levels = union(bit.line for bit in frame.bits if bool(image & bit.place) != bit.inverted)
             lines = frame.lines & board.output_lines
             self._find_missed(lines)
-            self.states = self.states & ~lines | _levels(frame, self._image[key]) & lines
+            self.states = self.states & ~lines | levels & lines
         self.doubtful &= ~board.output_lines
         self.unread &= ~board.output_lines
         self._moved[i] = -1
@@ -73,11 +109,9 @@ class OutputLines:
         self._moved[i] = 0
 
     def read(self, i: int, sub: int, byte: int) -> tuple[int, int]:
-        """Takes an output byte of board `i`, in a sub-index, that was asked for at `begin_read`.
+        """Takes an output byte of board `i` that was asked for at `begin_read`; returns its right and wrong lines.
 
-        Returns:
-            Mask of the lines that have their level, and of those that have another one. Lines that have switched
-            meanwhile are in neither.
+        Lines that have switched meanwhile are in neither.
         """
         here = [bit for bit in self._boards[i].outputs if bit.place >> 8 * (sub - 1) & 0xFF]
         levels = union(bit.line for bit in here if bool(byte << 8 * (sub - 1) & bit.place) != bit.inverted)
@@ -89,7 +123,7 @@ class OutputLines:
     def mistrust(self, lines: int) -> None:
         """Records that lines whose pulse has ended may be on: their frames are sent again."""
         self.doubtful |= lines
-        for key, frame in self._frames.items():
+        for key, frame in self.frames.items():
             if frame.lines & lines:
                 self._latched[key] = None
 
@@ -97,11 +131,8 @@ class OutputLines:
         """Returns the frames to send before a SYNC, for each bus that needs a SYNC.
 
         A bus needs a SYNC if an output changes on it, or if its boards have latched other bytes. Then all frames with
-        unknown or other latched bytes are sent too, since the SYNC applies them as well.
-
-        Args:
-            states: levels of all lines.
-            released: mask of lines; not 0: only their buses get a SYNC, and their frames are always sent.
+        unknown or other latched bytes are sent too, since the SYNC applies them as well. If lines are `released`, only
+        their buses get a SYNC, and their frames are always sent.
 
         Raises:
             ValueError: `states` has a bit that is no line.
@@ -109,116 +140,78 @@ class OutputLines:
         if states & ~self._lines or states < 0:
             raise ValueError(f"outputs {states:#x}: there are {self._lines.bit_count()} lines")
         buses: set[str] = set()
-        stale: list[Key] = []
+        stale: dict[str, list[Key]] = {}
         changed = states ^ self.states
-        for key, frame in self._frames.items():
-            image, latched = self._image[key], self._latched[key]
+        for key, frame in self.frames.items():
+            image, latched, keys = self._image[key], self._latched[key], stale.setdefault(frame.bus, [])
             wanted = self._wanted(key, states) if changed & frame.lines else image
             waits = frame.on_sync and latched not in (None, wanted)
             if frame.lines & released if released else wanted != image or waits or key in self._uncertain:
                 buses.add(frame.bus)
             if wanted != latched or frame.lines & released:
-                stale.append(key)
-        due: dict[str, list[Key]] = {key[0]: [] for key in self._frames if key[0] in buses}
-        for key in stale:
-            if key[0] in buses:
-                due[key[0]].append(key)
-        return due
+                keys.append(key)
+        return {bus: keys for bus, keys in stale.items() if bus in buses}
 
-    def frame(self, key: Key, states: int) -> Frame:
-        """Returns the frame that commands the states."""
-        return Frame(key[1], self._wanted(key, states).to_bytes(self._frames[key].size, "little"))
-
-    def on_sync(self, key: Key) -> bool:
-        """Returns whether the boards apply a frame at the next SYNC, not at once."""
-        return self._frames[key].on_sync
-
-    def lines(self, key: Key) -> int:
-        """Returns the mask of the lines in a frame."""
-        return self._frames[key].lines
-
-    def lines_of(self, bus: str) -> int:
-        """Returns the mask of the lines on a bus."""
-        return union(frame.lines for frame in self._frames.values() if frame.bus == bus)
-
-    def takers(self, key: Key) -> frozenset[int]:
-        """Returns the indices of the boards that receive a frame."""
-        return self._frames[key].boards
-
-    def sends(self, bus: str, cob_id: int) -> bool:
-        """Returns whether a frame is an RPDO of the master."""
-        return (bus, cob_id) in self._frames
-
-    def sending(self, key: Key, states: int) -> None:
-        """Records that a frame for these levels is handed out: the latched bytes are unknown until `sent`."""
+    def send(self, key: Key, states: int) -> Frame:
+        """Returns the frame for these levels, which is handed out now: the latched bytes are unknown until `sent`."""
         self._latched[key] = None
         self._uncertain.add(key)
-        self._move(self._frames[key], states ^ self.states)
+        self._move(self.frames[key], states ^ self.states)
+        return Frame(key[1], self._wanted(key, states).to_bytes(self.frames[key].size, "little"))
 
     def sent(self, key: Key, frame: Frame, states: int) -> int:
         """Records that a frame was sent; returns the mask of the lines that it switched without SYNC."""
         self._latched[key] = int.from_bytes(frame.data, "little")
         self._uncertain.discard(key)
-        return 0 if self._frames[key].on_sync else self._switch(key, states)
+        return 0 if self.frames[key].on_sync else self._switch(key, states)
 
     def switched(self, bus: str, states: int) -> int:
         """Records that the SYNC of a bus was sent; returns the mask of the lines that it switched."""
-        here, lines = [key for key, frame in self._frames.items() if frame.bus == bus], self.lines_of(bus)
+        lines = self.lines_of(bus)
         self.unread |= self.doubtful & lines
         self.doubtful &= ~lines
-        return union(self._switch(key, states) for key in here)
+        return union(self._switch(key, states) for key in self.frames if key[0] == bus)
 
     def bus_lost(self, bus: str, states: int | None) -> None:
-        """Records the loss of a bus: nothing is known of its latched bytes, and of pulses not read off.
+        """Records the loss of a bus; `states`: levels that its SYNC, which was being sent, may have switched to."""
+        lines = self.lines_of(bus)
+        self.doubtful |= self.released & lines
+        if states is not None:
+            self.doubtful |= (states ^ self.states) & lines
+        self._latched |= {key: None for key in self.frames if key[0] == bus}
 
-        Args:
-            bus: its name.
-            states: levels that its SYNC, which was being sent, may have switched to; None: none was being sent.
-        """
-        self.doubtful |= self.unread & self._pulsed & ~self.states & self.lines_of(bus)
-        for key, frame in self._frames.items():
-            if frame.bus == bus:
-                self._latched[key] = None
-                if states is not None:
-                    self.doubtful |= (states ^ self.states) & frame.lines
+    def lines_of(self, bus: str) -> int:
+        return union(frame.lines for frame in self.frames.values() if frame.bus == bus)
 
     def bits(self, i: int) -> int:
         """Returns the expected levels of the used output bits of board `i`."""
         return union(b.place for b in self._boards[i].outputs if bool(self.states & b.line) != b.inverted)
 
     def _switch(self, key: Key, states: int) -> int:
-        frame, before = self._frames[key], self.states
+        frame, before = self.frames[key], self.states
         self._image[key] = self._wanted(key, states)
         self._find_missed(frame.lines & ~states)
         self.states = before & ~frame.lines | states & frame.lines
         if switched := before ^ self.states:
             self._move(frame, switched)
-            self.unread |= switched & (~self._trusted | self._pulsed & ~self.states)
+            self.unread |= switched & (~self._trusted | self.pulsed & ~self.states)
         return switched
 
     def _find_missed(self, lines: int) -> None:
         """Finds pulses on lines that go off, or are read, which were not read back while they were on."""
-        self.missed |= lines & self._pulsed & self.states & self.unread & ~self._trusted
+        self.missed |= lines & self.pulsed & self.states & self.unread & ~self._trusted
 
     def _move(self, frame: RpdoFrame, lines: int) -> None:
         for i in frame.boards:
             self._moved[i] |= lines
 
     def _assemble(self) -> None:
-        frames = assemble(self._boards, self._rpdos)
-        self._frames = {(frame.bus, frame.cob_id): frame for frame in frames}
-        self._image = {key: self._image.get(key, 0) for key in self._frames}
-        self._latched = {key: self._latched.get(key) for key in self._frames}
-        self._uncertain &= set(self._frames)
+        self.frames = {(frame.bus, frame.cob_id): frame for frame in assemble(self._boards, self._rpdos)}
+        self._image = {key: self._image.get(key, 0) for key in self.frames}
+        self._latched = {key: self._latched.get(key) for key in self.frames}
+        self._uncertain &= set(self.frames)
 
     def _wanted(self, key: Key, states: int) -> int:
-        """Returns the bytes of a frame for the states, as a number."""
-        frame = self._frames[key]
-        levels = 0
-        for line, mask, place in frame.runs:
-            levels |= (states >> line & mask) << place
-        return self._image[key] & ~frame.used | levels ^ frame.inverted
-
-
-def _levels(frame: RpdoFrame, image: int) -> int:
-    return union(bit.line for bit in frame.bits if bool(image & bit.place) != bit.inverted)
+        frame = self.frames[key]
+        levels = union(bit.place for bit in frame.bits if bool(states & bit.line) != bit.inverted)
+        return self._image[key] & ~frame.used | levels

@@ -2,37 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 from hyperbit.drivers.canopen.boot.booting import Booting
 from hyperbit.drivers.canopen.faults import Busy
 from hyperbit.drivers.canopen.pdo import union
-from hyperbit.drivers.canopen.run.boards import Boards
+from hyperbit.drivers.canopen.run.board import Board
 from hyperbit.drivers.canopen.run.commit import BusCommit
-from hyperbit.drivers.canopen.wire.cia301 import Frame
-
-
-@dataclass
-class Switch:
-    """A stage or a release.
-
-    Attributes:
-        commits: those of its buses; no SYNC is handed out before the RPDOs of all of them were sent.
-        off: mask of the lines that a release switches off; None: it is a stage.
-    """
-
-    commits: list[BusCommit]
-    off: int | None = None
-
-    @property
-    def collecting(self) -> bool:
-        """Whether it waits for RPDOs."""
-        return any(commit.collecting for commit in self.commits)
-
-    @property
-    def under_way(self) -> bool:
-        """Whether it may still switch something."""
-        return any(commit.under_way for commit in self.commits)
+from hyperbit.drivers.canopen.run.outputs import OutputLines
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
+from hyperbit.drivers.canopen.wire.link import Link
+from hyperbit.drivers.canopen.wiring import Timing
 
 
 class OutputSwitching:
@@ -40,73 +21,42 @@ class OutputSwitching:
 
     A SYNC is handed out only after all RPDOs were sent. So none waits in a queue when a bus fails, and the frames that
     the kernel still holds switch nothing when the bus comes back. Each bus has its own release, which no other bus
-    delays.
+    delays. A release switches lines off during a boot, too.
     Times `now` are real times, times `time` stand still while the loop stalls [s].
-
-    Attributes:
-        failed: why the last stage has failed, as a sentence; None after a success.
-        switched: masks of switched lines, each with the real time of its SYNC [s].
-
-    Args:
-        boards: of the arm.
-        booting: boots the boards; a release switches lines off during a boot, too.
-        longest: a commit that takes longer is cancelled, since its SYNC would be too late [s, real time].
     """
 
-    def __init__(self, boards: Boards, booting: Booting, longest: float) -> None:
-        self.failed: str | None = None
-        self.switched: list[tuple[int, float]] = []
-        self._boards, self._booting, self._longest = boards, booting, longest
-        self._commits = {n: BusCommit(link, boards.outputs, self.switched) for n, link in boards.links.items()}
-        self._stage = Switch([])
-        self._releases: dict[str, Switch] = {}
+    def __init__(
+        self, boards: Sequence[Board], links: Mapping[str, Link], outputs: OutputLines, booting: Booting, timing: Timing
+    ) -> None:
+        self.failed: str | None = None  # why the last stage has failed, as a sentence; None after a success
+        self.switched: list[tuple[int, float]] = []  # masks of lines, each with the real time of its SYNC [s]
+        self.commits = {name: BusCommit(link, outputs, self.switched) for name, link in links.items()}
+        self._boards, self._outputs, self._booting = boards, outputs, booting
+        # A commit that takes longer is cancelled, since its SYNC would be too late [s].
+        self._longest = timing.heartbeat_timeout / 2
+        self._stage: list[BusCommit] = []
+        self._releases: dict[str, int] = {}  # of each bus, mask of the lines that its last release switches off
 
     @property
     def under_way(self) -> bool:
         """Whether a stage is under way, or a frame of one that was given up."""
-        return self._stage.under_way
-
-    def busy(self, bus: str) -> bool:
-        """Returns whether frames on their way may still switch something on a bus."""
-        return self._commits[bus].under_way
-
-    @property
-    def collecting(self) -> bool:
-        """Whether RPDOs are awaited."""
-        return any(commit.collecting for commit in self._commits.values())
-
-    @property
-    def unknown(self) -> bool:
-        """Whether a frame that switches was handed out, and may or may not be sent."""
-        return any(commit.unknown for commit in self._commits.values())
-
-    @property
-    def leaving(self) -> int:
-        """Mask of the lines that frames already handed out will switch, whatever is commanded now."""
-        return union(commit.leaving for commit in self._commits.values())
+        return any(commit.under_way for commit in self._stage)
 
     def commit(self, outputs: int, now: float, time: float) -> None:
-        """Switches all output lines to `outputs`: sends RPDOs, and one SYNC on each bus after all of them.
-
-        Nothing is sent if nothing changes.
-
-        Raises:
-            Busy: frames of a bus were not sent yet, or a bus or a board is not ready.
-            ValueError: `outputs` has a bit that is no line.
-        """
-        due = self._boards.outputs.due(outputs)
-        if self._stage.under_way:
+        """Switches all output lines: sends RPDOs, and one SYNC on each bus after all of them, if anything changes."""
+        due = self._outputs.due(outputs)
+        if self.under_way:
             raise Busy("frames of the previous commit were not sent yet")
         self.failed = None
         if not due:
             return
-        refusals = (self._commits[bus].refusal(keys) for bus, keys in due.items())
-        if refusal := self._boards.refusal() or next(filter(None, refusals), None):
+        refusals = (self.commits[bus].refusal(keys) for bus, keys in due.items())
+        if refusal := self._refusal(None) or next(filter(None, refusals), None):
             raise Busy(refusal)
-        self._stage = Switch([self._commits[bus] for bus in due])
+        self._stage = [self.commits[bus] for bus in due]
         for bus, keys in due.items():
             self._releases.pop(bus, None)
-            self._commits[bus].begin(outputs, self._boards.frames_of(bus, keys, None), now, time)
+            self.commits[bus].begin(outputs, [], keys, now, time)
         self._advance(now, time)
 
     def release(self, outputs: int, now: float, time: float) -> None:
@@ -114,91 +64,112 @@ class OutputSwitching:
 
         A release is also for boards that are not ready, for buses that were lost and send frames again, and for a boot
         under way. One that cannot begin now, begins at a later call. One that waits for its echoes goes on.
+        It leaves out boards that have restarted: their outputs are off, and their frames could switch others on.
+        Doubtful lines of the same boards go off too: their levels are unknown, and a release switches nothing on.
         """
-        states, off = self._boards.released(~outputs)
-        for bus in self._commits:
-            if here := off & self._boards.outputs.lines_of(bus):
-                self._release(bus, states, here, now, time)
+        states, doubtful = self._outputs.states, self._outputs.doubtful
+        alive = union(board.layout.output_lines for board in self._boards if not board.restarted)
+        off = (states | doubtful) & ~outputs & alive
+        touched = union(lines for board in self._boards if (lines := board.layout.output_lines) & off)
+        for bus in self.commits:
+            if here := off & self._outputs.lines_of(bus):
+                self._release(bus, states & ~off & ~(doubtful & touched), here, now, time)
         self._advance(now, time)
 
-    def give_up(self, why: str) -> None:
-        """Gives up a stage whose SYNC was not handed out; `why` is the reason for `failed`, as a sentence."""
-        self._give_up(self._stage, why)
+    def give_up(self, why: str, commits: Sequence[BusCommit] | None = None) -> None:
+        """Gives up the stage, or a release, if its SYNC was not handed out; `why` is a sentence."""
+        commits = self._stage if commits is None else commits
+        if any(commit.collecting for commit in commits):
+            for commit in commits:
+                commit.give_up(why)
+            self._end_failed()
 
     def forget(self) -> None:
         """Cancels everything; the caller reads the outputs back."""
-        for commit in self._commits.values():
+        for commit in self.commits.values():
             commit.lost()
-        self._stage, self._releases, self.failed = Switch([]), {}, None
+        self._stage, self._releases, self.failed = [], {}, None
 
     def sent(self, bus: str, frame: Frame, now: float, time: float) -> None:
-        """Records that a frame of the master was sent."""
-        if (commit := self._commits[bus]).under_way:
+        if (commit := self.commits[bus]).under_way:
             commit.sent(frame, now)
             self._advance(now, time)
 
     def send_failed(self, bus: str, frame: Frame, why: str) -> None:
-        """Records that a frame of the master could not be sent."""
-        self._commits[bus].send_failed(frame, why)
+        self.commits[bus].send_failed(frame, why)
         self._end_failed()
 
     def bus_lost(self, bus: str) -> None:
-        """Records the loss of a bus."""
-        self._commits[bus].lost()
+        self.commits[bus].lost()
         self._end_failed()
 
     def tick(self, now: float, time: float) -> None:
-        """Call every period."""
-        for commit in self._commits.values():
+        for commit in self.commits.values():
             if commit.under_way:
                 commit.tick(now)
         self._advance(now, time)
 
+    def _refusal(self, off: int | None) -> str | None:
+        """Returns why nothing may be switched now, or None; `off`: lines of a release, None: a stage.
+
+        A lost board may still hear a release, so it counts only whether its bus sends frames, armed or not.
+        """
+        if off is not None:
+            lost = [b.link for b in self._boards if b.layout.output_lines & off and not b.link.usable]
+        else:
+            lost = [commit.link for commit in self.commits.values() if not commit.link.armed]
+        if lost:
+            return f"{lost[0].name} is {lost[0].state} or was lost: nothing is sent until its boards are booted"
+        for board in self._boards if off is None else ():
+            if not board.ready:
+                return f"board {board.name} is not ready: nothing is sent until it is booted"
+        return None
+
     def _release(self, bus: str, states: int, off: int, now: float, time: float) -> None:
-        commit, last = self._commits[bus], self._releases.get(bus)
-        if last is not None and last.collecting and (last.off, commit.states) == (off, states):
+        commit = self.commits[bus]
+        if commit.collecting and self._releases.get(bus) == off and commit.states == states:
             return
-        if commit in self._stage.commits:
-            self._give_up(self._stage, "an output had to be switched off first")
+        if commit in self._stage:
+            self.give_up("an output had to be switched off first")
         commit.give_up("it is replaced")
-        keys = self._boards.outputs.due(states, off)[bus]
-        if self._boards.refusal(off) or commit.refusal(keys):
+        keys = self._outputs.due(states, off)[bus]
+        if self._refusal(off) or commit.refusal(keys):
             return
-        booted = self._boards.left_out(bus, off) if self._booting.under_way else ()
-        self._stage.commits = [other for other in self._stage.commits if other is not commit]
-        self._releases[bus] = Switch([commit], off)
-        commit.begin(states, self._boards.frames_of(bus, keys, off), now, time)
-        for station in (self._boards.stations[i] for i in sorted(booted)):
-            if station.board.heard:  # it was told to leave operational, in which its boot may have put it
-                self._booting.rebooted(station, time)
+        # A SYNC would also switch a lost board that is operational and has latched a frame. So a lost board leaves
+        # operational first, unless it has lines that go off: such a board gets its frame like a ready one.
+        here = [board for board in self._boards if board.link is commit.link]
+        left_out = {b.index: b for b in here if not b.ready and not b.layout.output_lines & off}
+        orders = [cia301.command(Command.PRE_OPERATIONAL, board.layout.node) for board in left_out.values()]
+        keys = [key for key in keys if not self._outputs.frames[key].boards <= left_out.keys()]
+        self._stage = [other for other in self._stage if other is not commit]
+        self._releases[bus] = off
+        commit.begin(states, orders, keys, now, time)
+        for board in left_out.values():
+            if board.heard:  # it was told to leave operational, in which its boot may have put it
+                self._booting.rebooted(board, time)
 
     def _advance(self, now: float, time: float) -> None:
         """Hands out the SYNCs of stage and releases whose RPDOs were sent, and ends those that take too long."""
-        for switch in (self._stage, *self._releases.values()):
-            if not switch.collecting:
+        releases = [([self.commits[bus]], off) for bus, off in self._releases.items()]
+        for commits, off in [(self._stage, None), *releases]:
+            if not any(commit.collecting for commit in commits):
                 continue
-            waiting = [commit.bus for commit in switch.commits if commit.waiting]
-            if now - switch.commits[0].began > self._longest:
+            waiting = [commit.bus for commit in commits if commit.waiting]
+            if now - commits[0].began > self._longest:
                 late = f"frames on {', '.join(waiting)} were not sent" if waiting else "the executor was halted"
-                self._give_up(switch, f"{late} for {self._longest:g} s")
+                self.give_up(f"{late} for {self._longest:g} s", commits)
             elif waiting:
                 continue
-            elif refusal := self._boards.refusal(switch.off):
-                self._give_up(switch, refusal)
+            elif refusal := self._refusal(off):
+                self.give_up(refusal, commits)
             else:
-                for commit in switch.commits:
+                for commit in commits:
                     commit.sync(time)
-
-    def _give_up(self, switch: Switch, why: str) -> None:
-        if switch.collecting:
-            for commit in switch.commits:
-                commit.give_up(why)
-            self._end_failed()
 
     def _end_failed(self) -> None:
         """Gives a stage up on all its buses if one of them has failed."""
-        why = next((commit.failed for commit in self._stage.commits if commit.failed), None)
+        why = next((commit.failed for commit in self._stage if commit.failed), None)
         if why is not None:
             self.failed = self.failed or why
-            for commit in self._stage.commits:
+            for commit in self._stage:
                 commit.give_up(why)

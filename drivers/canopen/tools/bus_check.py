@@ -16,7 +16,7 @@ from hyperbit.drivers.canopen.sdo.objects import Need
 from hyperbit.drivers.canopen.sdo.procedure import BoardError, Procedure
 from hyperbit.drivers.canopen.tools.session import Node, Session, stopped
 from hyperbit.drivers.canopen.wire.cia301 import State
-from hyperbit.drivers.canopen.wiring import ErrorState, Timing, Wiring
+from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 _BOARD_TIMEOUT = 1.0  # [s] for the first answer of a board
 _MOST_CHANGES = 4  # changes that the answer lists
@@ -24,50 +24,28 @@ _MOST_CHANGES = 4  # changes that the answer lists
 
 @dataclass(frozen=True)
 class CheckedBoard:
-    """What the check has found on one board.
+    """What the check has found on one board."""
 
-    Attributes:
-        board: name of the board, e.g. "can0/5".
-        text: its device type, the values that the boot will write, and its limits; or what is wrong.
-        code: code of what is wrong, as of a fault; "": it can be booted and reports no error.
-    """
-
-    board: str
-    text: str
-    code: str = ""
-
-    @property
-    def ok(self) -> bool:
-        """Whether the board can be booted and reports no error."""
-        return not self.code
+    board: str  # name, e.g. "can0/5"
+    text: str  # its device type, the values that the boot will write, and its limits; or what is wrong
+    code: str = ""  # of what is wrong, as of a fault; "": it can be booted and reports no error
 
 
 def check_bus(session: Session, wiring: Wiring, timing: Timing) -> list[CheckedBoard]:
     """Asks all boards in parallel; returns their answers, after that of each bus that cannot be used.
 
     The check writes only values that the objects have already, to find read-only objects. So no frame that is lost, and
-    no end of the process, leaves another value on a board.
-
-    Args:
-        session: with the buses of the wiring.
-        wiring: buses and boards.
-        timing: heartbeat times.
-
-    Raises:
-        MasterHeard: a master sends its heartbeat.
+    no end of the process, leaves another value on a board. Raises MasterHeard.
     """
     boards = {(board.bus, board.node): board for board in lay_out(wiring).boards}
     texts: dict[Node, CheckedBoard] = {}
-    faults = session.run(
-        {node: _ask(session, board, timing, wiring.error_state, texts) for node, board in boards.items()}
-    )
+    faults = session.run({node: _ask(session, board, timing, wiring, texts) for node, board in boards.items()})
     troubles = {bus.name: session.trouble(bus.name) for bus in wiring.buses}
     answers = [CheckedBoard(bus, fault.message, fault.code) for bus, fault in troubles.items() if fault is not None]
     for node, board in boards.items():
-        fault, trouble = faults[node], troubles[node[0]]
-        if fault is None:
+        if (fault := faults[node]) is None:
             answers.append(texts[node])
-        elif trouble is None:
+        elif (trouble := troubles[node[0]]) is None:
             answers.append(CheckedBoard(board.name, fault.message, fault.code))
         else:
             cause = trouble.message.partition(": check")[0]
@@ -76,22 +54,30 @@ def check_bus(session: Session, wiring: Wiring, timing: Timing) -> list[CheckedB
 
 
 def _ask(
-    session: Session, board: BoardLayout, timing: Timing, state: ErrorState | None, texts: dict[Node, CheckedBoard]
+    session: Session, board: BoardLayout, timing: Timing, wiring: Wiring, texts: dict[Node, CheckedBoard]
 ) -> Procedure:
     node = board.bus, board.node
     try:
         kind, _ = yield from find(board, _BOARD_TIMEOUT, None)
     except BoardError as error:
-        if error.fault.code == "board-missing":
-            yield from _refuse_heard(session, board)
-        raise
+        if error.fault.code != "board-missing":
+            raise
+        yield from session.poll_state(node)  # it may send heartbeats, or answer a remote frame
+        if (state := session.states.get(node)) is None:
+            raise
+        if state is State.STOPPED:
+            raise BoardError(ArmFault("board-stopped", board.name, stopped(board.name))) from None
+        text = f"board {board.name} is {state.words}, but does not answer to 1000h sub 0 within {_BOARD_TIMEOUT:g} s"
+        raise BoardError(ArmFault("board-missing", board.name, text)) from None
     it = Inspection(board)
-    yield from inspection.inspect(it, kind, timing, state)
+    yield from inspection.inspect(it, kind, timing, wiring.error_state)
     yield from pdo_search.read_pdos(it, in_full=True)
     unmet = it.unmet(it.needs) + it.unmet(it.error_mode)
     changes = [f"{n.place} {n.words(it.values[n.index, n.sub])} -> {n.words(n.corrected(0))}" for n in unmet]
-    for need in unmet:
-        yield from _try(it, need)
+    for need in unmet:  # writes its present value, which changes nothing, to find an object that cannot be written
+        value = it.values[need.index, need.sub]
+        if (abort := (yield from objects.write(it.name, need, value))) == objects.READ_ONLY:
+            raise objects.refused(it.name, need, value, abort)
     for pdos in (it.rpdos, it.tpdos):
         yield from _try_mappings(it, pdos)
     for wanted, present in it.rpdos + it.tpdos:
@@ -106,29 +92,8 @@ def _ask(
         text += f"; to be written: {'; '.join(changes[:_MOST_CHANGES])}"
         text += f"; and {len(changes) - _MOST_CHANGES} more" * (len(changes) > _MOST_CHANGES)
     text = "; ".join([text, *it.warnings])
-    if register and not lost:
-        texts[node] = CheckedBoard(board.name, text, "board-error")
-    else:
-        texts[node] = CheckedBoard(board.name, f"can be booted: {text}")
-
-
-def _refuse_heard(session: Session, board: BoardLayout) -> Reading:
-    """Refuses a board that answers no SDO, but sends heartbeats or answers a remote frame."""
-    node = board.bus, board.node
-    yield from session.poll_state(node)
-    state = session.states.get(node)
-    if state is State.STOPPED:
-        raise BoardError(ArmFault("board-stopped", board.name, stopped(board.name)))
-    if state is not None:
-        text = f"board {board.name} is {state.words}, but does not answer to 1000h sub 0 within {_BOARD_TIMEOUT:g} s"
-        raise BoardError(ArmFault("board-missing", board.name, text))
-
-
-def _try(it: Inspection, need: Need) -> Reading:
-    """Refuses an object that cannot be written: writes its present value, which changes nothing."""
-    present = it.values[need.index, need.sub]
-    if (abort := (yield from objects.write(it.name, need, present))) == objects.READ_ONLY:
-        raise objects.refused(it.name, need, present, abort)
+    wrong = register and not lost
+    texts[node] = CheckedBoard(board.name, text if wrong else f"can be booted: {text}", "board-error" if wrong else "")
 
 
 def _try_mappings(it: Inspection, pdos: list[tuple[Pdo, PdoState]]) -> Reading:

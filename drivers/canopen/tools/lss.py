@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from itertools import islice
 from typing import NamedTuple
 
@@ -30,9 +30,6 @@ _REFUSALS = {
     (_STORE, 2): "its memory cannot be written",
 }
 
-# Request, first byte of its answer (None: none is expected), time for the answer [s] -> answers since the last request.
-Exchange = Callable[[bytes, int | None, float], list[bytes]]
-
 
 class LssRefused(Exception):
     """A board does not answer, or refuses; the text says which request."""
@@ -55,14 +52,10 @@ class LssIdentity(NamedTuple):
 
 
 class Lss:
-    """Talks to LSS slaves.
+    """Talks to the LSS slaves of a bus. Raises LssRefused, and what the session raises."""
 
-    Args:
-        exchange: sends a request and returns the answers of all boards.
-    """
-
-    def __init__(self, exchange: Exchange) -> None:
-        self._exchange, self._tries = exchange, _TRIES
+    def __init__(self, session: Session, bus: str) -> None:
+        self._session, self._bus = session, bus
         self._identity: dict[int, bytes] = {}  # answers with the parts of the selected board's identity, by first byte
 
     def unconfigured(self) -> list[LssIdentity]:
@@ -85,73 +78,54 @@ class Lss:
         return [one for one, node in found.items() if node == _WITHOUT_ID]
 
     def select(self, identity: LssIdentity | None) -> tuple[LssIdentity, int]:
-        """Selects one board for configuration; returns its identity and node id.
-
-        Args:
-            identity: identity of the board; None: the only board on the bus.
-
-        Raises:
-            LssRefused: no such board answers, or several do.
-        """
-        self._tries = 1  # of a single request: after a lost frame the board must be selected again
+        """Selects one board, or the only one on the bus (None), for configuration; returns its identity and node id."""
         for attempt in range(_TRIES):
             self.release()  # an earlier session may have ended in the configuration state
             try:
-                self._switch(identity)
+                self._switch(identity, tries=_TRIES if attempt else 1)  # after a lost frame it must be selected again
                 break
             except LssSilent:
                 if attempt == _TRIES - 1:
                     raise
-            finally:
-                self._tries = _TRIES
-        parts = [self._ask("inquire identity", part) for part in _INQUIRE]
-        told = (int.from_bytes(part[1:5], "little") for part in parts)
+        told = [int.from_bytes(self._ask("inquire identity", part)[1:5], "little") for part in _INQUIRE]
         return LssIdentity(*told), self._ask("inquire node id", _INQUIRE_NODE_ID)[1]
 
     def configure(self, old: int, node: int | None, bitrate: int | None) -> None:
         """Sets and stores node id and bit rate [bit/s] of the selected board; None: unchanged.
 
         A node id that was set and not stored would still apply after an NMT reset of the communication. If the board
-        does not confirm that it has stored, it gets its old node id back.
-
-        Args:
-            old: node id of the board.
-            node: new node id.
-            bitrate: new bit rate [bit/s].
-
-        Raises:
-            LssRefused: the board refuses, or does not confirm that it has stored.
+        does not confirm that it has stored, it gets its `old` node id back.
         """
-        stored = False
         try:
             if node is not None:
                 self._set(f"node id {node}", _NODE_ID, node)
             if bitrate is not None:
                 self._set(f"{bitrate} bit/s", _BIT_TIMING, 0, BIT_TIMINGS[bitrate])
             self._set("store", _STORE)
-            stored = True
-        finally:
-            if not stored and node is not None:
+        except BaseException:
+            if node is not None:
                 with contextlib.suppress(LssRefused):
                     self._set(f"node id {old}", _NODE_ID, old)
+            raise
 
     def release(self) -> None:
         """Returns all boards to the LSS waiting state."""
         self._identity.clear()
-        self._send(_SWITCH, _WAITING)
+        self._exchange(bytes((_SWITCH, _WAITING)))
 
-    def _switch(self, identity: LssIdentity | None) -> None:
+    def _switch(self, identity: LssIdentity | None, tries: int = _TRIES) -> None:
         """Switches one board to the configuration state, which it must prove by an answer."""
         if identity is None:
-            self._send(_SWITCH, _CONFIGURATION)
-            self._ask("select", _INQUIRE[0])
+            self._exchange(bytes((_SWITCH, _CONFIGURATION)))
+            self._ask("select", _INQUIRE[0], tries=tries)
             return
         for part, number in islice(zip(_SELECT, identity, strict=True), 3):
-            self._send(part, *number.to_bytes(4, "little"))
-        self._ask(f"select {identity}", _SELECT[3], *identity.serial.to_bytes(4, "little"), code=_SELECTED)
+            self._exchange(struct.pack("<BI", part, number))
+        serial = identity.serial.to_bytes(4, "little")
+        self._ask(f"select {identity}", _SELECT[3], *serial, code=_SELECTED, tries=tries)
 
     def _scan(self, selected: Collection[LssIdentity]) -> LssIdentity | None:
-        """Returns the identity of a board that answers a fast scan, bit by bit; None if none does."""
+        """Returns the identity of a board that answers a fast scan, bit by bit; the `selected` ones are silent."""
         self.release()
         for one in selected:
             with contextlib.suppress(LssSilent):
@@ -176,20 +150,15 @@ class Lss:
 
     def _set(self, what: str, *request: int) -> None:
         """Sends a request that the selected board confirms or refuses."""
-        error = self._ask(what, *request)[1]
-        if error:
+        if error := self._ask(what, *request)[1]:
             why = _REFUSALS.get((request[0], error), f"error {error}")
             raise LssRefused(f"{what}: the board refuses: {why}")
 
-    def _send(self, *request: int) -> None:
-        """Sends a request that has no answer."""
-        self._exchange(bytes(request).ljust(8, b"\0"), None, 0.0)
-
-    def _ask(self, what: str, *request: int, code: int | None = None) -> bytes:
+    def _ask(self, what: str, *request: int, code: int | None = None, tries: int = _TRIES) -> bytes:
         """Returns the answer of the selected board, whose first byte is `code`, or that of the request."""
         code = request[0] if code is None else code
-        for _ in range(self._tries):
-            heard = {answer for answer in self._exchange(bytes(request).ljust(8, b"\0"), code, _TIMEOUT) if answer}
+        for _ in range(tries):
+            heard = {answer for answer in self._exchange(bytes(request), code, _TIMEOUT) if answer}
             own = [answer for answer in heard if answer[0] == code and len(answer) == 8]
             if len(own) > 1 or any(self._identity.get(late[0], late) != late for late in heard):
                 raise LssRefused("several boards answer: connect one alone, or name one by its identity")
@@ -199,21 +168,16 @@ class Lss:
                 return own[0]
         raise LssSilent(f"{what}: no board answers by LSS")
 
-
-def over(session: Session, bus: str) -> Exchange:
-    """Returns an `Exchange` over a bus of a session; it raises what the session raises."""
-
-    def exchange(request: bytes, code: int | None, timeout: float) -> list[bytes]:
-        before = len(session.heard)
-        session.send_frame(bus, Frame(_REQUEST, request))
+    def _exchange(self, request: bytes, code: int | None = None, timeout: float = _PAUSE) -> list[bytes]:
+        """Sends a request; returns all answers since the last one. It waits for one whose first byte is `code`."""
+        session, before = self._session, len(self._session.heard)
+        session.send_frame(self._bus, Frame(_REQUEST, request.ljust(8, b"\0")))
 
         def answered() -> bool:
             return any(frame.id == _ANSWER and frame.data[0] == code for frame in session.heard[before:] if frame.data)
 
-        if session.wait(answered, _PAUSE if code is None else timeout):
+        if session.wait(answered, timeout):
             session.wait(lambda: False, _MORE)
         answers = [frame.data for frame in session.heard if frame.id == _ANSWER]
         session.heard.clear()
         return answers
-
-    return exchange

@@ -20,62 +20,31 @@ _PDOS = 32  # RPDOs and TPDOs that are searched
 _MOST_SUBS = 32  # entries of an array that are read
 
 TEXTS = (0x1008, 0x1009, 0x100A)
-_NUMBERS = (
-    (0x1001, 0),
-    (0x1005, 0),
-    (0x1006, 0),
-    (0x100C, 0),
-    (0x100D, 0),
-    (0x1010, 1),
-    (0x1017, 0),
-    (0x1019, 0),
-    (0x1029, 1),
-)
+_NUMBERS = {0x1001: 0, 0x1005: 0, 0x1006: 0, 0x100C: 0, 0x100D: 0, 0x1010: 1, 0x1017: 0, 0x1019: 0, 0x1029: 1}
 _ARRAYS = (0x1003, 0x1016, 0x1018, 0x6202, 0x6206, 0x6207)
-_COUNTS = (0x6000, 0x6200)  # arrays whose sub-index 0 alone is read
+_COUNTS = {0x6000: 0, 0x6200: 0}  # arrays whose sub-index 0 alone is read
 
 
 @dataclass
 class ProbedNode:
-    """One node of a bus.
-
-    Attributes:
-        node: node id.
-        state: last NMT state; None if neither a heartbeat nor an answer to a remote frame came.
-        answers: whether it answers SDO requests.
-        numbers: unsigned numbers by index and sub-index.
-        texts: texts by index.
-        refused: SDO abort codes of objects that exist and cannot be read, by index and sub-index.
-        rpdos: its RPDOs.
-        tpdos: its TPDOs.
-        trouble: why the probe of this node ended early, as a sentence.
-    """
+    """One node of a bus. Its objects are by index and sub-index."""
 
     node: int
-    state: State | None = None
-    answers: bool = False
-    numbers: dict[tuple[int, int], int] = field(default_factory=dict)
-    texts: dict[int, str] = field(default_factory=dict)
-    refused: dict[tuple[int, int], int] = field(default_factory=dict)
+    state: State | None = None  # the last one; None if neither a heartbeat nor an answer to a remote frame came
+    answers: bool = False  # to SDO requests
+    numbers: dict[tuple[int, int], int] = field(default_factory=dict)  # unsigned
+    texts: dict[int, str] = field(default_factory=dict)  # by index
+    refused: dict[tuple[int, int], int] = field(default_factory=dict)  # abort codes of objects that exist
     rpdos: list[PdoState] = field(default_factory=list)
     tpdos: list[PdoState] = field(default_factory=list)
-    trouble: str | None = None
+    trouble: str | None = None  # why its probe ended early, as a sentence
 
 
 def probe_bus(session: Session, bus: str, nodes: Iterable[int] = NODES, *, in_full: bool = True) -> list[ProbedNode]:
     """Asks nodes of a bus in parallel; returns those that answer, or send heartbeats, by node id.
 
-    A node that neither answers nor sends heartbeats is polled by a remote frame: it may be stopped.
-
-    Args:
-        session: with the bus.
-        bus: name of the bus.
-        nodes: node ids to ask.
-        in_full: read all important objects; otherwise only 1000h and 1018h.
-
-    Raises:
-        BusError: the bus cannot be used.
-        MasterHeard: a master sends its heartbeat.
+    A node that neither answers nor sends heartbeats is polled by a remote frame: it may be stopped. Without `in_full`
+    only 1000h and 1018h are read. Raises MasterHeard, and BusError if the bus cannot be used.
     """
     asked = {node: ProbedNode(node) for node in nodes}
     faults = session.run({(bus, node): _ask(session, bus, it, in_full) for node, it in asked.items()})
@@ -100,10 +69,8 @@ def _ask(session: Session, bus: str, it: ProbedNode, in_full: bool) -> Procedure
     yield from _array(it, 0x1018)
     if not in_full:
         return
-    for index, sub in _NUMBERS:
+    for index, sub in (_NUMBERS | _COUNTS).items():
         _store(it, index, sub, (yield Transfer(index, sub)))
-    for index in _COUNTS:
-        _store(it, index, 0, (yield Transfer(index, 0)))
     for index in _ARRAYS:
         yield from _array(it, index)
     for index in TEXTS:
@@ -124,11 +91,7 @@ def _array(it: ProbedNode, index: int) -> Generator[Step, SdoOutcome, None]:
 
 
 def _store(it: ProbedNode, index: int, sub: int, outcome: SdoOutcome) -> None:
-    """Stores the value or the refusal of an object.
-
-    Raises:
-        BoardError: the node does not answer any more.
-    """
+    """Stores the value or the refusal of an object, or raises BoardError: the node does not answer any more."""
     if outcome.data is not None:
         it.numbers[index, sub] = int.from_bytes(outcome.data, "little")
     elif outcome.abort is None:

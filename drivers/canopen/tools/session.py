@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
-from types import TracebackType
-from typing import Protocol
 
 from hyperbit.drivers.canopen.faults import ArmFault, BusError
 from hyperbit.drivers.canopen.sdo.procedure import Order, Procedure, Runner, Wait
@@ -27,16 +25,6 @@ _CHECK = "check cable, termination, bit rate, and that a board on this bus has p
 Node = tuple[str, int]  # name of the bus, and node id
 
 
-class Clock(Protocol):
-    """The time; the module `time` is one."""
-
-    def monotonic(self) -> float:
-        """Returns the time [s]."""
-
-    def sleep(self, seconds: float, /) -> None:
-        """Waits."""
-
-
 class MasterHeard(Exception):
     """A master, such as an executor, sends its heartbeat on a bus; the text is the bus's name."""
 
@@ -44,21 +32,16 @@ class MasterHeard(Exception):
 class Session:
     """Open buses, and the procedures with their nodes. Use it in a `with` statement; each method blocks until its end.
 
-    Attributes:
-        states: last NMT state of each node, from heartbeats and answers to remote frames (CiA 301, 7.2.8.3.2).
-        heard: frames of others since the last `exchange`.
-
-    Args:
-        buses: the buses, still closed.
-        heartbeat: period of a master's heartbeat [s], if it is known.
-        clock: the time.
+    `heartbeat` is the period of a master's heartbeat [s], if it is known.
     """
 
-    def __init__(self, buses: Iterable[CanBus], heartbeat: float = 0.0, clock: Clock = time) -> None:
-        self.states: dict[Node, State] = {}
-        self.heard: list[Frame] = []
+    clock, sleep = staticmethod(time.monotonic), staticmethod(time.sleep)  # [s]
+
+    def __init__(self, buses: Iterable[CanBus], heartbeat: float = 0.0) -> None:
+        self.states: dict[Node, State] = {}  # the last ones, by heartbeats and remote frames (CiA 301, 7.2.8.3.2)
+        self.heard: list[Frame] = []  # frames of others since the caller has cleared it
         self._buses = {bus.name: bus for bus in buses}
-        self._listen, self._clock = max(LISTEN, PERIODS * heartbeat), clock
+        self._listen = max(LISTEN, PERIODS * heartbeat)
         self._outbox: list[tuple[str, Frame]] = []
         self._links = {
             bus.name: Link(bus.wiring, lambda name, frame: self._outbox.append((name, frame)), _STUCK_AFTER)
@@ -73,38 +56,26 @@ class Session:
         try:
             for bus in self._buses.values():
                 bus.open()
-                self._links[bus.name].changed("active", "", None, self._clock.monotonic())
+                self._links[bus.name].changed("active", "", None, self.clock())
             self.listen()
         except BaseException:
-            self.close()
+            self.__exit__()
             raise
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Closes the buses."""
+    def __exit__(self, *raised: object) -> None:
         for bus in self._buses.values():
             bus.close()
 
     def listen(self) -> None:
-        """Listens for a master; call it again after each question to the user.
-
-        Raises:
-            MasterHeard: a master sends its heartbeat.
-        """
+        """Listens for a master, and raises MasterHeard; call it again after each question to the user."""
         self.wait(lambda: False, self._listen)
 
     def wait(self, until: Callable[[], bool], seconds: float) -> bool:
-        """Waits until a condition holds, at most for a time [s]; returns whether it holds.
-
-        Raises:
-            MasterHeard: a master sends its heartbeat.
-        """
-        end = self._clock.monotonic() + seconds
+        """Waits until a condition holds, at most for a time [s]; returns whether it holds. Raises MasterHeard."""
+        end = self.clock() + seconds
         while not until():
-            now = self._clock.monotonic()
+            now = self.clock()
             if now >= end:
                 return False
             for bus in self._buses.values():
@@ -113,19 +84,20 @@ class Session:
                     self._flush(now)
             if self._master is not None:
                 raise MasterHeard(self._master)
-            self._tick(now)
+            for link in self._links.values():
+                link.armed = link.usable  # so that a stuck bus is found; nothing is switched here
+                if (fault := link.tick(now, now)) is not None:
+                    self._faults.setdefault(link.name, fault)
+            for runner in self._runners.values():
+                runner.tick(now)
             self._flush(now)
-            self._clock.sleep(_POLL)
+            self.sleep(_POLL)
         return True
 
     def run(self, procedures: Mapping[Node, Procedure]) -> dict[Node, ArmFault | None]:
-        """Runs procedures with nodes in parallel; returns the fault of each, or None.
-
-        Raises:
-            MasterHeard: a master sends its heartbeat.
-        """
+        """Runs procedures with nodes in parallel; returns the fault of each, or None. Raises MasterHeard."""
         ended: dict[Node, ArmFault | None] = {}
-        now = self._clock.monotonic()
+        now = self.clock()
         for node, procedure in procedures.items():
             runner = self._runners[node] = Runner(node[1], self._links[node[0]])
             runner.start(procedure, lambda fault, _, node=node: ended.update({node: fault}), now)  # type: ignore[misc]
@@ -143,12 +115,10 @@ class Session:
 
     def trouble(self, bus: str) -> ArmFault | None:
         """Returns why no board of a bus can be reached, or None: call it after `run`."""
-        link = self._links[bus]
         if bus in self._faults:
             return self._faults[bus]
-        passive = link.passive()
-        if passive is not None:
-            return ArmFault(passive.code, bus, f"no frame leaves {bus}, its controller is error-passive: {_CHECK}")
+        if self._links[bus].state == "passive":
+            return ArmFault("bus-passive", bus, f"no frame leaves {bus}, its controller is error-passive: {_CHECK}")
         if bus not in self._came_back:
             return ArmFault("bus-busy", bus, f"nothing came back from {bus}, not even a frame of its own: {_CHECK}")
         return None
@@ -160,19 +130,17 @@ class Session:
         """
         if node not in self.states:
             poll = Outgoing(Frame(cia301.REMOTE | cia301.HEARTBEAT + node[1]))
-            self._links[node[0]].queue(poll, self._clock.monotonic())
+            self._links[node[0]].queue(poll, self.clock())
             yield Wait(lambda: node in self.states, _ANSWER)
             poll.cancelled = True
 
     def reset(self, node: Node, timeout: float) -> float | None:
         """Resets a node by NMT; returns the time to its boot-up message [s], or None (CiA 301, 7.2.8.3.1).
 
-        Raises:
-            BusError: the bus does not take the command.
-            MasterHeard: a master sends its heartbeat.
+        Raises MasterHeard, and BusError if the bus does not take the command.
         """
         self.states.pop(node, None)
-        began = self._clock.monotonic()
+        began = self.clock()
 
         def steps() -> Procedure:
             yield Order(Command.RESET_NODE)
@@ -181,22 +149,17 @@ class Session:
         self.run({node: steps()})
         if (fault := self.trouble(node[0])) is not None:
             raise BusError(fault.message)
-        return self._clock.monotonic() - began if node in self.states else None
+        return self.clock() - began if node in self.states else None
 
     def send_frame(self, bus: str, frame: Frame) -> None:
-        """Sends a frame at once, outside procedures.
-
-        Raises:
-            BusError: the bus does not take it.
-        """
+        """Sends a frame at once, outside procedures; raises BusError if the bus does not take it."""
         if (why := self._buses[bus].send_frame(frame)) is not None:
             raise BusError(f"{bus}: {why}")
 
     def _receive(self, event: Event, now: float) -> None:
         link = self._links[event.bus]
-        if isinstance(event, BusChanged):
-            self._note(link.changed(event.state, event.why, event.errors, now))
-            return
+        if isinstance(event, BusChanged) and (fault := link.changed(event.state, event.why, event.errors, now)):
+            self._faults.setdefault(link.name, fault)
         if not isinstance(event, FrameEchoed | FrameReceived):
             return
         self._came_back.add(event.bus)
@@ -211,18 +174,10 @@ class Session:
                 self._master = event.bus
             elif node and state is not None:
                 self.states[event.bus, node] = state
-        runner = self._runners.get((event.bus, node))
-        if runner is not None:
+        if (runner := self._runners.get((event.bus, node))) is not None:
             if function == cia301.SDO_ANSWER and len(frame.data) == 8:
                 runner.receive_sdo(frame.data, now)
             runner.check(now)
-
-    def _tick(self, now: float) -> None:
-        for link in self._links.values():
-            link.armed = link.usable  # so that a stuck bus is found; nothing is switched here
-            self._note(link.tick(now, now))
-        for runner in self._runners.values():
-            runner.tick(now)
 
     def _flush(self, now: float) -> None:
         while self._outbox:
@@ -230,14 +185,8 @@ class Session:
             if self._buses[bus].send_frame(frame) is not None:
                 self._links[bus].send_failed(frame, now)
 
-    def _note(self, fault: ArmFault | None) -> None:
-        if fault is not None:
-            self._faults.setdefault(fault.source, fault)
-
 
 def stopped(board: str) -> str:
     """Returns the sentence for a stopped board; `board` is its name, e.g. "can0/5"."""
-    return (
-        f"board {board} is stopped, as after the end of an executor with on_loss: contract; it answers no SDO: start"
-        f" the executor, or reset the board: hyperbit board ARM.yaml {board} reset"
-    )
+    what = f"board {board} is stopped, as after the end of an executor with on_loss: contract; it answers no SDO"
+    return f"{what}: start the executor, or reset the board: hyperbit board ARM.yaml {board} reset"

@@ -5,16 +5,15 @@ from __future__ import annotations
 import contextlib
 import errno
 import socket
+import struct
 import time
 from collections.abc import Callable
-from typing import NamedTuple
 
 import can
 
 from hyperbit.drivers.canopen.faults import BusError
 from hyperbit.drivers.canopen.wire.cia301 import BUS_OFF, REMOTE, RESTARTED, Frame, wire_bits
 from hyperbit.drivers.canopen.wire.events import BusChanged, BusOverrun, Event, FrameEchoed, FrameIgnored, FrameReceived
-from hyperbit.drivers.canopen.wire.interface_lock import lock_interface
 from hyperbit.drivers.canopen.wiring import BusWiring
 
 _MOST_EVENTS = 256  # in one poll, so that a flood does not block the caller
@@ -29,22 +28,11 @@ _OVERRUN = 0x01  # a detail: the receive buffer of the controller ran over
 _WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40  # details, in data[1]
 
 
-class ErrorFrame(NamedTuple):
-    """The content of one error frame.
+def read_error(identifier: int, data: bytes) -> tuple[str | None, tuple[int, int] | None, bool]:
+    """Returns what an error frame tells: state, transmit and receive error counter, and whether frames were lost.
 
-    Attributes:
-        state: controller state, "active", "warning", "passive" or "bus-off"; None if the frame does not tell.
-        errors: transmit and receive error counter; None if the frame does not tell.
-        overrun: whether received frames were lost.
+    The state is "active", "warning", "passive" or "bus-off". State and counters are None if the frame does not tell.
     """
-
-    state: str | None
-    errors: tuple[int, int] | None
-    overrun: bool = False
-
-
-def read_error(identifier: int, data: bytes) -> ErrorFrame:
-    """Returns the content of an error frame."""
     data = data.ljust(8, b"\0")
     state: str | None = None
     if identifier & _CONTROLLER:
@@ -57,34 +45,46 @@ def read_error(identifier: int, data: bytes) -> ErrorFrame:
     controller = bool(identifier & _CONTROLLER)
     # Drivers before Linux 6.1 tell the counters with a state, and without the flag.
     told = identifier & _COUNTERS or (controller and (state is not None or any(data[6:8])))
-    return ErrorFrame(state, (data[6], data[7]) if told else None, controller and bool(data[1] & _OVERRUN))
+    return state, (data[6], data[7]) if told else None, controller and bool(data[1] & _OVERRUN)
+
+
+class InterfaceInUse(BusError):
+    """Another process of this computer owns the interface."""
+
+
+def lock_interface(channel: str) -> socket.socket:
+    """Returns what holds the lock of a SocketCAN interface until it is closed, or until the process ends.
+
+    It is a Unix socket in the abstract namespace, which belongs to a network namespace as interfaces do.
+    """
+    address = f"\0hyperbit/can/{channel}"
+    lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        lock.bind(address)
+    except OSError:
+        owner: int | str = "(unknown)"
+        with lock, contextlib.suppress(OSError):
+            lock.connect(address)
+            peer = lock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+            owner = struct.unpack("3i", peer)[0]
+        raise InterfaceInUse(f"process {owner} of hyperbit uses {channel}: stop it first") from None
+    lock.listen()
+    return lock
 
 
 class CanBus:
     """One CAN bus. No method blocks, and only `open` raises.
 
-    A bus that goes down is opened again by `poll`, with a growing pause between attempts.
-
-    Args:
-        wiring: name, interface, channel and bit rate.
-        clock: time for the pauses [s].
+    A bus that goes down is opened again by `poll`, with a growing pause between attempts; `clock` tells its time [s].
     """
 
     def __init__(self, wiring: BusWiring, clock: Callable[[], float] = time.monotonic) -> None:
-        self.wiring = wiring
-        self._clock = clock
+        self.wiring, self.name, self._clock = wiring, wiring.name, clock
         self._bus: can.BusABC | None = None
         self._lock: socket.socket | None = None
-        self._closed = True
-        self._down = False
-        self._pause = _FIRST_PAUSE
-        self._next_try = 0.0
-        self._events: list[Event] = []  # from opening and sending
-
-    @property
-    def name(self) -> str:
-        """Name of the bus."""
-        return self.wiring.name
+        self._closed, self._down = True, False
+        self._pause, self._next_try = _FIRST_PAUSE, 0.0
+        self._events: list[Event] = []
 
     def open(self) -> None:
         """Opens the bus, and holds the lock of its interface until `close`.
@@ -93,12 +93,12 @@ class CanBus:
             InterfaceInUse: another process of this computer owns the interface.
             BusError: the interface cannot be opened.
         """
-        if self._lock is None and self.wiring.interface == "socketcan":
-            self._lock = lock_interface(self.wiring.channel)
+        s = self.wiring
+        if self._lock is None and s.interface == "socketcan":
+            self._lock = lock_interface(s.channel)
         try:
             self._bus = self._open()
         except Exception as error:  # python-can passes on whatever the interface raises
-            s = self.wiring
             raise BusError(f"{s.name}: cannot open {s.channel} of the interface {s.interface}: {error}") from error
         self._closed = self._down = False
         self._events.append(BusChanged(self.name, "active", "", None))
@@ -108,20 +108,19 @@ class CanBus:
 
         The number changes when the bus is opened again: ask for it after each `poll`.
         """
-        if self._bus is None:
-            return None
-        try:
-            number = self._bus.fileno()
-        except Exception:  # virtual interfaces have none
-            return None
-        return number if number >= 0 else None
+        with contextlib.suppress(Exception):  # virtual interfaces have none
+            if self._bus is not None and (number := self._bus.fileno()) >= 0:
+                return number
+        return None
 
     def send_frame(self, frame: Frame) -> str | None:
         """Sends a frame now or not at all; returns why it was not sent, or None. The caller tells the master."""
         if self._bus is None:
             return "the bus is closed" if self._closed else "the interface is down"
+        number, remote = frame.id & ~REMOTE, bool(frame.id & REMOTE)
+        message = can.Message(arbitration_id=number, data=frame.data, is_remote_frame=remote, is_extended_id=False)
         try:
-            self._bus.send(_message(frame))
+            self._bus.send(message)
         except Exception as error:
             if getattr(error, "error_code", None) in _GONE:
                 self._lose(f"sending failed ({error})")
@@ -130,7 +129,6 @@ class CanBus:
 
     def poll(self) -> list[Event]:
         """Returns the events since the last call, at most 256 frames; after 256, call again soon."""
-        events, self._events = self._events, []
         if self._bus is None and not self._closed and self._clock() >= self._next_try:
             try:
                 self._bus = self._open()
@@ -147,12 +145,11 @@ class CanBus:
                 break
             if self._down:  # an interface that is down can be opened, but not read
                 self._down, self._pause = False, _FIRST_PAUSE
-                events.append(BusChanged(self.name, "active", "", None))
+                self._events.append(BusChanged(self.name, "active", "", None))
             if message is None:
                 break
-            events.append(self._event(message))
-        events += self._events
-        self._events = []
+            self._events += self._read(message)
+        events, self._events = self._events, []
         return events
 
     def close(self) -> None:
@@ -164,19 +161,17 @@ class CanBus:
             self._lock = None
         self._events = [BusChanged(self.name, "closed", "", None)]
 
-    def _event(self, message: can.Message) -> Event:
+    def _read(self, message: can.Message) -> list[Event]:
         if message.is_error_frame:
-            said = read_error(message.arbitration_id, bytes(message.data))
-            if said.overrun:
-                self._events.append(BusOverrun(self.name))
-            return BusChanged(self.name, said.state, "", said.errors)
+            state, errors, overrun = read_error(message.arbitration_id, bytes(message.data))
+            return [BusChanged(self.name, state, "", errors), *([BusOverrun(self.name)] if overrun else ())]
         remote = message.is_remote_frame
         if (remote and message.is_rx) or message.is_extended_id or message.is_fd:
-            return FrameIgnored(self.name, wire_bits(0 if remote else min(message.dlc, 8), message.is_extended_id))
+            return [FrameIgnored(self.name, wire_bits(0 if remote else min(message.dlc, 8), message.is_extended_id))]
         frame = Frame(message.arbitration_id | (REMOTE if remote else 0), bytes(message.data))
         late = time.time() - message.timestamp  # the interface may use another clock
         at = time.monotonic() - late if 0.0 <= late < _OLDEST else None
-        return FrameReceived(self.name, frame, at) if message.is_rx else FrameEchoed(self.name, frame, at)
+        return [FrameReceived(self.name, frame, at) if message.is_rx else FrameEchoed(self.name, frame, at)]
 
     def _open(self) -> can.BusABC:
         s = self.wiring
@@ -200,9 +195,3 @@ class CanBus:
         self._pause = min(2 * self._pause, _LONGEST_PAUSE)
         self._down = True
         self._events.append(BusChanged(self.name, "down", why, None))
-
-
-def _message(frame: Frame) -> can.Message:
-    if frame.id & REMOTE:
-        return can.Message(arbitration_id=frame.id ^ REMOTE, is_remote_frame=True, is_extended_id=False)
-    return can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False)

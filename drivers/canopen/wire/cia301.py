@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from functools import cache
 from typing import NamedTuple
 
 # Function codes of the pre-defined connection set (CiA 301, 7.3.5): the COB-ID is the function plus the node id.
@@ -76,6 +77,7 @@ def mapping(index: int, sub: int, bits: int = 8) -> int:
     return index << 16 | sub << 8 | bits
 
 
+@cache
 def wire_bits(size: int, extended: bool = False) -> int:
     """Returns the greatest number of bits of a data frame on the wire, for 0..8 bytes of data.
 

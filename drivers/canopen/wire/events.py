@@ -1,4 +1,4 @@
-"""Events of a CAN bus, as plain data. `bus.CanBus` makes them, `master.Master` takes them."""
+"""Events of a CAN bus, as plain data: its name, and what happened. `bus.CanBus` makes them, `Master` takes them."""
 
 from __future__ import annotations
 
@@ -8,47 +8,30 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame
 
 
 class FrameReceived(NamedTuple):
-    """A data frame with an 11 bit identifier from another node or program.
-
-    Attributes:
-        bus: name.
-        frame: the frame.
-        at: time on the bus, CLOCK_MONOTONIC [s]; None if the interface does not tell.
-    """
+    """A data frame with an 11 bit identifier from another node or program."""
 
     bus: str
     frame: Frame
-    at: float | None = None
+    at: float | None = None  # time on the bus, CLOCK_MONOTONIC [s]; None if the interface does not tell
 
 
 class FrameIgnored(NamedTuple):
-    """A received frame of another kind: extended, remote or CAN FD.
-
-    Attributes:
-        bus: name.
-        bits: greatest number of bits on the wire.
-    """
+    """A received frame of another kind: extended, remote or CAN FD."""
 
     bus: str
-    bits: int
+    bits: int  # greatest number on the wire
 
 
 class FrameEchoed(NamedTuple):
-    """A frame was sent by this computer: by the master, or by another program on the same interface.
-
-    Attributes:
-        bus: name.
-        frame: the frame.
-        at: see `FrameReceived`.
-    """
+    """A frame was sent by this computer: by the master, or by another program on the same interface."""
 
     bus: str
     frame: Frame
-    at: float | None = None
+    at: float | None = None  # likewise
 
 
 class SendFailed(NamedTuple):
-    """A frame could not be sent and is dropped."""
+    """A frame could not be sent and is dropped; `why` is a sentence."""
 
     bus: str
     frame: Frame
@@ -56,19 +39,12 @@ class SendFailed(NamedTuple):
 
 
 class BusChanged(NamedTuple):
-    """The state of the bus or its error counters have changed.
-
-    Attributes:
-        bus: name.
-        state: "active", "warning", "passive", "bus-off", "down" or "closed"; None if it did not change.
-        why: the reason as a sentence, or "".
-        errors: transmit and receive error counter; None if unknown.
-    """
+    """The state of the bus or its error counters have changed."""
 
     bus: str
-    state: str | None
-    why: str
-    errors: tuple[int, int] | None
+    state: str | None  # "active", "warning", "passive", "bus-off", "down" or "closed"; None: it did not change
+    why: str  # a sentence, or ""
+    errors: tuple[int, int] | None  # transmit and receive error counter; None: unknown
 
 
 class BusOverrun(NamedTuple):

@@ -1,66 +1,121 @@
-"""One CAN bus from the master's side: its state, the frames being sent, and the frames that wait."""
+"""One CAN bus from the master's side: its state and load, the frames being sent, and the frames that wait."""
 
 from __future__ import annotations
 
-from collections import deque
+import math
+from collections import Counter, deque
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from hyperbit.drivers.canopen.faults import ArmFault
+from hyperbit.drivers.canopen.layout import Layout
 from hyperbit.drivers.canopen.status import BusStatus, Traffic
-from hyperbit.drivers.canopen.wire.cia301 import Frame
-from hyperbit.drivers.canopen.wire.load import Meter
-from hyperbit.drivers.canopen.wire.tx_echo import TxPending
-from hyperbit.drivers.canopen.wiring import BusWiring
+from hyperbit.drivers.canopen.wire import cia301
+from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Frame, wire_bits
+from hyperbit.drivers.canopen.wiring import BusWiring, Timing
 
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
 _ECHOED = 0.03  # [s] within which nearly all commands are sent
-_UNUSABLE = ("closed", "down", "bus-off")
-_BUS_OFF = "the controller is bus-off after too many errors; check cable, termination, bit rate"
 
 
-class Outgoing:
-    """A queued frame, which is sent again if the bus was full.
+class TxPending:
+    """The frames that wait for their echo; `last_echo` is the time of the last echo [s].
 
-    Attributes:
-        frame: the frame.
-        first_at: time when it was handed out first [s]; None while it waits.
-        sent: whether it was sent, as far as is known.
-        cancelled: it will not be sent any more.
+    SocketCAN echoes each frame when it was sent (receive_own_messages). Frames are matched by identifier and data,
+    since controllers with several mailboxes do not keep the order. All controllers send a frame before one that was
+    handed out later and has a greater identifier. So the echo of the later frame shows that the echo of the earlier
+    one was lost. Some interfaces never echo frames: no frame counts as pending until the first echo.
     """
 
-    __slots__ = ("cancelled", "first_at", "frame", "sent")
+    def __init__(self) -> None:
+        self.last_echo: float | None = None
+        self._pending: list[tuple[Frame, float]] = []  # with the time [s], in the order in which they were handed out
+        self._given_up: Counter[Frame] = Counter()
 
-    def __init__(self, frame: Frame) -> None:
-        self.frame = frame
-        self.first_at: float | None = None
-        self.sent = self.cancelled = False
+    @property
+    def count(self) -> int:
+        return 0 if self.last_echo is None else len(self._pending)
+
+    @property
+    def oldest(self) -> float | None:
+        """Time when the oldest pending frame was handed out [s]; None if no frame is pending."""
+        return self._pending[0][1] if self.count else None
+
+    def holds(self, cob_id: int) -> bool:
+        return self.last_echo is not None and any(frame.id == cob_id for frame, _ in self._pending)
+
+    def commanded(self, before: float) -> bool:
+        """Returns whether an NMT command, SYNC or RPDO is pending that was handed out before a time [s]."""
+        waits = any(frame.id < cia301.SDO_ANSWER and at < before for frame, at in self._pending)
+        return waits and self.last_echo is not None
+
+    def sent(self, frame: Frame, now: float) -> None:
+        self._pending.append((frame, now))
+
+    def failed(self, frame: Frame) -> bool:
+        """Removes a frame that could not be sent; returns whether it was pending."""
+        return self._remove(frame) is not None
+
+    def came_back(self, frame: Frame, now: float) -> list[Frame]:
+        """Takes an echo; returns the frames that were sent, whose echoes were lost but for the last; none: not ours."""
+        if (place := self._remove(frame)) is not None:
+            earlier = (each for each, _ in self._pending[:place])
+            lost = [each for each in earlier if each.id & ~REMOTE < frame.id & ~REMOTE]
+            for each in lost:
+                self._remove(each)
+            self._given_up.update(lost)
+        elif frame in self._given_up:
+            lost = []
+            self._given_up[frame] -= 1
+            self._given_up = +self._given_up  # without zeros
+        else:
+            return []
+        self.last_echo = now
+        return [*lost, frame]
+
+    def give_up(self, before: float = math.inf) -> None:
+        """Stops to wait for frames that were handed out before a time [s]; their echoes are still recognized."""
+        old = {frame for frame, at in self._pending if at < before}
+        self._given_up.update(frame for frame, _ in self._pending if frame in old)
+        self._pending = [(frame, at) for frame, at in self._pending if frame not in old]
+
+    def forget(self) -> None:
+        """Forgets all frames: a bus that was opened again cannot echo them."""
+        self._pending.clear()
+        self._given_up.clear()
+
+    def _remove(self, frame: Frame) -> int | None:
+        """Removes the oldest of equal frames; returns its place, or None."""
+        place = next((k for k, (each, _) in enumerate(self._pending) if each == frame), None)
+        if place is not None:
+            del self._pending[place]
+        return place
+
+
+@dataclass(slots=True, eq=False)
+class Outgoing:
+    """A queued frame, which is sent again if the bus was full."""
+
+    frame: Frame
+    first_at: float | None = None  # when it was handed out first [s]; None while it waits
+    sent: bool = False  # as far as is known
+    cancelled: bool = False  # it will not be sent any more
 
 
 class Link:
-    """One CAN bus.
+    """One CAN bus; its `state` is "closed", "active", "warning", "passive", "bus-off" or "down".
 
     `rearm` arms the bus. The loss of the bus (bus-off, down, or stuck) disarms it. RPDOs and SYNC are sent only while
     it is armed: the kernel sends the frames that it still holds when the bus comes back. Only a release, which switches
-    lines off, is sent on a bus that is not armed.
-
-    Attributes:
-        wiring: name, interface, channel and bit rate.
-        state: "closed", "active", "warning", "passive", "bus-off" or "down".
-        armed: whether RPDOs and SYNC may be sent.
-        pending: frames that were handed out and have not been echoed.
-
-    Args:
-        wiring: name, interface, channel and bit rate.
-        send: hands out a frame for a bus, by its name.
-        stuck_after: the bus counts as lost if no frame could be sent for this time [s].
+    lines off, is sent on a bus that is not armed. The bus counts as lost if no frame could be sent for `stuck_after`
+    [s].
     """
 
     def __init__(self, wiring: BusWiring, send: Callable[[str, Frame], None], stuck_after: float) -> None:
-        self.wiring = wiring
-        self.name = wiring.name
-        self.state = "closed"
-        self.armed = False
-        self.pending = TxPending(longest=max(1.0, 2 * stuck_after))
+        self.wiring, self.name = wiring, wiring.name
+        self.state, self.armed = "closed", False
+        self.pending = TxPending()
+        self.ignored = self.overruns = 0  # received frames that were not understood, and losses of frames
         self._hand_out, self._stuck_after = send, stuck_after
         self._lost_at = -1.0
         self._failing_since: float | None = None
@@ -68,23 +123,21 @@ class Link:
         self._queue: deque[Outgoing] = deque()
         self._urgent: deque[Outgoing] = deque()
         self._unsent: dict[Frame, Outgoing] = {}  # from the queue, handed out and not yet sent
-        self._meter = Meter()
         self._errors = 0, 0
-        self._dropped = self._ignored = self._overruns = 0
+        self._dropped = self._tx_frames = self._rx_frames = self._bits = 0
+        self._counted: tuple[float, int, int] | None = None  # time, frames and bits when the rates were computed
+        self._frames_per_second = self._bits_per_second = 0.0
 
     @property
     def usable(self) -> bool:
-        """Whether the bus can send frames, as far as is known."""
-        return self.state not in _UNUSABLE
+        return self.state not in ("closed", "down", "bus-off")
 
     @property
     def failing(self) -> bool:
-        """Whether the last frames could not be sent."""
         return self._failing_since is not None
 
     @property
     def echoes(self) -> bool:
-        """Whether the interface echoes frames that were sent."""
         return self.pending.last_echo is not None
 
     def misses_echo(self, now: float, last: Frame) -> bool:
@@ -99,7 +152,7 @@ class Link:
 
     def rearm(self) -> ArmFault | None:
         """Arms the bus and drops waiting frames; returns a fault if the bus is not usable."""
-        self.clear()
+        self._clear()
         self.armed = self.usable
         if self.armed:
             self.pending.give_up()
@@ -108,19 +161,11 @@ class Link:
         code = "bus-off" if self.state == "bus-off" else "bus-down"
         return ArmFault(code, self.name, f"{self.name} is {self.state}: check the cable and the interface")
 
-    def clear(self) -> None:
-        """Drops the queued frames."""
-        for outgoing in (*self._urgent, *self._queue, *self._unsent.values()):
-            outgoing.cancelled = True
-        self._urgent.clear()
-        self._queue.clear()
-        self._unsent.clear()
-
     def send_frame(self, frame: Frame, now: float) -> None:
-        """Hands out a frame at once."""
         self._sent_since_tick = True
         self.pending.sent(frame, now)
-        self._meter.sent(len(frame.data))
+        self._tx_frames += 1
+        self._bits += wire_bits(len(frame.data))
         self._hand_out(self.name, frame)
 
     def queue(self, outgoing: Outgoing, now: float, urgent: bool = False) -> None:
@@ -129,18 +174,10 @@ class Link:
         self._pump(now)
 
     def received(self, bits: int) -> None:
-        """Counts a received frame of `bits` on the wire."""
-        self._meter.received(bits)
+        self._rx_frames += 1
+        self._bits += bits
         if self.state == "bus-off":  # the error frame of its restart was missed
             self.state = "active"
-
-    def ignored(self) -> None:
-        """Counts a received frame that was not understood."""
-        self._ignored += 1
-
-    def overrun(self) -> None:
-        """Counts a loss of received frames."""
-        self._overruns += 1
 
     def echoed(self, frame: Frame, now: float) -> list[Frame]:
         """Takes the echo of a frame; returns the frames that were sent, see `TxPending.came_back`."""
@@ -158,7 +195,8 @@ class Link:
         if not self.pending.failed(frame):
             return
         self._dropped += 1
-        self._meter.unsent(len(frame.data))
+        self._tx_frames -= 1
+        self._bits -= wire_bits(len(frame.data))
         self._failed_since_tick = True
         if self._failing_since is None:
             self._failing_since = now
@@ -176,24 +214,21 @@ class Link:
         """Takes a new state and new error counters; returns a fault if the bus is lost."""
         if errors is not None:
             self._errors = errors
-        if state is None:
-            return None
-        if state in ("down", "bus-off"):
-            return self._lose(state, why or (_BUS_OFF if state == "bus-off" else "the interface is down"), now)
-        if self.state in ("down", "closed"):  # it was opened again
-            self.pending.forget()
-            self.clear()
-        self.state = state
-        self.armed &= self.usable
+        if state == "bus-off":
+            advice = "the controller is bus-off after too many errors; check cable, termination, bit rate"
+            return self._lose(state, "bus-off", why or advice, now)
+        if state == "down":
+            return self._lose(state, "bus-down", why or "the interface is down", now)
+        if state is not None:
+            if self.state in ("down", "closed"):  # it was opened again
+                self.pending.forget()
+                self._clear()
+            self.state = state
+            self.armed &= self.usable
         return None
 
     def tick(self, now: float, clock: float) -> ArmFault | None:
-        """Call every period; returns a fault if the bus is stuck.
-
-        Args:
-            now: time that stands still while the loop stalls [s].
-            clock: real time [s].
-        """
+        """Returns a fault if the bus is stuck. `now` stands still while the loop stalls, `clock` is real time [s]."""
         if self._sent_since_tick and not self._failed_since_tick:
             self._failing_since = None
         self._sent_since_tick = self._failed_since_tick = False
@@ -201,11 +236,11 @@ class Link:
             for outgoing in self._unsent.values():
                 outgoing.sent = True
             self._unsent.clear()
-        self.pending.tick(now)
-        self._meter.tick(clock)
+        self.pending.give_up(now - max(1.0, 2 * self._stuck_after))
+        self._count_rates(clock)
         if self.armed and self._stuck_for(now) > self._stuck_after:
             why = f"no frame was sent for {self._stuck_after:g} s: is the bus full, and does another node acknowledge?"
-            return self._lose(self.state, why, now)
+            return self._lose(self.state, "bus-busy", why, now)
         self._pump(now)
         return None
 
@@ -218,23 +253,31 @@ class Link:
         return ArmFault("bus-passive", self.name, text)
 
     def status(self, worst_case: Traffic) -> BusStatus:
-        """Returns state and counters, with the computed worst case."""
-        meter = self._meter
         return BusStatus(
             name=self.name,
             state=self.state,
-            tx_frames=meter.tx_frames,
-            rx_frames=meter.rx_frames,
+            tx_frames=self._tx_frames,
+            rx_frames=self._rx_frames,
             tx_errors=self._errors[0],
             rx_errors=self._errors[1],
             dropped=self._dropped,
-            ignored=self._ignored,
-            overruns=self._overruns,
-            frames_per_second=meter.frames_per_second,
-            bits_per_second=meter.bits_per_second,
-            load=min(1.0, meter.bits_per_second / self.wiring.bitrate),
+            ignored=self.ignored,
+            overruns=self.overruns,
+            frames_per_second=self._frames_per_second,
+            bits_per_second=self._bits_per_second,
+            load=min(1.0, self._bits_per_second / self.wiring.bitrate),
             worst_case=worst_case,
         )
+
+    def _count_rates(self, clock: float) -> None:
+        frames = self._tx_frames + self._rx_frames
+        if self._counted is not None:
+            began, frames_before, bits_before = self._counted
+            if (elapsed := clock - began) < 1.0:
+                return
+            self._frames_per_second = (frames - frames_before) / elapsed
+            self._bits_per_second = (self._bits - bits_before) / elapsed
+        self._counted = clock, frames, self._bits
 
     def _pump(self, now: float) -> None:
         """Hands out queued frames, a few at a time: SDO transfers must not delay the heartbeat on a slow bus."""
@@ -249,15 +292,36 @@ class Link:
                 self._unsent[outgoing.frame] = outgoing
                 self.send_frame(outgoing.frame, now)
 
+    def _clear(self) -> None:
+        for outgoing in (*self._urgent, *self._queue, *self._unsent.values()):
+            outgoing.cancelled = True
+        self._urgent.clear()
+        self._queue.clear()
+        self._unsent.clear()
+
     def _stuck_for(self, now: float) -> float:
-        """Returns for how long a frame has been waiting to be sent [s]."""
         since = [t for t in (self._failing_since, self.pending.oldest) if t is not None]
         return now - min(since) if since else 0.0
 
-    def _lose(self, state: str, why: str, now: float) -> ArmFault:
-        self.armed = False
-        self.state = state
-        self._lost_at = now
-        self.clear()
-        code = {"bus-off": "bus-off", "down": "bus-down"}.get(state, "bus-busy")
+    def _lose(self, state: str, code: str, why: str, now: float) -> ArmFault:
+        self.armed, self.state, self._lost_at = False, state, now
+        self._clear()
         return ArmFault(code, self.name, f"{self.name}: {why}")
+
+
+def worst_case(layout: Layout, timing: Timing, bus: BusWiring) -> Traffic:
+    """Returns the greatest traffic of boards and master on a bus without faults.
+
+    Each frame has the greatest number of stuff bits. There is one transition in each travel time, without a pause; a
+    travel time below 1 ms counts as 1 ms. Each transition sends all RPDOs and switches all actuators; each end-stop
+    causes its own TPDO. SDO transfers and emergencies are not counted.
+    """
+    boards = [board for board in layout.boards if board.bus == bus.name]
+    frames = {pdo.cob_id: pdo.size for board in boards for pdo in board.rpdos}
+    commits = 1 / max(timing.travel_time, 0.001)
+    heartbeats = (len(boards) + 1) * wire_bits(1) / timing.heartbeat
+    rpdos = commits * sum(wire_bits(size) for size in frames.values())
+    sync = commits * wire_bits(0) if frames else 0.0
+    greatest = {board.name: max((pdo.size for pdo in board.tpdos), default=0) for board in boards}
+    tpdos = commits * sum(len(board.inputs) * wire_bits(greatest[board.name]) for board in boards)
+    return Traffic(heartbeats, sync, rpdos, tpdos, (heartbeats + sync + rpdos + tpdos) / bus.bitrate)

@@ -4,7 +4,7 @@ import pytest
 
 from hyperbit.drivers.canopen.layout import Unfit, lay_out
 from hyperbit.drivers.canopen.pdo import Bit, Pdo, carries
-from hyperbit.drivers.canopen.run.frames import assemble
+from hyperbit.drivers.canopen.run.outputs import assemble
 from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Timing, Wiring
 
 CAN0 = BusWiring("can0", "virtual", "x")
@@ -114,14 +114,6 @@ def test_a_board_knows_the_two_outputs_of_each_pair():
 def test_a_board_knows_whether_its_loss_levels_are_all_off(channel, off):
     [board] = lay_out(Wiring((CAN0,), (Channel("a", "can0", 2, 0, None, **channel),), on_loss="contract")).boards
     assert board.loss_is_off is off
-
-
-def test_neighbouring_lines_are_copied_at_once():
-    outputs = (0, 1, 2, 12, 13, 3)
-    channels = tuple(Channel(f"{k}", "can0", 2, output, None) for k, output in enumerate(outputs))
-    [board] = lay_out(Wiring((CAN0,), channels)).boards
-    [frame] = assemble([board], {0: board.rpdos})
-    assert frame.runs == ((0, 0b111, 0), (3, 0b11, 12), (5, 0b1, 3))
 
 
 def test_outputs_beyond_the_first_64_are_in_further_pdos():

@@ -121,7 +121,7 @@ class World(Hardware):
     def up(self) -> World:
         self.boot()
         assert self.master.boot_faults == []
-        assert self.master.ready
+        assert self.master.outputs_known
         self.frames()
         return self
 

@@ -106,7 +106,7 @@ def extended(rig: Rig) -> bool:
     master = rig.start_master()
     rig.boot()
     assert rig.until(lambda: not master.booting, LONGEST_BOOT)
-    if not master.ready:
+    if not master.outputs_known:
         return False
     count, states = len(rig.wiring.channels), (1 << len(rig.wiring.channels)) - 1
     for i, k in enumerate(rig.wiring.paired):

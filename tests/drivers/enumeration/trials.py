@@ -178,10 +178,10 @@ def _faults(master: Master) -> str:
 def _stays_ready(rig: Rig) -> bool:
     master = rig.master
     assert master is not None
-    if not master.ready:
+    if not master.outputs_known:
         return False
     rig.run(AFTERWARDS)
-    return master.ready
+    return master.outputs_known
 
 
 def _wait_until_back(rig: Rig) -> None:

@@ -48,6 +48,6 @@ def test_bus_off_is_reported_as_socketcan_does_it(interface: Interface) -> None:
             port.send_error(state)
             message = eventually(lambda: other.recv(0.1))
             assert message.is_error_frame
-            told.append(read_error(message.arbitration_id, bytes(message.data)).state)
+            told.append(read_error(message.arbitration_id, bytes(message.data))[0])
     assert told == ["bus-off", "active"]
     port.close()

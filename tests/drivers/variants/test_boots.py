@@ -40,7 +40,7 @@ def test_each_variant_has_a_case():
 def test_a_variant_boots_and_switches_or_is_refused_with_a_sentence(case):
     world = booted(case)
     faults = [fault.message for fault in world.master.boot_faults]
-    assert world.master.ready == (not case.refused), faults
+    assert world.master.outputs_known == (not case.refused), faults
     at_rest = world.switches()
     if case.refused:
         [sentence] = faults
@@ -66,8 +66,8 @@ def test_check_says_the_same(case):
     world = case.world()
     world.run(5.0)  # of late ones, the check knows no boot time
     [answer] = asked(world)
-    assert answer.ok == (not case.refused or case.variant in UNSEEN_WITHOUT_WRITING), answer.text
-    if not answer.ok:
+    assert (not answer.code) == (not case.refused or case.variant in UNSEEN_WITHOUT_WRITING), answer.text
+    if answer.code:
         told = [words for words in case.refused if words != IN_VAIN]
         assert all(words in answer.text for words in told), answer.text
     if case.variant not in UNSEEN_WITHOUT_WRITING:
@@ -87,7 +87,7 @@ def test_a_board_that_saves_writes_is_written_only_once():
     world.fault("power_on", "can0/5")
     world.new_master()
     boot(world)
-    assert world.master.ready
+    assert world.master.outputs_known
     assert objects.flash_writes == first
 
 
@@ -139,7 +139,7 @@ def test_after_the_loss_of_the_master_outputs_are_known_and_a_start_moves_nothin
     assert world.boards.board("can0/5").state is not State.OPERATIONAL
     before = world.switches()
     boot(world)
-    assert world.master.ready, world.master.boot_faults
+    assert world.master.outputs_known, world.master.boot_faults
     world.run(1.0)
     assert (world.positions(), world.switches()) == (left, before)
     assert all(pins == after for pins, after in world.boards.board("can0/5").started)
@@ -158,9 +158,9 @@ def test_outputs_after_a_reset_of_communication_are_read(name):
     world.run(1.0)
     left = [0, 0] if name == "resets-outputs" else [1, 1]
     assert world.positions() == left
-    assert not world.master.ready
+    assert not world.master.outputs_known
     before = world.switches()
     boot(world)
     world.run(1.0)
-    assert (world.master.ready, world.positions(), world.switches()) == (True, left, before)
+    assert (world.master.outputs_known, world.positions(), world.switches()) == (True, left, before)
     assert world.master.outputs == sum(state << k for k, state in enumerate(left))

@@ -39,7 +39,7 @@ def boot_time(world: World) -> float:
     world.run(0.05)
     world.master.boot(world.now)
     took = world.until(lambda: not world.master.booting, 60.0)
-    assert world.master.ready, [fault.message for fault in world.master.boot_faults]
+    assert world.master.outputs_known, [fault.message for fault in world.master.boot_faults]
     return took
 
 

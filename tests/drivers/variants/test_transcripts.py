@@ -24,7 +24,7 @@ STANDARD = FOLDER / "standard.txt"
 def transcript(case: Case) -> str:
     """Returns the frames of a boot, and of a commit until it is read back, without heartbeats and guarding."""
     world = booted(case)
-    if world.master.ready:
+    if world.master.outputs_known:
         world.commit(1, 1)
         world.until(lambda: not world.master.unread)
     return spoken(world)
@@ -60,7 +60,7 @@ def test_guarding_is_asked_for_with_remote_frames_and_answered_with_a_toggle_bit
     answered = [frame.data[0] for frame in world.buses["can0"].log if frame.id == 0x705]
     assert len(asked) == len(answered) >= 9
     assert {first ^ second for first, second in itertools.pairwise(answered)} == {0x80}
-    assert world.master.ready
+    assert world.master.outputs_known
     assert world.faults == []
 
 

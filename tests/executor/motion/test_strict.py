@@ -181,10 +181,9 @@ def test_a_set_point_replaces_a_program_and_a_program_a_stream(rig: Rig) -> None
 
 
 def test_while_a_set_point_waits_for_clearance_the_next_one_only_prolongs_it(rig: Rig) -> None:
-    rig.master.sensed = 0  # what is measured is what is switched
     rig.core._locked.change(0, 1)  # declared extended, with its output off: no plan knows
     rig.core._locked.states = 0
-    rig.master.sensed, rig.master.inputs = 0b111110, 0b000010
+    rig.master.inputs = 0b000010
     rig.core.motion.supervision.accept(0b000010, 0b111111)
     rig.follow(1, 0b001000, strict=True)
     (question,) = rig.of(Question)

@@ -92,7 +92,10 @@ class Faults:
         master, boards = world.master, world.wiring.boards
         if expected.also:
             return
-        require(master.ready == (not expected.lost), f"{name}: ready is {master.ready}, lost are {expected.lost}")
+        require(
+            master.outputs_known == (not expected.lost),
+            f"{name}: outputs_known is {master.outputs_known}, lost are {expected.lost}",
+        )
         inputs = actuators = 0
         for board in boards.values():
             if board.name in expected.lost:

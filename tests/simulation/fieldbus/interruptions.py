@@ -147,7 +147,7 @@ class Interruptions:
             words = f"restarted {MOST_RESTARTS + 1} times"
             right = ours[0].code == "board-rebooted" and words in ours[0].message and restarts[0] > MOST_RESTARTS
             require(right, f"{name} restarted {restarts[0]} times, told is {ours[0]}")
-        require(not world.master.ready, "the master is ready")
+        require(not world.master.outputs_known, "the master is ready")
 
     def _bus(self) -> None:
         """A bus fails: its fault is told, and none of its boards."""
@@ -168,7 +168,7 @@ class Interruptions:
             return
         here = [f for f in world.master.boot_faults if f.source.split("/")[0] == bus.name]
         right = [(f.code, f.source) for f in here] == [(code, bus.name)]
-        lost = world.master.ready is False and not world.master.back
+        lost = world.master.outputs_known is False and not world.master.back
         require(right and lost, f"{bus.name} fails in a boot, told is {here}")
 
     def _command(self) -> None:

@@ -186,14 +186,16 @@ class BoardWorld:
 
     def judge_boot(self, master: Master, seconds: float) -> dict[str, Outcome]:
         """Judges a boot that is over."""
-        outcomes = self.boots.end(master.boot_faults, list(master.warnings()), master.ready, seconds, self.drawn.timing)
+        outcomes = self.boots.end(
+            master.boot_faults, list(master.warnings()), master.outputs_known, seconds, self.drawn.timing
+        )
         self.made["boot: refused" if master.boot_faults else "boot: ready"] += 1
         for fault in master.boot_faults:
             self.made[f"boot: {fault.code} {fault.message.split(' ', 2)[2][:50]}"] += 1
         late = master.drain_faults()
         require(not late, f"faults are told twice: {late}")
-        self.calm = self.ready = master.ready
-        if master.ready:
+        self.calm = self.ready = master.outputs_known
+        if master.outputs_known:
             self.switching.booted()
             self.watching.ready(self.agenda.now)
             split = {name for name, variant in self.drawn.names.items() if variant in SPLIT}

@@ -24,7 +24,7 @@ def test_a_missing_board_is_named_and_the_others_come_up():
     [fault] = world.master.boot_faults
     assert (fault.code, fault.source) == ("board-missing", "can0/5")
     assert world.measured() == [-1, 0]
-    assert not world.master.ready
+    assert not world.master.outputs_known
     world.boards.board("can0/5").silent = False
     world.up()
 
@@ -72,7 +72,6 @@ def test_a_board_without_inputs_is_right_if_none_is_wired():
     world.boot()
     assert world.master.boot_faults == []
     assert not any(data[3:8] in ("00 18", "00 1a") for cob_id, data in world.frames(sdo=True) if cob_id == 0x605)
-    assert world.master.sensed == 0
 
 
 def test_a_refusal_names_object_value_and_reason():
@@ -120,7 +119,7 @@ def test_a_board_that_starts_anew_while_it_is_booted_is_configured_again():
     world.fault("power_on", "can0/5")
     world.until(lambda: not world.master.booting)
     assert world.master.boot_faults == []
-    assert world.master.ready
+    assert world.master.outputs_known
     assert board.objects.number(0x1017) == 100
     assert board.state is State.OPERATIONAL
 

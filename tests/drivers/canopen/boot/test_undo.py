@@ -94,7 +94,7 @@ def stop_after(world: World, answers: int) -> list[str]:
 def test_a_board_that_is_stopped_in_its_boot_is_booted_again(answers):
     world = extended(on_loss="hold")
     assert stop_after(world, answers) == []
-    assert (world.master.ready, world.measured()) == (True, [1, 1])
+    assert (world.master.outputs_known, world.measured()) == (True, [1, 1])
 
 
 @pytest.mark.parametrize("answers", [40, 43, 46])

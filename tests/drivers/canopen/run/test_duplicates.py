@@ -30,7 +30,7 @@ def test_two_boards_that_answer_as_one_are_noticed_and_the_board_stays_not_ready
         world.run(1.0)
         assert world.codes() == ["duplicate-node"]
         assert world.faults[0].message == "two boards answer as can0/5: give each its own node id, then reset"
-        assert not world.master.ready
+        assert not world.master.outputs_known
 
 
 def test_a_bus_that_doubles_some_frames_is_no_fault() -> None:
@@ -50,7 +50,7 @@ def test_two_boards_that_send_heartbeats_with_one_node_id_are_noticed() -> None:
     world.after(period / 2, beat)
     world.run(21 * period)
     assert world.codes() == ["duplicate-node"]
-    assert not world.master.ready
+    assert not world.master.outputs_known
 
 
 def test_heartbeats_that_come_late_and_at_once_are_of_one_board() -> None:

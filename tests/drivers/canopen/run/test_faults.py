@@ -54,7 +54,7 @@ def test_a_stall_of_the_loop_alone_loses_nobody(seconds):
     world.stall(seconds)
     world.run(0.5)
     assert world.faults == []
-    assert world.master.ready
+    assert world.master.outputs_known
 
 
 def test_a_master_that_was_halted_knows_no_states_until_boot():

@@ -150,7 +150,7 @@ def test_a_board_may_answer_anything_while_it_is_booted(answers, on_loss, shared
                 kind = 0x43 | (4 - answer[2]) << 2 if reading else 0x60
                 data = bytes((kind,)) + place + answer[1].to_bytes(4, "little")
             master.receive_event(FrameReceived("can0", Frame(0x585, data), None), now)
-    assert master.ready or master.boot_faults
+    assert master.outputs_known or master.boot_faults
     assert all(fault.message for fault in master.boot_faults)
 
 

@@ -286,7 +286,7 @@ def test_the_boards_are_read_in_turn_and_each_from_its_first_object():
 @pytest.mark.parametrize(("newest", "codes"), [(0x2320, ["board-error"]), (0x1B000000, []), (0x8130, [])])
 def test_a_new_error_in_the_bits_of_a_standing_one_is_noticed_by_the_history(newest, codes):
     world = World(BLIND).up()
-    board = world.master._boards.stations[0].board
+    board = world.master._boards[0]
     board.ignored_errors, board.history = 0x11, 0x8130
     world.boards.board("can0/5").objects.set_number(0x1001, 0, 0x11)
     for sub, value in ((0, 1), (1, newest)):

@@ -42,9 +42,9 @@ class SessionInWorld(Session):
         self.buses = {bus.name: WorldBus(world, bus) for bus in world.wiring.buses}
         self._world = world
         world.use(self)
-        super().__init__(self.buses.values(), 0.0, self)  # type: ignore[arg-type]
+        super().__init__(self.buses.values())  # type: ignore[arg-type]
 
-    def monotonic(self) -> float:
+    def clock(self) -> float:
         return self._world.now
 
     def sleep(self, seconds: float) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
-from hyperbit.drivers.canopen.tools.lss import Lss, LssIdentity, LssRefused, over
+from hyperbit.drivers.canopen.tools.lss import Lss, LssIdentity, LssRefused
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import FrameEchoed
 from hyperbit.drivers.simulation.lss import ANSWER, REQUEST, UNCONFIGURED, LssSlave
@@ -15,23 +17,28 @@ ONE, TWO = LssIdentity(0x21, 337, 0x10000, 0xDEADBEEF), LssIdentity(0x21, 337, 0
 
 
 class Wire:
-    """Slaves that answer at once."""
+    """A session with slaves that answer at once."""
 
     def __init__(self, *slaves: tuple[LssIdentity, int]) -> None:
-        self.answers: list[bytes] = []
+        self.heard: list[Frame] = []
         self.requests: list[bytes] = []
+        self.passes: Callable[[list[Frame]], list[Frame]] = list  # answers to a request -> frames that come after it
         self.slaves = [LssSlave(identity, node, self.hear) for identity, node in slaves]
-        self.lss = Lss(self.exchange)
+        self.lss = Lss(self, "can0")  # type: ignore[arg-type]
+        self._answers: list[Frame] = []
 
     def hear(self, cob_id: int, data: bytes) -> None:
-        self.answers.append(data)
+        self._answers.append(Frame(cob_id, data))
 
-    def exchange(self, request: bytes, code: int | None, timeout: float) -> list[bytes]:
-        self.requests.append(request)
-        self.answers.clear()
+    def send_frame(self, bus: str, frame: Frame) -> None:
+        self.requests.append(frame.data)
+        self._answers.clear()
         for slave in self.slaves:
-            slave.receive(request)
-        return list(self.answers)
+            slave.receive(frame.data)
+        self.heard += self.passes(list(self._answers))
+
+    def wait(self, until: Callable[[], bool], seconds: float) -> bool:
+        return until()
 
 
 def test_the_only_board_gets_its_node_id_and_bit_rate() -> None:
@@ -102,31 +109,29 @@ def test_any_lost_request_is_repeated(identity, number) -> None:
 
 def test_a_slow_board_is_asked_again_and_a_late_answer_is_told_from_that_of_another_request() -> None:
     wire = Wire((ONE, 3))
-    late: list[bytes] = []
-    exchange = wire.exchange
+    late: list[Frame] = []
 
-    def slow(request: bytes, code: int | None, timeout: float) -> list[bytes]:
-        heard, late[:] = list(late), exchange(request, code, timeout)
+    def slow(answers: list[Frame]) -> list[Frame]:
+        heard, late[:] = list(late), answers
         return heard
 
-    lss = Lss(slow)
-    assert lss.select(None) == (ONE, 3)
-    lss.configure(3, 9, 250_000)
+    wire.passes = slow
+    assert wire.lss.select(None) == (ONE, 3)
+    wire.lss.configure(3, 9, 250_000)
     assert wire.slaves[0].stored == (9, 3)
 
 
 def test_a_late_answer_of_a_second_board_is_noticed() -> None:
     wire = Wire((ONE, UNCONFIGURED), (TWO, UNCONFIGURED))
-    late: list[bytes] = []
+    late: list[Frame] = []
 
-    def one_is_late(request: bytes, code: int | None, timeout: float) -> list[bytes]:
-        heard = wire.exchange(request, code, timeout)
-        now, late[:] = late + heard[:1], heard[1:]
+    def one_is_late(answers: list[Frame]) -> list[Frame]:
+        now, late[:] = late + answers[:1], answers[1:]
         return now
 
-    lss = Lss(one_is_late)
+    wire.passes = one_is_late
     with pytest.raises(LssRefused, match="several boards answer"):
-        lss.select(None)
+        wire.lss.select(None)
     assert [slave.stored for slave in wire.slaves] == [(UNCONFIGURED, 0)] * 2
 
 
@@ -149,7 +154,7 @@ def test_a_board_on_this_computer_is_heard_though_its_frames_are_echoes() -> Non
         send = bus.send_frame
         bus.send_frame = lambda frame: slave.receive(frame.data) or send(frame)  # type: ignore[method-assign,func-returns-value]
         world.boards.board("can0/5").silent = True
-        assert Lss(over(asking, "can0")).select(None) == (ONE, 3)
+        assert Lss(asking, "can0").select(None) == (ONE, 3)
 
 
 class CanopenNodeSlave(LssSlave):

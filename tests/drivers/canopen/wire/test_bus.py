@@ -86,7 +86,7 @@ def test_frames_tell_when_they_were_on_the_bus(buses):
 
 def test_a_clock_of_its_own_tells_no_time(buses):
     bus, _ = buses
-    assert bus._event(can.Message(timestamp=12.5, arbitration_id=0x185, is_extended_id=False)).at is None
+    assert bus._read(can.Message(timestamp=12.5, arbitration_id=0x185, is_extended_id=False))[0].at is None
 
 
 def test_error_frames_change_the_state(buses):

@@ -34,4 +34,4 @@ def test_state_and_counters(kind, data, state, errors):
     ("kind", "data", "lost"), [(0x04, "00 01", True), (0x04, "00 02", False), (0x08, "00 01", False)]
 )
 def test_only_an_overrun_of_the_receive_buffer_loses_frames(kind, data, lost):
-    assert read_error(kind, bytes.fromhex(data)).overrun == lost
+    assert read_error(kind, bytes.fromhex(data))[2] == lost

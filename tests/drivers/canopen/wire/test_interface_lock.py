@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from hyperbit.drivers.canopen.wire.interface_lock import InterfaceInUse, lock_interface
+from hyperbit.drivers.canopen.wire.bus import InterfaceInUse, lock_interface
 
 ROOT = Path(__file__).parents[4]
 OWNER = """
-from hyperbit.drivers.canopen.wire.interface_lock import lock_interface
+from hyperbit.drivers.canopen.wire.bus import lock_interface
 lock = lock_interface({channel!r})
 print("owns", flush=True)
 input()

@@ -157,7 +157,6 @@ class JudgedWiring:
         lines: mask of all output lines.
         actuators: mask of all actuators.
         pulsed: mask of the output lines of pulses.
-        sensing: mask of the actuators with an end-stop.
         board_of: number of the board with the outputs of each actuator.
     """
 
@@ -168,9 +167,6 @@ class JudgedWiring:
         self.rates = {bus.name: bus.bitrate for bus in wiring.buses}
         self.lines = sum(board.lines for board in self.boards.values())
         self.actuators = (1 << len(wiring.channels)) - 1
-        self.sensing = sum(
-            1 << k for k, c in enumerate(wiring.channels) if c.input is not None or c.input_contracted is not None
-        )
         names = list(self.boards)
         self.board_of = tuple(names.index(f"{c.bus}/{c.node}") for c in wiring.channels)
         pulses = [k for k, c in enumerate(wiring.channels) if c.pulse is not None]

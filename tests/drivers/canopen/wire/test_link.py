@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Frame
-from hyperbit.drivers.canopen.wire.link import Link, Outgoing
-from hyperbit.drivers.canopen.wire.tx_echo import TxPending
+from hyperbit.drivers.canopen.wire.link import Link, Outgoing, TxPending
 from hyperbit.drivers.canopen.wiring import BusWiring
 
 BEAT = Frame(0x77F, b"\x05")
 
 
 def test_the_first_frame_is_ours_however_late_it_comes_back():
-    pending = TxPending(longest=1.0)
+    pending = TxPending()
     for k in range(3):
         pending.sent(BEAT, 0.7 * k)
-        pending.tick(0.7 * k)
+        pending.give_up(0.7 * k - 1.0)
     assert [pending.came_back(BEAT, 3.0) for _ in range(4)] == [[BEAT], [BEAT], [BEAT], []]
     assert pending.last_echo == 3.0
 
 
 def test_nothing_is_pending_before_the_first_echo():
-    pending = TxPending(longest=1.0)
+    pending = TxPending()
     pending.sent(BEAT, 0.0)
     assert (pending.count, pending.oldest) == (0, None)
     pending.came_back(BEAT, 0.1)
@@ -34,7 +33,7 @@ def test_nothing_is_pending_before_the_first_echo():
 
 
 def test_the_echo_of_a_later_frame_of_lower_priority_shows_that_an_echo_was_lost():
-    pending = TxPending(longest=1.0)
+    pending = TxPending()
     rpdo, poll = Frame(0x205, b"\x01"), Frame(REMOTE | 0x705)
     for frame in (BEAT, rpdo, poll, BEAT):
         pending.sent(frame, 0.0)
@@ -44,7 +43,7 @@ def test_the_echo_of_a_later_frame_of_lower_priority_shows_that_an_echo_was_lost
 
 
 def test_a_frame_that_was_handed_out_after_the_echoed_one_stays_pending():
-    pending = TxPending(longest=1.0)
+    pending = TxPending()
     rpdo = Frame(0x205, b"\x01")
     pending.sent(BEAT, 0.0)
     pending.sent(rpdo, 0.0)
