@@ -15,6 +15,8 @@ from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from hyperbit.drivers.canopen.wire.link import Link
 from hyperbit.drivers.canopen.wiring import Timing
 
+_RECENT = 0.01  # [s] from the begin of a stage, within which nearly all of its frames are sent
+
 
 class OutputSwitching:
     """Starts stages and releases of output lines, and gives them up.
@@ -130,6 +132,8 @@ class OutputSwitching:
         if commit.collecting and self._releases.get(bus) == off and commit.states == states:
             return
         if commit in self._stage:
+            if self._ends(commit, off, now):
+                return
             self.give_up("an output had to be switched off first")
         commit.give_up("it is replaced")
         keys = self._outputs.due(states, off)[bus]
@@ -147,6 +151,15 @@ class OutputSwitching:
         for board in left_out.values():
             if board.heard:  # it was told to leave operational, in which its boot may have put it
                 self._booting.rebooted(board, time)
+
+    def _ends(self, commit: BusCommit, off: int, now: float) -> bool:
+        """Returns whether a stage that has just begun switches the lines off, and waits for no other bus.
+
+        A release in its place would wait for the frames of the stage, and the next call may come a period later.
+        """
+        on = commit.states | self._outputs.doubtful
+        alone = not any(other.waiting for other in self._stage if other is not commit)
+        return commit.collecting and alone and not off & on and now - commit.began < _RECENT
 
     def _advance(self, now: float, time: float) -> None:
         """Hands out the SYNCs of stage and releases whose RPDOs were sent, and ends those that take too long."""
