@@ -1,6 +1,6 @@
 """A process that forks the command `hyperbit`, so that each example need not import numba, scipy and kernels again.
 
-`python -m tests.documents.forks SOCKET` is the process. It is ready once it has printed a line.
+The process is ready once it has printed a line.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ sys.exit(code[0] if code else 70)
 def forking(folder: Path) -> Iterator[str]:
     """Yields a script that does what `hyperbit` does."""
     path = folder / "socket"
-    command = [sys.executable, "-m", __name__, str(path)]
+    command = [sys.executable, "-c", f"from {__name__} import main; main({str(path)!r})"]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
     try:
         assert process.stdout
@@ -101,7 +101,3 @@ def become(there: socket.socket) -> None:
         sys.stderr.flush()
         there.sendall(bytes([code]))
         os._exit(code)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1])
