@@ -66,7 +66,7 @@ def test_client_certificates_take_the_place_of_tokens(tmp_path: Path) -> None:
             context = ssl.create_default_context(cafile=keys / "ca/certificate.pem")
             if client is not None:
                 context.load_cert_chain(keys / client / "certificate.pem", keys / client / "key.pem")
-            with connect(f"wss://localhost:{port}/live", ssl=context, origin=origin) as live:  # type: ignore[arg-type]
+            with connect(f"wss://localhost:{port}/live", ssl=context, origin=origin, open_timeout=PATIENCE) as live:  # type: ignore[arg-type]
                 try:
                     while True:
                         for part in json.loads(live.recv(PATIENCE)):
@@ -103,7 +103,7 @@ def test_slow_requests_are_closed_and_pages_stay_open(tmp_path: Path) -> None:
         answer = httpx2.post(f"{url}/session", json={"token": token}, headers={"origin": url})
         cookie = {"cookie": answer.headers["set-cookie"].partition(";")[0]}
         origin, live_url = url, url.replace("http", "ws") + "/live"
-        live = closing.enter_context(connect(live_url, origin=origin, additional_headers=cookie))  # type: ignore[arg-type]
+        live = closing.enter_context(connect(live_url, origin=origin, additional_headers=cookie, open_timeout=PATIENCE))  # type: ignore[arg-type]
         port = int(url.rpartition(":")[2])
         slow = [closing.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in begins]
         for connection, begin in zip(slow, begins, strict=True):

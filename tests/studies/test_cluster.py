@@ -1,4 +1,4 @@
-"""Studies on two worker processes: order, equal results, lost workers, and the sentences of what does not fit."""
+"""Studies on two worker processes: order, equal results, and the sentences of what does not fit."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from hyperbit.controller.studies import stream, workers
 from hyperbit.controller.studies.shares import Run, StudyFailed, compute, pack
 from hyperbit.controller.studies.stream import results
 from hyperbit.controller.studies.workers import check_workers, cluster_workers
-
-ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")
+from tests.studies.conftest import ARM, answers
 
 
 class Squares(NamedTuple):
@@ -40,20 +39,6 @@ class Lengths(NamedTuple):
 
     def prepare(self) -> Run:
         return partial(map, len)
-
-
-@pytest.fixture(scope="module")
-def ik() -> hb.Solver:
-    return hb.Solver(hb.load(ARM))
-
-
-@pytest.fixture(scope="module")
-def goals(ik) -> list[Any]:
-    return [ik.arm.position(configuration) for configuration in ik.arm.sample(150, seed=4)]
-
-
-def answers(found: Iterator[hb.Solution]) -> list[tuple[Any, ...]]:
-    return [(s.configuration.tolist(), s.cost, s.bound, s.certificate, s.effort, s.error) for s in found]
 
 
 def test_results_have_the_order_of_the_shares(client):
@@ -79,24 +64,6 @@ def test_shares_that_are_done_leave_the_memory(client):
 def memory() -> float:
     """Returns the memory that this process has [MB]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def test_a_share_that_ends_each_worker_ends_the_study(client, monkeypatch):
-    monkeypatch.setattr(client.cluster.scheduler, "allowed_failures", 0)
-    with pytest.raises(StudyFailed, match="1 workers were lost with the same share, the last tcp"):
-        list(results(Squares(), [[1], [-1], [2]], client))
-
-
-def test_solutions_are_those_of_one_process_though_a_worker_is_killed(client, ik, goals):
-    alone = answers(hb.map(ik, goals, effort=10))
-    found, victim = list[hb.Solution](), client.run(os.getpid).popitem()[1]
-    for solution in hb.map(ik, goals, client=client, effort=10):
-        if len(found) == 20:
-            os.kill(victim, signal.SIGKILL)
-        found.append(solution)
-    assert answers(iter(found)) == alone
-    assert answers(iter(ik.solve_many(goals, effort=10))) == alone
-    assert any(certificate == "optimal" for _, _, _, certificate, _, _ in alone)
 
 
 def test_plan_prints_the_same_bytes_from_one_process_and_from_a_cluster(client, ik, goals, run_plan, tmp_path):
