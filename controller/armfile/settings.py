@@ -19,8 +19,6 @@ Travel = Annotated[float, Meta(gt=0, le=60, description="in seconds")]
 Margin = Annotated[float, Meta(ge=0, le=10, description="in seconds")]
 NAME = "1 to 64 letters, digits, _ and -"
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,64}\Z", description=NAME)]
-SCHEDULER = "the address of a Dask scheduler, such as tcp://host:8786"
-Scheduler = Annotated[str, Meta(pattern=r"^(tcp|tls)://[^\s/:]+:[0-9]{1,5}\Z", description=SCHEDULER)]
 Vector = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
 Direction = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
 Sides = Annotated[list[Positive], Meta(min_length=2, max_length=3)]
@@ -159,19 +157,10 @@ class WorkspaceSettings(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class PlanningSettings(Struct, forbid_unknown_fields=True, frozen=True):
-    """The time of planning that one saved switch is worth [s], and who computes long plans.
-
-    `workers` is the number of processes on this computer, `dask` the scheduler of a cluster that computes for them.
-    """
+    """The time of planning that one saved switch is worth [s], and the number of processes for long plans."""
 
     seconds_per_switch: Annotated[float, Meta(ge=0, le=60)] = 0.01
     workers: Annotated[int, Meta(ge=0, le=64)] = 0
-    dask: Scheduler | None = None
-
-    @property
-    def processes(self) -> int:
-        """Number of processes for long plans; a cluster needs one that sends them."""
-        return self.workers or int(self.dask is not None)
 
 
 class BusSettings(Struct, forbid_unknown_fields=True, frozen=True):

@@ -55,24 +55,17 @@ def results(job: Job, shares: Iterable[Any], client: Client | None = None) -> Ge
             client.cancel(list(waiting), force=True)
 
 
-def result_of(future: Future, client: Client, seconds: float = math.inf, look: float = LOOK) -> list[Any]:
+def result_of(future: Future, client: Client) -> list[Any]:
     """Waits for the result of a share.
 
-    Args:
-        future: of the share.
-        client: of the cluster.
-        seconds: longest time to wait [s].
-        look: time between two looks at the cluster [s].
-
     Raises:
-        StudyFailed: the share ends its workers, no worker or no scheduler is left, or the time is over.
+        StudyFailed: the share ends its workers, or no worker or no scheduler is left.
     """
     from distributed import KilledWorker
 
-    until = time.monotonic() + seconds
     while True:
         try:
-            found: list[Any] = future.result(timeout=min(look, max(until - time.monotonic(), 0.001)))
+            found: list[Any] = future.result(timeout=LOOK)
             return found
         except KilledWorker as error:
             lost, last = error.allowed_failures + 1, error.last_worker.address
@@ -84,20 +77,18 @@ def result_of(future: Future, client: Client, seconds: float = math.inf, look: f
         except TimeoutError:
             if client.status != "running":
                 raise StudyFailed("the connection to the Dask scheduler is lost") from None
-            if time.monotonic() >= until:
-                raise StudyFailed(f"the Dask cluster has not answered within {seconds:.3g} s") from None
-            if not threads_of(client, min(SCHEDULER_TIMEOUT, max(until - time.monotonic(), look))):
+            if not threads_of(client):
                 raise StudyFailed("the Dask cluster has no workers any more") from None
 
 
-def threads_of(client: Client, seconds: float) -> dict[str, int]:
+def threads_of(client: Client) -> dict[str, int]:
     """Returns the number of threads of each worker.
 
     Raises:
-        StudyFailed: the scheduler does not answer in time [s].
+        StudyFailed: the scheduler does not answer in time.
     """
     try:
-        found: dict[str, int] = client.sync(client.scheduler.ncores, callback_timeout=seconds)
+        found: dict[str, int] = client.sync(client.scheduler.ncores, callback_timeout=SCHEDULER_TIMEOUT)
     except (TimeoutError, OSError):
-        raise StudyFailed(f"the Dask scheduler has not answered within {seconds:.3g} s") from None
+        raise StudyFailed(f"the Dask scheduler has not answered within {SCHEDULER_TIMEOUT:g} s") from None
     return found

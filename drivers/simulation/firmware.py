@@ -148,8 +148,8 @@ class SimulatedBoard:
     def timer(self) -> float:
         """Time when `step` must be called at the latest [s]."""
         answer = self._requests[0][0] if self._requests else math.inf
-        actuators = min((wired.actuator.due for wired in self.wired), default=math.inf)
-        return min(self._boots_at, answer, self._supervision.due, self._pdos.due, actuators)
+        actuators = [wired.actuator.due for wired in self.wired]
+        return min(self._boots_at, answer, self._supervision.due, self._pdos.due, *actuators)
 
     def step(self, now: float) -> None:
         """Advances to `now` [s]: moves actuators, sends and checks heartbeats, answers delayed requests."""

@@ -174,9 +174,9 @@ class Objects:
             raise SdoAbortedError(_INCOMPATIBLE)
 
     def _value(self, index: int, sub: int) -> bytes:
-        for values in (self._values, self._stored):
-            if (index, sub) in values:
-                return values[index, sub]
+        key = index, sub
+        if (value := self._values.get(key, self._stored.get(key))) is not None:
+            return value
         entry = self._find(index, sub)
         if not entry.relative:
             return entry.default

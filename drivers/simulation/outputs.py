@@ -29,6 +29,7 @@ class SimulatedOutputs:
         self._variant = variant
         self._index = variant.output_object
         self._subs = objects.subs(self._index)
+        self._has_polarity = objects.has(_POLARITY)
         self._failing = False
         self._failed: set[int] = set()  # sub-indices of the bytes that follow the error state
         if variant.shows_error_state:
@@ -68,7 +69,7 @@ class SimulatedOutputs:
         self._failed.clear()
 
     def _pins(self, sub: int) -> int:
-        inverted = self._objects.number(_POLARITY, sub) if self._objects.has(_POLARITY) else 0
+        inverted = self._objects.number(_POLARITY, sub) if self._has_polarity else 0
         return self._driven(sub) ^ inverted
 
     def _driven(self, sub: int) -> int:

@@ -68,6 +68,7 @@ class Pdos:
         """Reads parameters and mappings from the object dictionary."""
         self._rpdos = self._pdos(self._received)
         self._tpdos = self._pdos(self._sent)
+        self._timed = [pdo for pdo in self._tpdos if pdo.period]
 
     def forget(self) -> None:
         """Drops latched data, expects no SYNC, and sends no TPDO by its event timer."""
@@ -78,7 +79,7 @@ class Pdos:
     @property
     def due(self) -> float:
         """Time when a SYNC is missing or an event timer ends [s]."""
-        return min([self.sync_due, *(self._event_due(pdo) for pdo in self._tpdos)])
+        return min([self.sync_due, *map(self._event_due, self._timed)])
 
     def receive(self, cob_id: int, data: bytes, now: float) -> bool:
         """Takes the frame of an RPDO; returns whether outputs may have changed.
@@ -138,12 +139,12 @@ class Pdos:
 
     def repeat(self, now: float) -> None:
         """Sends the TPDOs whose event timers have ended."""
-        for pdo in self._tpdos:
+        for pdo in self._timed:
             if now >= self._event_due(pdo):
                 self._transmit(pdo, now)
 
     def _event_due(self, pdo: _Pdo) -> float:
-        return self._sent_at.get(pdo.index, math.inf) + pdo.period if pdo.period else math.inf
+        return self._sent_at.get(pdo.index, math.inf) + pdo.period
 
     def _transmit(self, pdo: _Pdo, now: float) -> None:
         self._sent_at[pdo.index] = now

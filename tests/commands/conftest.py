@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import signal
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -75,11 +76,23 @@ def spatial(tmp_path):
     return str(file)
 
 
-@pytest.fixture(scope="package")
-def endpoint(tmp_path_factory):
+DAEMON = pytest.StashKey[tuple[ExitStack, str]]()
+
+
+@pytest.fixture
+def endpoint(request, tmp_path_factory):
     """Endpoint of a ready daemon with simulated boards, in its own process; each test leaves it ready."""
-    folder = tmp_path_factory.mktemp("daemon")
-    with demo.started(ARM, folder) as (_, endpoint):
+    if DAEMON not in request.session.stash:
+        closing = ExitStack()
+        _, endpoint = closing.enter_context(demo.started(ARM, tmp_path_factory.mktemp("daemon")))
+        request.session.stash[DAEMON] = closing, endpoint
         with connected("planar16", endpoint, None) as client:
             demo.wait_until_ready(client)
-        yield endpoint
+    return request.session.stash[DAEMON][1]
+
+
+def pytest_runtest_teardown(item, nextitem):
+    """Ends the daemon with the tests of a folder: one that does nothing takes a tenth of a processor."""
+    if DAEMON in item.session.stash and (nextitem is None or nextitem.path.parent != item.path.parent):
+        item.session.stash[DAEMON][0].close()
+        del item.session.stash[DAEMON]

@@ -1,4 +1,7 @@
-"""The ends of commands that run until a signal: in order by each signal, and on by a hang-up that is ignored."""
+"""The ends of commands that run until a signal: in order by a hang-up and SIGTERM, and on by an ignored hang-up.
+
+One function handles all signals, see tests/host/test_signals.py; only uvicorn, below the panel, tells them apart.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,6 @@ from pathlib import Path
 
 import pytest
 
-from hyperbit.controller.host.signals import ENDING
 from tests.keys import DEPLOY
 from tests.network.played import PlayedArm, Router, free_endpoint
 from tests.recorder.test_recording import written
@@ -79,8 +81,10 @@ def ignores_hang_up(process: subprocess.Popen[bytes]) -> bool:
     return mask is not None and bool(int(mask[1], 16) >> (signal.SIGHUP - 1) & 1)
 
 
-@pytest.mark.parametrize("number", ENDING)
-@pytest.mark.parametrize("command", SERVING)
+@pytest.mark.parametrize(
+    ("command", "number"),
+    [*((command, signal.SIGHUP) for command in SERVING), ("panel", signal.SIGINT), ("panel", signal.SIGTERM)],
+)
 def test_a_signal_ends_a_command_in_order(start: Start, tmp_path: Path, command: str, number: signal.Signals) -> None:
     process = start(*SERVING[command])
     os.killpg(process.pid, number)
@@ -89,12 +93,13 @@ def test_a_signal_ends_a_command_in_order(start: Start, tmp_path: Path, command:
 
 
 @pytest.mark.parametrize("command", SERVING)
-def test_an_ignored_hang_up_ends_no_command(start: Start, command: str) -> None:
+def test_an_ignored_hang_up_ends_no_command_and_sigterm_does(start: Start, tmp_path: Path, command: str) -> None:
     process = start(*SERVING[command], nohup=True)
     assert ignores_hang_up(process)
     os.killpg(process.pid, signal.SIGHUP)
-    process.terminate()
+    os.killpg(process.pid, signal.SIGTERM)
     assert process.wait(PATIENCE) == 0
+    assert "Traceback" not in (tmp_path / "log").read_text()
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])

@@ -10,7 +10,6 @@ import io
 import json
 import os
 import re
-import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -31,18 +30,20 @@ SHARED = ("controller", "deploy", "drivers", "tests")  # folders that examples n
 Daemon = Callable[[], str]  # starts one if there is none; returns its endpoint
 
 
-def prepare(folder: Path) -> None:
-    """Puts links to the project's folders, and a `hyperbit` of this interpreter, into the folder of a page."""
+def prepare(folder: Path, hyperbit: str) -> None:
+    """Puts links to the project's folders, and the script `hyperbit`, into the folder of a page.
+
+    The other script of this name adds the endpoint of the daemon.
+    """
     for name in SHARED:
         (folder / name).symlink_to(ROOT / name)
-    (folder / "bin").mkdir()
     connecting = "|".join(name for name in cli.COMMANDS if "--connect" in options(name))
-    script = folder / "bin" / "hyperbit"
-    script.write_text(
-        f'#!/bin/sh\ncase $1 in {connecting}) set -- "$@" ${{DAEMON:+--connect $DAEMON}};; esac\n'
-        f'exec {shlex.quote(sys.executable)} -m hyperbit "$@"\n'
-    )
-    script.chmod(0o755)
+    add = f'#!/bin/sh\ncase $1 in {connecting}) set -- "$@" ${{DAEMON:+--connect $DAEMON}};; esac\n'
+    for name, script in (("forked", hyperbit), ("hyperbit", f'{add}exec forked "$@"\n')):
+        file = folder / "bin" / name
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(script)
+        file.chmod(0o755)
 
 
 def run(page: Page, folder: Path, daemon: Daemon) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.operate import demo
-from tests.documents import page, running
+from tests.documents import forks, page, running
 
 PAGES = page.find()
 
@@ -43,9 +43,15 @@ def daemon(folders, tmp_path_factory: pytest.TempPathFactory) -> Iterator[runnin
         yield start
 
 
+@pytest.fixture(scope="module")
+def hyperbit(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with forks.forking(tmp_path_factory.mktemp("forks")) as script:
+        yield script
+
+
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: page.read(path).name)
-def test_the_examples_run(path, tmp_path, monkeypatch, daemon):
-    running.prepare(tmp_path)
+def test_the_examples_run(path, tmp_path, monkeypatch, daemon, hyperbit):
+    running.prepare(tmp_path, hyperbit)
     monkeypatch.chdir(tmp_path)
     running.run(page.read(path), tmp_path, daemon)

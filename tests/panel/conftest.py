@@ -21,6 +21,7 @@ from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of
 from hyperbit.controller.panel.app import PanelServer
 from hyperbit.controller.panel.serve import zenoh_configuration
+from tests.commands.conftest import hyperbit  # noqa: F401
 from tests.keys import DEPLOY
 from tests.waiting import eventually
 

@@ -7,7 +7,7 @@ import socket
 import ssl
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx2
@@ -18,6 +18,8 @@ from websockets.sync.client import connect
 from hyperbit.controller.panel.access.people import digest_of
 from tests.keys import certificates, made
 from tests.waiting import PATIENCE, eventually
+
+Hyperbit = Callable[..., tuple[int, str, str]]
 
 
 @contextlib.contextmanager
@@ -64,7 +66,7 @@ def test_client_certificates_take_the_place_of_tokens(tmp_path: Path) -> None:
             context = ssl.create_default_context(cafile=keys / "ca/certificate.pem")
             if client is not None:
                 context.load_cert_chain(keys / client / "certificate.pem", keys / client / "key.pem")
-            with connect(f"wss://localhost:{port}/live", ssl=context, origin=origin) as live:  # type: ignore[arg-type]
+            with connect(f"wss://localhost:{port}/live", ssl=context, origin=origin, open_timeout=PATIENCE) as live:  # type: ignore[arg-type]
                 try:
                     while True:
                         for part in json.loads(live.recv(PATIENCE)):
@@ -101,7 +103,7 @@ def test_slow_requests_are_closed_and_pages_stay_open(tmp_path: Path) -> None:
         answer = httpx2.post(f"{url}/session", json={"token": token}, headers={"origin": url})
         cookie = {"cookie": answer.headers["set-cookie"].partition(";")[0]}
         origin, live_url = url, url.replace("http", "ws") + "/live"
-        live = closing.enter_context(connect(live_url, origin=origin, additional_headers=cookie))  # type: ignore[arg-type]
+        live = closing.enter_context(connect(live_url, origin=origin, additional_headers=cookie, open_timeout=PATIENCE))  # type: ignore[arg-type]
         port = int(url.rpartition(":")[2])
         slow = [closing.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in begins]
         for connection, begin in zip(slow, begins, strict=True):
@@ -131,7 +133,7 @@ def test_slow_requests_are_closed_and_pages_stay_open(tmp_path: Path) -> None:
             assert live.recv(PATIENCE)
 
 
-@pytest.mark.parametrize("host", ["127.0.0.2", "localhost", "127.0.0.1"])
+@pytest.mark.parametrize("host", ["127.0.0.2", "localhost"])
 def test_the_printed_address_answers(tmp_path: Path, host: str) -> None:
     with running(tmp_path, "--listen", f"{host}:0") as (_, addresses):
         url = addresses[0].partition("#")[0]
@@ -140,28 +142,24 @@ def test_the_printed_address_answers(tmp_path: Path, host: str) -> None:
         assert httpx2.get(url, headers={"host": "evil.example"}).status_code == 400
 
 
-def test_a_port_in_use_is_told_with_the_way_out(tmp_path: Path) -> None:
+def test_a_port_in_use_is_told_with_the_way_out(hyperbit: Hyperbit) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
-        command = [sys.executable, "-m", "hyperbit", "panel", "--listen", address]
-        ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
-    assert ended.returncode == 1
-    assert f"the page cannot be served at {address}: Address already in use" in ended.stderr
-    assert "--panel 7481" in ended.stderr
-    assert "Errno" not in ended.stderr
+        code, _, err = hyperbit("panel", "--listen", address)
+    assert code == 1
+    assert f"the page cannot be served at {address}: Address already in use" in " ".join(err.split())
+    assert "--panel 7481" in err
+    assert "Errno" not in err
 
 
-def test_bad_options_are_named(tmp_path: Path) -> None:
+def test_bad_options_are_named(hyperbit: Hyperbit, tmp_path: Path) -> None:
     for words, sentence in (
         (["--listen", "0.0.0.0:0"], "TLS is needed"),
         (["--certificate", "c.pem"], "--certificate and --key go together"),
         (["--people", str(tmp_path / "nobody.yaml")], "no such file"),
     ):
-        command = [sys.executable, "-m", "hyperbit", "panel", *words]
-        ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
-        assert (ended.returncode, sentence in ended.stderr) == (2, True), ended.stderr
-    made_up = subprocess.run(
-        [sys.executable, "-m", "hyperbit", "panel", "--new-token", "anna"], capture_output=True, text=True
-    )
-    token = re.findall(r"token of anna: (\S+)", made_up.stdout)[0]
-    assert digest_of(token) in made_up.stdout
+        code, _, err = hyperbit("panel", *words)
+        assert (code, sentence in " ".join(err.split())) == (2, True), err
+    _, out, _ = hyperbit("panel", "--new-token", "anna")
+    token = re.findall(r"token of anna: (\S+)", out)[0]
+    assert digest_of(token) in "".join(out.split())

@@ -42,9 +42,10 @@ DEFECTS: dict[str, tuple[type, str, Callable[..., Any] | property]] = {
     "the pulse of a doubtful SYNC is not watched": (Actuation, "_watch_doubtful_pulses", lambda *_: 0),
 }
 FIRST = {  # seed that finds a defect soonest
-    "goals are done before they are read back": 16,
-    "missed pulses are believed": 16,
-    "lost echoes are waited for": 20,
+    "goals are done before they are read back": 24,
+    "what is read back is not compared": 36,
+    "missed pulses are believed": 24,
+    "lost echoes are waited for": 2,
 }
 
 _draw = FaultKinds.draw

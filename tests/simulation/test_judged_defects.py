@@ -249,7 +249,12 @@ SLOW: dict[str, Patch] = {
 FIRST: dict[str, int] = {
     "requests are kept for ever": 37,
     "results are not sent twice": 8,
-    "nothing is found stuck": 5,
+    "nothing is found stuck": 57,
+    "all states are told as known": 5,
+    "nothing is told as moving": 37,
+    "programs of any epoch are accepted": 58,
+    "resets of the present epoch are refused": 27,
+    "results are not sent again": 37,
     "all is found stuck": 5,
     "pauses are not noticed": 38,
 }

@@ -1,4 +1,4 @@
-"""Studies on two worker processes: order, equal results, lost workers, and the sentences of what does not fit."""
+"""Studies on two worker processes: order, equal results, and the sentences of what does not fit."""
 
 from __future__ import annotations
 
@@ -12,34 +12,24 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from distributed import Client
 
 import hyperbit as hb
 from hyperbit.controller.studies import stream, workers
 from hyperbit.controller.studies.shares import Run, StudyFailed, compute, pack
 from hyperbit.controller.studies.stream import results
-from hyperbit.controller.studies.workers import check_workers, cluster_workers, local_workers
-from tests.waiting import PATIENCE
-
-ARM = str(Path(__file__).parents[2] / "deploy" / "planar16.yaml")
+from hyperbit.controller.studies.workers import check_workers, cluster_workers
+from tests.studies.conftest import ARM, answers
 
 
 class Squares(NamedTuple):
-    """A study of numbers; a negative one ends its worker the first time, -100 each time.
-
-    Attributes:
-        mark: a file that says that a worker has been ended.
-    """
-
-    mark: Path | None = None
+    """A study of numbers; a negative one ends its worker."""
 
     def prepare(self) -> Run:
         return self._run
 
     def _run(self, share: list[int]) -> Iterator[int]:
         for number in share:
-            if number < 0 and self.mark is not None and (number == -100 or not self.mark.exists()):
-                self.mark.touch()
+            if number < 0:
                 os.kill(os.getpid(), signal.SIGKILL)
             yield number * number
 
@@ -49,33 +39,6 @@ class Lengths(NamedTuple):
 
     def prepare(self) -> Run:
         return partial(map, len)
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[Client]:
-    with local_workers(2) as client:
-        yield client
-
-
-@pytest.fixture
-def client(cluster: Client) -> Client:
-    """Two workers; some tests end one, which is then started again."""
-    cluster.wait_for_workers(2, timeout=PATIENCE)
-    return cluster
-
-
-@pytest.fixture(scope="module")
-def ik() -> hb.Solver:
-    return hb.Solver(hb.load(ARM))
-
-
-@pytest.fixture(scope="module")
-def goals(ik) -> list[Any]:
-    return [ik.arm.position(configuration) for configuration in ik.arm.sample(150, seed=4)]
-
-
-def answers(found: Iterator[hb.Solution]) -> list[tuple[Any, ...]]:
-    return [(s.configuration.tolist(), s.cost, s.bound, s.certificate, s.effort, s.error) for s in found]
 
 
 def test_results_have_the_order_of_the_shares(client):
@@ -93,39 +56,14 @@ def test_shares_are_read_as_they_are_needed(client):
 
 
 def test_shares_that_are_done_leave_the_memory(client):
-    shares, before = ([os.urandom(200_000)] for _ in range(600)), memory()
+    shares, before = ([os.urandom(200_000)] for _ in range(300)), memory()
     assert all(found == [200_000] for found in results(Lengths(), shares, client))
-    assert memory() - before < 60  # of 120
+    assert memory() - before < 30  # of 60
 
 
 def memory() -> float:
     """Returns the memory that this process has [MB]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def test_the_share_of_a_lost_worker_is_computed_again(client, tmp_path):
-    shares = [[k] if k != 7 else [6, -7] for k in range(30)]
-    found = list(results(Squares(tmp_path / "mark"), shares, client))
-    assert (tmp_path / "mark").exists()
-    assert found == [[k * k] if k != 7 else [36, 49] for k in range(30)]
-
-
-def test_a_share_that_ends_each_worker_ends_the_study(client, tmp_path, monkeypatch):
-    monkeypatch.setattr(client.cluster.scheduler, "allowed_failures", 0)
-    with pytest.raises(StudyFailed, match="1 workers were lost with the same share, the last tcp"):
-        list(results(Squares(tmp_path / "mark"), [[1], [-100], [2]], client))
-
-
-def test_solutions_are_those_of_one_process_though_a_worker_is_killed(client, ik, goals):
-    alone = answers(hb.map(ik, goals, effort=10))
-    found, victim = list[hb.Solution](), client.run(os.getpid).popitem()[1]
-    for solution in hb.map(ik, goals, client=client, effort=10):
-        if len(found) == 20:
-            os.kill(victim, signal.SIGKILL)
-        found.append(solution)
-    assert answers(iter(found)) == alone
-    assert answers(iter(ik.solve_many(goals, effort=10))) == alone
-    assert any(certificate == "optimal" for _, _, _, certificate, _, _ in alone)
 
 
 def test_plan_prints_the_same_bytes_from_one_process_and_from_a_cluster(client, ik, goals, run_plan, tmp_path):
@@ -143,17 +81,8 @@ def test_plan_prints_the_same_bytes_from_one_process_and_from_a_cluster(client, 
 
 
 @pytest.fixture
-def run_plan(monkeypatch, capsys):
-    from hyperbit.controller import cli
-
-    def run(*words: str) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["hyperbit", "plan", ARM, *words])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(ended.value.code or 0), out, err
-
-    return run
+def run_plan(hyperbit):
+    return partial(hyperbit, "plan", ARM)
 
 
 def version_but(package: str, found: Any, asked: str) -> Any:

@@ -78,15 +78,12 @@ def children(process: subprocess.Popen[bytes]) -> list[int]:
     return [int(pid) for pid in others if b"keeper.py" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_a_signal_ends_both_processes_in_order(
-    process: subprocess.Popen[bytes], client: Observer, folder: Path, number: signal.Signals
-) -> None:
+def test_ctrl_c_ends_both_processes_in_order(process: subprocess.Popen[bytes], client: Observer, folder: Path) -> None:
     (executor,) = children(process)
     client.move(MIDDLE, goal="a")
     client.goal(RIGHT, LEFT, times=[HOUR, 2 * HOUR], id="b")
     client.wait_for("executing", "goal b")
-    os.killpg(process.pid, number)  # as a terminal does at Ctrl-C, and when it is closed
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does; tests/commands/test_ending.py has other signals
     assert process.wait(PATIENCE) == 0
     assert "ERROR" not in (log := (folder / "log").read_text()), log
     assert log.count("buses[1].bitrate: 123456 bit/s is unusual") == 1, log

@@ -1,8 +1,4 @@
-"""Plans that may take seconds, each in a process of its own: they hold neither the planner's threads nor their lock.
-
-With `planning.dask` such a process sends its plans to a cluster, and computes those itself that get no answer there.
-The daemon itself never imports Dask, and never waits for it.
-"""
+"""Plans that may take seconds, each in a process of its own: they hold neither the planner's threads nor their lock."""
 
 from __future__ import annotations
 
@@ -28,7 +24,7 @@ from hyperbit.controller.obstacles.obstacles import Obstacles
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.tasks import Answer, DescribePlan
 from hyperbit.controller.planning.workers import computations
-from hyperbit.controller.planning.workers.arm_model import Abandoned, ArmModel, Proceed, build_scene, build_tables
+from hyperbit.controller.planning.workers.arm_model import ArmModel, build_scene, build_tables
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.workspace.cache import default_directory, load_or_map
 from hyperbit.controller.workspace.densities import Densities
@@ -51,7 +47,6 @@ class LongPlan(NamedTuple):
         locked: locked states of `Tables`.
         scene, obstacles: generation of `VersionedScene`, and the obstacles that were sent.
         seconds: longest time [s].
-        arm: digest of the arm that the daemon has.
     """
 
     message: GoalMessage
@@ -62,14 +57,6 @@ class LongPlan(NamedTuple):
     scene: int
     obstacles: Obstacles
     seconds: float
-    arm: str
-
-
-class LongAnswer(NamedTuple):
-    """The answer to a long plan, and a warning for the daemon's log; "": none."""
-
-    answer: Answer
-    warning: str = ""
 
 
 def is_long(task: tasks.Task) -> bool:
@@ -85,19 +72,19 @@ class LongPlanner:
     """
 
     def __init__(self, arm: Arm, weights: NDArray[np.float64]) -> None:
-        self._arguments, self._digest = (arm, weights, version("hyperbit")), arm.digest
+        self._arguments = arm, weights, version("hyperbit")
         self._start()
 
     def plan(self, task: DescribePlan, proceed: Callable[[], object]) -> Answer:
         """Returns the answer to a task; calls `proceed` again and again, which may raise."""
         until = time.monotonic() + START + task.seconds
         try:
-            self._connection.send(packed(task, self._digest))
+            self._connection.send(packed(task))
             while not self._connection.poll(POLL):
                 proceed()
                 if time.monotonic() > until:
                     raise TimeoutError(f"no answer after {START + task.seconds:g} s")
-            answered: LongAnswer = self._connection.recv()
+            answer: Answer = self._connection.recv()
         except (EOFError, OSError) as error:
             self._restart()
             log.error("the process for long plans has failed, another one starts: %r", error)
@@ -105,11 +92,9 @@ class LongPlanner:
         except BaseException:
             self._restart()
             raise
-        if answered.warning:
-            log.warning("%s", answered.warning)
-        if isinstance(answered.answer, tasks.Failed):
-            log.error("a long plan has failed: %s", answered.answer.reason)
-        return answered.answer
+        if isinstance(answer, tasks.Failed):
+            log.error("a long plan has failed: %s", answer.reason)
+        return answer
 
     def close(self) -> None:
         """Kills the process."""
@@ -129,12 +114,12 @@ class LongPlanner:
         theirs.close()
 
 
-def packed(task: DescribePlan, arm: str) -> LongPlan:
-    """Returns what another process needs of a task; `arm` is the digest of the arm."""
+def packed(task: DescribePlan) -> LongPlan:
+    """Returns what another process needs of a task."""
     goal = task.goal
     start, tables, scene = goal.basis
     own = start, tables.locked, scene.generation, scene.keep_out.sent
-    return LongPlan(goal.message, goal.received, goal.bias, *own, task.seconds, arm)
+    return LongPlan(goal.message, goal.received, goal.bias, *own, task.seconds)
 
 
 # --- the other process
@@ -147,23 +132,18 @@ def serve(connection: Connection, arm: Arm, weights: NDArray[np.float64], expect
     with contextlib.suppress(OSError):
         os.nice(NICE)
     planner = Planner(arm, weights)
-    answered = planner.answer_long
-    if (address := arm.settings.planning.dask) is not None:
-        from hyperbit.controller.planning.workers.cluster_plans import ClusterPlanner
-
-        answered = ClusterPlanner(address, arm, weights, planner).answer_long
     planner.prepare(arm.locked.astype(np.uint8).tobytes())
-    answer_plans(connection, answered, expected)
+    answer_plans(connection, planner, expected)
 
 
-def answer_plans(connection: Connection, answered: Callable[[LongPlan], LongAnswer], expected: str) -> None:
+def answer_plans(connection: Connection, planner: Planner, expected: str) -> None:
     """Answers each plan that arrives, until the connection ends; refuses all if this is not the expected version."""
     found = version("hyperbit")
     other = tasks.Failed(f"the daemon is hyperbit {expected}, installed is {found}: restart the daemon")
     with contextlib.suppress(EOFError, OSError):
         while True:
             plan = connection.recv()
-            connection.send(answered(plan) if found == expected else LongAnswer(other))
+            connection.send(planner.answer(plan) if found == expected else other)
 
 
 def end_with_parent() -> None:
@@ -182,34 +162,19 @@ class Planner:
 
     def __init__(self, arm: Arm, weights: NDArray[np.float64]) -> None:
         self._arm, self._weights, self._model = arm, weights, ArmModel(arm, "queries")
-        self._digest = arm.digest
         self._densities: Densities | None = None
         self._tables: tasks.Tables | None = None
         self._scene: tasks.VersionedScene | None = None
 
-    def answer_long(self, plan: LongPlan) -> LongAnswer:
-        """Returns the answer to a plan, without a warning."""
-        return LongAnswer(self.answer(plan))
-
-    def answer(self, plan: LongPlan, proceed: Proceed = lambda: False) -> Answer:
-        """Returns the answer to a plan; nothing leaves it.
-
-        Args:
-            plan: the plan.
-            proceed: raises Abandoned if nobody waits for the answer any more.
-        """
-        if plan.arm != self._digest:
-            return tasks.Failed(
-                f"the plan is for the arm with digest {plan.arm[:12]}, this process has {self._digest[:12]}: restart it"
-            )
+    def answer(self, plan: LongPlan) -> Answer:
+        """Returns the answer to a plan, also for an exception."""
         try:
             basis = tasks.Basis(plan.start, self.prepare(plan.locked), self._scene_of(plan))
             goal = tasks.PlanGoal(plan.message, plan.received, plan.bias, basis)
-            return computations.describe(self._model, DescribePlan(goal, plan.seconds), proceed, proceed)
+            task = DescribePlan(goal, plan.seconds)
+            return computations.describe(self._model, task, lambda: False, lambda: False)
         except Refusal as refusal:
             return refusal.data
-        except Abandoned:
-            return tasks.Done()
         except Exception:
             return tasks.Failed(traceback.format_exc())
 

@@ -57,7 +57,7 @@ class QueuedTask:
 class Workers:
     """Carries out tasks, each kind in a thread of its own. All methods are for one thread; only `close` waits.
 
-    Plans that may take long go to `planning.processes` processes, if there are any.
+    Plans that may take long go to `planning.workers` processes, if there are any.
 
     Each task is answered by `Answered`; its last answer is marked.
 
@@ -82,7 +82,7 @@ class Workers:
         self._queued: dict[int, QueuedTask] = {}  # not answered; a worker removes its own
         self._queues = {name: queue.SimpleQueue[QueuedTask | None]() for name in (*THREADS, LONG_PLANS)}
         self._queue_of = {kind: self._queues[name] for name, kinds in THREADS.items() for kind in kinds}
-        self._processes = [LongPlanner(arm, weights) for _ in range(arm.settings.planning.processes)]
+        self._processes = [LongPlanner(arm, weights) for _ in range(arm.settings.planning.workers)]
         carriers = [(name, self._perform) for name in THREADS]
         carriers += [(LONG_PLANS, partial(self._plan_long, process)) for process in self._processes]
         self._threads = [

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
 
@@ -79,33 +77,6 @@ def test_names_are_listed(hyperbit):
     code, out, _ = hyperbit("bench", "--list")
     assert code == 0
     assert all(f"  {name} " in out for name in (*SETS, *METHODS))
-
-
-def test_workers_change_nothing_but_times(hyperbit, mine, tmp_path):
-    def figures(file):
-        found = json.loads(file.read_text())
-        rows = [row for of_set in found["sets"].values() for row in of_set["methods"]]
-        return [{name: value for name, value in row.items() if "seconds" not in name} for row in rows], found["workers"]
-
-    words = ("bench", "--set", "revolute24", "--count", "20", "--methods", "pop,random-search", "--method")
-    words += (f"{mine}:boast", "--json")
-    code, out, _ = hyperbit(*words, str(tmp_path / "1.json"))
-    assert code == 0
-    assert "several workers" not in out
-    code, out, _ = hyperbit(*words, str(tmp_path / "2.json"), "--workers", "2")
-    assert code == 0
-    assert "Times were measured while several workers shared the processors" in out
-    (alone, one), (shared, two) = figures(tmp_path / "1.json"), figures(tmp_path / "2.json")
-    assert (shared, one, two) == (alone, 1, 2)
-
-
-def test_what_a_method_prints_in_a_worker_is_not_among_the_figures(mine):
-    words = ("-m", "hyperbit", "bench", *FEW, "--method", f"{mine}:prepare", "--methods", "random-search")
-    run = [sys.executable, *words, "--json", "-", "--workers", "2"]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["sets"]["revolute24"]["methods"][1]["solved"] == 3
-    assert "noise" in done.stderr
 
 
 def test_ctrl_c_ends_with_what_is_complete(hyperbit, monkeypatch):

@@ -94,7 +94,8 @@ class Rig:
         end = self.now + longest
         while not condition():
             frame_due = self._queue[0][0] if self._queue else end
-            due = min(frame_due, self._next_tick, self.board.timer)
+            board_due = self.board.timer
+            due = min(frame_due, self._next_tick, board_due)
             if due > end or (due == end and not self._queue):
                 self.now = end
                 return bool(condition())
@@ -102,7 +103,7 @@ class Rig:
             if self._queue and frame_due <= self.now:
                 _, _, sender, frame = heapq.heappop(self._queue)
                 self._deliver(sender, frame)
-            elif self.board.timer <= self.now:
+            elif board_due <= self.now:
                 self.board.step(self.now)
                 self._look("time", "")
             else:

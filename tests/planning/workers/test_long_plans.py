@@ -55,11 +55,16 @@ def test_a_plan_is_long_by_its_deadline(bench: Bench) -> None:
     assert not is_long(bench.task(A))
 
 
-def test_another_process_answers_as_a_thread_does_also_after_it_was_killed(bench: Bench) -> None:
-    planner = LongPlanner(bench.arm, bench.weights)
+def test_a_process_answers_as_a_thread_does_also_after_it_was_killed_and_the_file_has_changed(
+    bench: Bench, tmp_path: Path
+) -> None:
+    file = tmp_path / "arm.yaml"
+    file.write_text(msgspec.yaml.encode(bench.arm.settings).decode())
+    planner = LongPlanner(load(file), bench.weights)
     expected = proven(describe(ArmModel(bench.arm, "queries"), task(bench), nothing, lambda: False))
     assert proven(planner.plan(task(bench), nothing)) == expected
     planner._process.kill()
+    file.write_text("name: other\n")
     answer = planner.plan(task(bench), nothing)
     assert isinstance(answer, Failed)
     assert "the process for long plans has failed" in answer.reason
@@ -88,11 +93,11 @@ def test_refusals_and_errors_are_answers(bench: Bench, monkeypatch: pytest.Monke
     planner, far = Planner(bench.arm, bench.weights), task(bench)
     waypoint = msgspec.structs.replace(far.goal.message.waypoints[0], configuration=None, position=list(FAR))
     message = msgspec.structs.replace(far.goal.message, waypoints=[waypoint])
-    answer = planner.answer(packed(far._replace(goal=far.goal._replace(message=message)), bench.arm.digest))
+    answer = planner.answer(packed(far._replace(goal=far.goal._replace(message=message))))
     assert isinstance(answer, Refused)
     assert "farther" in str(answer.refusal)
     monkeypatch.setattr(long_plans, "build_scene", lambda *_: 1 / 0)
-    failed = Planner(bench.arm, bench.weights).answer(packed(task(bench), bench.arm.digest))
+    failed = Planner(bench.arm, bench.weights).answer(packed(task(bench)))
     assert isinstance(failed, Failed)
     assert "ZeroDivisionError" in failed.reason
 
@@ -100,33 +105,15 @@ def test_refusals_and_errors_are_answers(bench: Bench, monkeypatch: pytest.Monke
 def test_a_process_of_another_version_refuses(bench: Bench) -> None:
     ours, theirs = Pipe()
     planner = Planner(bench.arm, bench.weights)
-    serving = threading.Thread(target=answer_plans, args=(theirs, planner.answer_long, "0.0.1"))
+    serving = threading.Thread(target=answer_plans, args=(theirs, planner, "0.0.1"))
     serving.start()
-    ours.send(packed(task(bench), bench.arm.digest))
+    ours.send(packed(task(bench)))
     assert ours.poll(PATIENCE)
-    answer = ours.recv().answer
+    answer = ours.recv()
     ours.close()
     serving.join()
     assert isinstance(answer, Failed)
     assert answer.reason.startswith("the daemon is hyperbit 0.0.1, installed is ")
-
-
-def test_a_process_with_another_arm_refuses(bench: Bench) -> None:
-    answer = Planner(bench.arm, bench.weights).answer(packed(task(bench), "0" * 64))
-    assert isinstance(answer, Failed)
-    assert answer.reason.startswith("the plan is for the arm with digest 000000000000, this process has ")
-
-
-def test_a_new_process_has_the_arm_of_the_daemon_though_the_file_has_changed(bench: Bench, tmp_path: Path) -> None:
-    file = tmp_path / "arm.yaml"
-    file.write_text(msgspec.yaml.encode(bench.arm.settings).decode())
-    arm = load(file)
-    planner = LongPlanner(arm, bench.weights)
-    expected = proven(planner.plan(task(bench), nothing))
-    file.write_text("name: other\n")
-    planner._restart()
-    assert proven(planner.plan(task(bench), nothing)) == expected
-    planner.close()
 
 
 def test_only_long_plans_go_to_processes(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

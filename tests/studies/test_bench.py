@@ -1,4 +1,4 @@
-"""The benchmark on two worker processes: equal results, methods of users, the time limit, and lost workers."""
+"""The benchmark on two worker processes: equal results, methods of users, and the time limit."""
 
 from __future__ import annotations
 
@@ -7,18 +7,16 @@ from dataclasses import asdict
 from typing import Any
 
 import pytest
-from distributed import Client
 
 from hyperbit.controller.bench.goal_sets import read, sample_evenly
 from hyperbit.controller.bench.methods import METHODS, Prepare, find_method
 from hyperbit.controller.bench.running import PART, Row, run
 from hyperbit.controller.studies.shares import Job, StudyFailed, alone
 from hyperbit.controller.studies.stream import results
-from hyperbit.controller.studies.workers import local_workers
 
 TASKS = sample_evenly(read("lattice"), 60) + read("planar16")[:20]
 MINE = """
-import os, signal, threading
+import os, threading
 from pathlib import Path
 
 folder = Path({folder!r})
@@ -34,21 +32,7 @@ def endless(arm):
         while True:
             pass
     return solve
-
-def fatal(arm):
-    def solve(goal, start):
-        if not (folder / "ended").exists():
-            (folder / "ended").touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return start
-    return solve
 """
-
-
-@pytest.fixture(scope="module")
-def client() -> Iterator[Client]:
-    with local_workers(2) as client:
-        yield client
 
 
 @pytest.fixture
@@ -99,12 +83,6 @@ def test_each_worker_prepares_a_method_of_a_file_once(spread, mine, tmp_path):
 
 def test_a_method_that_takes_too_long_is_ended_in_the_thread_of_a_worker(spread, mine):
     assert run("mine", mine("endless"), read("planar16")[:3], 0.02, spread).errors == {"took too long": 3}
-
-
-def test_the_share_of_a_lost_worker_is_computed_again(spread, mine, tmp_path):
-    row = run("mine", mine("fatal"), TASKS, 60.0, spread)
-    assert (tmp_path / "ended").exists()
-    assert timeless(row) == timeless(run("mine", lambda arm: lambda goal, start: start, TASKS, 60.0))
 
 
 def test_a_method_of_a_module_that_workers_do_not_have_is_refused(spread, tmp_path, monkeypatch):
