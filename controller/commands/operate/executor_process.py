@@ -25,14 +25,7 @@ class ExecutorProcess:
     The kernel sends the child SIGTERM if this process is killed. The child has a process group of its own. Ctrl-C
     therefore reaches only this process, which ends goals first. With `simulate` this process passes the lines of its
     standard input on to the child, which reads commands for faults from them. A terminal is not passed on to another
-    process group.
-
-    Args:
-        file: of the arm.
-        path: of the socket.
-        simulate: whether the executor simulates the boards.
-        journal: path of its switch journal; its default if None.
-        board: variants of simulated boards, as `hyperbit simulate` takes them.
+    process group. `path`: of the socket.
     """
 
     def __init__(
@@ -49,7 +42,6 @@ class ExecutorProcess:
 
     @property
     def pid(self) -> int:
-        """Id of the process."""
         return self._process.pid
 
     def ended(self) -> int | None:
@@ -57,7 +49,6 @@ class ExecutorProcess:
         return self._process.poll()
 
     def close(self, timeout: float = END_TIMEOUT) -> None:
-        """Ends the executor; kills it after `timeout` seconds."""
         end_child(self._process, timeout)
 
 

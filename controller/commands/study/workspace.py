@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.arm.arm import load
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.arguments import ArmFile, AsJson
+from hyperbit.controller.commands.arguments import ArmFile, AsJson, Dask, Picture, Tolerance, Workers
 from hyperbit.controller.commands.common import (
     console,
     densities_of,
@@ -19,24 +19,8 @@ from hyperbit.controller.commands.common import (
     results_table,
     shown,
 )
-from hyperbit.controller.commands.sharing import (
-    Dask,
-    Sharing,
-    Workers,
-    check_sharing,
-    open_workers,
-    progress_bar,
-    spread_over,
-)
+from hyperbit.controller.commands.sharing import checked_sharing, open_workers, progress_bar, spread_over
 from hyperbit.controller.commands.study.workspace_report import FIGURES, WorkspaceStudy, describe_study
-
-if TYPE_CHECKING:
-    from distributed import Client
-    from rich.progress import Progress
-
-    from hyperbit.controller.workspace.coverage import Coverage
-    from hyperbit.controller.workspace.densities import Densities
-    from hyperbit.controller.workspace.locked_reach import LockChoices, LockedReach
 
 
 def workspace(
@@ -48,8 +32,8 @@ def workspace(
         int | None, typer.Option(metavar="K", help="Also report the reach with K actuators locked.")
     ] = None,
     samples: Annotated[int, typer.Option(help="Most random choices of locked actuators, if K is above 1.")] = 100,
-    tolerance: Annotated[float | None, typer.Option(help="Position tolerance. Default: the arm's.")] = None,
-    picture: Annotated[Path, typer.Option(help="File for the picture.")] = Path("workspace.png"),
+    tolerance: Tolerance = None,
+    picture: Picture = Path("workspace.png"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of random draws and choices.")] = 0,
     workers: Workers = 1,
     dask: Dask = None,
@@ -59,20 +43,31 @@ def workspace(
 
     `--workers` and `--dask` share the positions, and the choices of locked actuators. The figures stay the same.
     """
-    from hyperbit.controller.workspace.locked_reach import LockChoices
+    from hyperbit.controller.workspace.coverage import CountJob, coverage_of
+    from hyperbit.controller.workspace.locked_reach import LockChoices, reach_when_locked
     from hyperbit.controller.workspace.orientations import orientations_at
 
     arm = load(file)
-    own = arm.tolerance if tolerance is None else tolerance
-    check_options(own, samples)
-    check_sharing(sharing := Sharing(workers, dask))
+    reduced, own = arm.reduced, arm.tolerance if tolerance is None else tolerance
+    if not 1e-9 <= own <= 1e6:
+        raise InputFaults(Path("--tolerance"), [f"{own:g} is no length from 1e-9 to 1e6"])
+    if not 1 <= samples <= 10_000:
+        raise InputFaults(Path("--samples"), [f"{samples} is not from 1 to 10000"])
+    sharing = checked_sharing(workers, dask)
     point = None if at is None else position(at, arm.manipulator.dimension)
     densities = densities_of(arm, silent=as_json)
-    found = None if point is None else orientations_at(arm.reduced, densities, point, own, seed=seed)
-    locks = None if locked is None else LockChoices(locked, samples, seed)
+    found = None if point is None else orientations_at(reduced, densities, point, own, seed=seed)
+    reach = None
     with open_workers(sharing) as client, progress_bar("parts", shown=not as_json) as progress:
-        covered = coverage(arm, densities, own, seed, client, progress)
-        reach = None if locks is None else locked_reach(arm, densities, own, locks, client, progress)
+        spread = spread_over(client, progress, "positions", lambda part: 1)
+        job = None if client is None else CountJob(reduced, arm.pixel, arm.level_pixels, own)
+        covered = coverage_of(reduced, densities, own, seed=seed, spread=spread, job=job)
+        if locked is not None:
+            spread = spread_over(client, progress, "choices of locked actuators")
+            try:
+                reach = reach_when_locked(reduced, densities, own, LockChoices(locked, samples, seed), spread)
+            except ValueError as error:
+                raise InputFaults(Path("--locked"), [str(error)]) from None
     study = WorkspaceStudy(arm, densities, covered, own, point, found, locked or 0, reach)
     save_picture(picture, study)
     report = {**describe_study(study), "picture": str(picture)}
@@ -82,24 +77,7 @@ def workspace(
         show(report)
 
 
-def check_options(tolerance: float, samples: int) -> None:
-    """Checks the range of options.
-
-    Raises:
-        InputFaults: an option is out of range.
-    """
-    if not 1e-9 <= tolerance <= 1e6:
-        raise InputFaults(Path("--tolerance"), [f"{tolerance:g} is no length from 1e-9 to 1e6"])
-    if not 1 <= samples <= 10_000:
-        raise InputFaults(Path("--samples"), [f"{samples} is not from 1 to 10000"])
-
-
 def position(text: str, dimension: int) -> list[float]:
-    """Parses the position of `--at`.
-
-    Raises:
-        InputFaults: the text is no position.
-    """
     found, orientation = parse_goal(text, dimension, "--at")
     if orientation is not None:
         raise InputFaults(Path("--at"), [f"{text!r}: a position of {dimension} numbers is needed"])
@@ -107,11 +85,6 @@ def position(text: str, dimension: int) -> list[float]:
 
 
 def save_picture(file: Path, study: WorkspaceStudy) -> None:
-    """Draws positions, orientations and reach with locked actuators.
-
-    Raises:
-        InputFaults: the file cannot be written.
-    """
     from hyperbit.controller.pictures.workspace_plots import draw_workspace, locked_field, positions_field
 
     arm, reach = study.arm, study.locked_reach
@@ -124,34 +97,6 @@ def save_picture(file: Path, study: WorkspaceStudy) -> None:
         raise InputFaults(file, [f"cannot be written: {error}"]) from None
 
 
-def coverage(
-    arm: Arm, densities: Densities, tolerance: float, seed: int, client: Client | None, progress: Progress
-) -> Coverage:
-    """Returns the coverage of the reduced arm, counted by the workers."""
-    from hyperbit.controller.workspace.coverage import CountJob, coverage_of
-
-    spread = spread_over(client, progress, "positions", lambda part: 1)
-    job = None if client is None else CountJob(arm.reduced, arm.pixel, arm.level_pixels, tolerance)
-    return coverage_of(arm.reduced, densities, tolerance, seed=seed, spread=spread, job=job)
-
-
-def locked_reach(
-    arm: Arm, densities: Densities, tolerance: float, locks: LockChoices, client: Client | None, progress: Progress
-) -> LockedReach:
-    """Returns the reach with locked actuators, mapped by the workers.
-
-    Raises:
-        InputFaults: the arm has too few actuators to lock.
-    """
-    from hyperbit.controller.workspace.locked_reach import reach_when_locked
-
-    spread = spread_over(client, progress, "choices of locked actuators")
-    try:
-        return reach_when_locked(arm.reduced, densities, tolerance, locks, spread)
-    except ValueError as error:
-        raise InputFaults(Path("--locked"), [str(error)]) from None
-
-
 def span(figure: dict[str, float], form: str) -> str:
     """Returns the limits of a figure as text; only one number if the form shows no difference."""
     lower, upper = form.format(figure["lower"]), form.format(figure["upper"])
@@ -159,7 +104,6 @@ def span(figure: dict[str, float], form: str) -> str:
 
 
 def show(report: dict[str, Any]) -> None:
-    """Prints the figures."""
     own, tolerance = report["positions"], report["tolerance"]
     kind = "area" if len(own["densest"]) == 2 else "volume"
     console.print(

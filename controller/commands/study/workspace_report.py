@@ -28,31 +28,19 @@ LOCKED = "a lock changes only the intermediate workspaces below its module; the 
 
 
 class WorkspaceStudy(NamedTuple):
-    """What was found on the workspace of an arm.
-
-    Attributes:
-        arm: the arm.
-        densities: of the reduced arm.
-        coverage: area within the tolerance of the tips, and density over it, of the reduced arm.
-        tolerance: position tolerance.
-        point: position at which orientations were counted, shape (dimension,); None: nowhere.
-        orientations: orientations at the point; None without a point.
-        locks: number of locked actuators; 0: none.
-        locked_reach: reach with locked actuators; None without locks.
-    """
+    """What was found on the workspace of an arm: of the reduced arm, and with locked actuators."""
 
     arm: Arm
     densities: Densities
     coverage: Coverage
     tolerance: float
-    point: list[float] | None
+    point: list[float] | None  # at which orientations were counted, shape (dimension,)
     orientations: Orientations | None
-    locks: int
+    locks: int  # number of locked actuators; 0: none
     locked_reach: LockedReach | None
 
 
 def describe_study(study: WorkspaceStudy) -> dict[str, Any]:
-    """Returns all figures."""
     arm, found, reach = study.arm, study.orientations, study.locked_reach
     fields: dict[str, Any] = {"arm": arm.settings.name, "tolerance": study.tolerance}
     fields["positions"] = positions(study.coverage)
@@ -78,12 +66,10 @@ def positions(found: Coverage) -> dict[str, Any]:
 
 
 def limits(figure: Range) -> dict[str, float]:
-    """Returns a figure with its lower and upper limit."""
     return {"lower": figure.lower, "estimate": figure.middle, "upper": figure.upper}
 
 
 def orientations(found: Orientations, *, planar: bool) -> dict[str, Any]:
-    """Returns the figures of the density of orientations at a point."""
     from hyperbit.controller.pictures.orientation_plots import angles_of, arcs, directions, twists
 
     exact = found.draws == 0
@@ -111,7 +97,6 @@ def orientations(found: Orientations, *, planar: bool) -> dict[str, Any]:
 
 
 def locks(arm: Arm, found: LockedReach, locked: int) -> dict[str, Any]:
-    """Returns the figures of reach and redundancy with locked actuators."""
     return {
         "method": "mapping",
         "why": LOCKED,
@@ -127,7 +112,6 @@ def locks(arm: Arm, found: LockedReach, locked: int) -> dict[str, Any]:
 
 
 def figures(reach: Reach) -> dict[str, float | None]:
-    """Returns the figures of one choice of locked actuators."""
     return {name: finite(getattr(reach, name)) for name in FIGURES}
 
 
