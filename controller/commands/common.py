@@ -62,7 +62,6 @@ def refusal(answer: Mapping[str, Any], arm: str) -> CommandFailed:
 
 
 def print_json(value: object) -> None:
-    """Prints one line of JSON."""
     sys.stdout.write(json.dumps(value) + "\n")
     sys.stdout.flush()
 

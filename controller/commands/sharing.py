@@ -35,7 +35,6 @@ class Sharing(NamedTuple):
 
 
 def checked_sharing(workers: int, dask: str | None) -> Sharing:
-    """Returns the options, which must not contradict each other."""
     if dask is not None and workers > 1:
         raise InputFaults(Path("--dask"), ["the cluster has its own workers: leave out --workers"])
     return Sharing(workers, dask)

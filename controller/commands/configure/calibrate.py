@@ -94,7 +94,6 @@ def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
 
 
 def payload(found: Calibration) -> dict[str, Any]:
-    """Returns a calibration for JSON."""
     changes = [
         {"field": change.parameter.path}
         | {name: getattr(change, name) for name in ("before", "after", "deviation", "determined")}
@@ -112,7 +111,6 @@ def payload(found: Calibration) -> dict[str, Any]:
 
 
 def show(found: Calibration) -> None:
-    """Prints a calibration: residuals and changed numbers."""
     lines = ", ".join(map(str, found.outliers))
     aside = f"; {len(found.outliers)} outliers set aside, lines {lines}" if found.outliers else ""
     console.print(f"{found.samples} samples{aside}")
@@ -138,5 +136,4 @@ def show(found: Calibration) -> None:
 
 
 def written(value: Any) -> str:
-    """Returns a number or a quaternion for the table."""
     return ", ".join(f"{part:.6g}" for part in value) if isinstance(value, list) else f"{value:.6g}"

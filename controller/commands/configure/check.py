@@ -73,7 +73,6 @@ def check(
 
 
 def checked_arm(file: Path, as_json: bool) -> Arm:
-    """Returns the arm of a file."""
     from hyperbit.controller.arm.arm import load
     from hyperbit.controller.executor.core.arm import read_arm
 
@@ -134,7 +133,6 @@ def summary(codes: Iterable[str]) -> str:
 
 
 def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
-    """Reads each board of an arm; returns an answer for each."""
     from hyperbit.controller.commands.configure.executor_absence import session_without_executor
     from hyperbit.controller.executor.core.arm import timing_of, wiring_of
     from hyperbit.drivers.canopen.tools.bus_check import check_bus

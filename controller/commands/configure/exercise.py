@@ -103,7 +103,6 @@ def commanded(client: Client) -> list[int]:
 
 
 def move(client: Client, label: str, state: str) -> MeasuredTravel:
-    """Switches one actuator and returns its measured travel."""
     result = client.run({"actuators": {label: state}}, key="jog")
     if "status" not in result or result["code"] != 0:
         status = result.get("status", "refused")
@@ -113,7 +112,6 @@ def move(client: Client, label: str, state: str) -> MeasuredTravel:
 
 
 def report(travels: list[MeasuredTravel], description: Mapping[str, Any], as_json: bool) -> None:
-    """Prints the measured times and the proposal for the arm's file."""
     lines = proposal(travels, description["actuators"])
     if as_json:
         print_json({"proposal": "\n".join(lines)})

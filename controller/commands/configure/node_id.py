@@ -61,12 +61,17 @@ def node_id(
         raise CommandFailed(f"{channel}: {error}") from None
     if as_json:
         print_json({"identity": str(selected), "before": old, "node": new or old, "bitrate": new_bitrate})
-    else:
-        print_stored(selected, old, new, new_bitrate, bus)
+        return
+    stored = [] if new is None else [f"node id {new} (before: {'none' if old > MASTER else old})"]
+    stored += [] if new_bitrate is None else [f"{new_bitrate} bit/s"]
+    typer.echo(f"board {selected}: stored {' and '.join(stored)}")
+    named = interface != "socketcan"
+    rate = f" --bitrate {new_bitrate or bitrate}" if new_bitrate or named else ""
+    where = f" --interface {interface}" if named else ""
+    typer.echo(f"switch its supply off and on, then: hyperbit probe {channel}{rate}{where}")
 
 
 def check_options(node: int | None, bitrate: int | None, *, list_: bool) -> None:
-    """Checks which options are given together, and the range of node id and bit rate."""
     if list_ == (node is not None or bitrate is not None):
         raise InputFaults(Path("node-id"), ["give a node id, --new-bitrate or both; or --list alone"])
     if node is not None and not 1 <= node < MASTER:
@@ -75,18 +80,6 @@ def check_options(node: int | None, bitrate: int | None, *, list_: bool) -> None
     if bitrate is not None and bitrate not in BIT_TIMINGS:
         rates = ", ".join(map(str, sorted(BIT_TIMINGS)))
         raise InputFaults(Path("--new-bitrate"), [f"{bitrate} is not one of {rates}"])
-
-
-def print_stored(selected: LssIdentity, old: int, node: int | None, bitrate: int | None, bus: BusWiring) -> None:
-    """Prints what was stored, and the next step."""
-    before = "none" if old > MASTER else str(old)
-    stored = [f"node id {node} (before: {before})"] if node is not None else []
-    stored += [f"{bitrate} bit/s"] if bitrate is not None else []
-    typer.echo(f"board {selected}: stored {' and '.join(stored)}")
-    named = bus.interface != "socketcan"
-    rate = f" --bitrate {bitrate or bus.bitrate}" if bitrate or named else ""
-    interface = f" --interface {bus.interface}" if named else ""
-    typer.echo(f"switch its supply off and on, then: hyperbit probe {bus.channel}{rate}{interface}")
 
 
 def parse_identity(text: str) -> LssIdentity:

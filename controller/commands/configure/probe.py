@@ -53,7 +53,6 @@ def probe(
 
 @contextlib.contextmanager
 def session_on(bus: BusWiring) -> Iterator[Session]:
-    """Opens a session on a bus that the user has named."""
     try:
         with session_without_executor([bus]) as session:
             yield session
@@ -65,7 +64,6 @@ def session_on(bus: BusWiring) -> Iterator[Session]:
 
 
 def rows(it: ProbedNode, channel: str) -> Iterable[tuple[str, str]]:
-    """Yields the rows of a node: subject and text."""
     if not it.answers and it.state is State.STOPPED:
         yield "state", stopped(f"{channel}/{it.node}")
         return
@@ -92,13 +90,11 @@ def rows(it: ProbedNode, channel: str) -> Iterable[tuple[str, str]]:
 
 
 def device(it: ProbedNode) -> str:
-    """Returns the name and version texts of a node, 1008h to 100Ah."""
     texts = [f"{it.texts[index]} ({index:04X}h)" for index in TEXTS if it.texts.get(index)]
     return ", ".join(texts) or "no texts (1008h to 100Ah)"
 
 
 def device_type(kind: int | None) -> str:
-    """Returns the device type, 1000h, in words."""
     if kind is None:
         return "1000h cannot be read"
     if kind & 0xFFFF != PROFILE:
@@ -122,7 +118,6 @@ def process_data(it: ProbedNode, index: int, pdos: Iterable[PdoState]) -> str:
 
 
 def pdo_text(pdo: PdoState) -> str:
-    """Returns communication and mapping parameters of a PDO in words."""
     entries = " ".join(f"{entry:08X}h" for entry in pdo.mapping) or "nothing"
     state = "enabled" if pdo.valid else "disabled"
     timer = "" if not pdo.timer else f", timer {pdo.timer} ms"
@@ -140,7 +135,6 @@ def supervision(it: ProbedNode) -> Iterable[str]:
 
 
 def error_state(it: ProbedNode) -> Iterable[str]:
-    """Yields a node's reaction to the loss of its master."""
     for index in (0x6206, 0x6207):
         yield f"{index:04X}h: {listed(it, index, 2)}" if (index, 0) in it.numbers else f"no {index:04X}h"
     yield number(it, 0x1029, 1, 2, lambda value: LOST.get(value, "of the maker"))
@@ -167,7 +161,6 @@ def storing(it: ProbedNode) -> str:
 
 
 def number(it: ProbedNode, index: int, sub: int, digits: int, words: Callable[[int], str] | None = None) -> str:
-    """Returns an object's value with its index, and in words."""
     place = f"{index:04X}h" + (f" sub {sub}" if sub else "")
     value = it.numbers.get((index, sub))
     if value is None:
@@ -183,7 +176,6 @@ def listed(it: ProbedNode, index: int, digits: int, names: tuple[str, ...] = ())
 
 
 def as_mapping(it: ProbedNode) -> dict[str, Any]:
-    """Returns all objects that were read from a node, for JSON."""
     return {
         "node": it.node,
         "answers": it.answers,

@@ -76,8 +76,6 @@ class DemoGoals(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """What the arm did."""
-
     rows: list[tuple[str, Message, float]]  # name, result and duration [s] of each goal
     reached: dict[str, Configuration]  # at each target, shape (B,)
     states: list[list[int]]  # commanded actuator states, shape (A,) each

@@ -123,7 +123,7 @@ def started_executor(
     The boards boot while this process loads the kernels.
     """
     from hyperbit.controller.armfile.actuators import ending_time, read_wired
-    from hyperbit.controller.commands.operate.executor_process import END_TIMEOUT, ExecutorProcess
+    from hyperbit.controller.commands.operate.executor_process import END_TIMEOUT, end_child, start_executor
     from hyperbit.controller.host.journal import start_logging
     from hyperbit.controller.host.sockets import socket_path
 
@@ -134,12 +134,13 @@ def started_executor(
     if socket is not None:
         yield RunningExecutor(path, lambda: None)
         return
-    journal = ledger and ledger.with_name(f"{ledger.stem}.switches")  # a ledger has its own counts
-    executor = ExecutorProcess(file, path, simulate=boards is not None, journal=journal, board=boards or [])
+    words = [str(file), "--socket", str(path), *(f"--board={word}" for word in boards or [])]
+    words += [] if ledger is None else ["--journal", str(ledger.with_name(f"{ledger.stem}.switches"))]  # its own counts
+    executor = start_executor(words, simulate=boards is not None)
     try:
-        yield RunningExecutor(path, executor.ended)
+        yield RunningExecutor(path, executor.poll)
     finally:
-        executor.close(END_TIMEOUT + ending_time(settings, len(actuators)))
+        end_child(executor, END_TIMEOUT + ending_time(settings, len(actuators)))
 
 
 @contextlib.contextmanager

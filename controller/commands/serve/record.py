@@ -18,11 +18,8 @@ from hyperbit.controller.commands.process import Process, opened_session
 from hyperbit.controller.flight_recorder.keeper import KINDS, SHARED, RefusedFile, about, read_generation, save
 
 if TYPE_CHECKING:
-    import zenoh
-
     from hyperbit.controller.recorder.can_log import CanLog
     from hyperbit.controller.recorder.folder import Folder
-    from hyperbit.controller.recorder.recorder import Recorder
 
 UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 SMALLEST = 100_000  # bytes; least value of --size and --keep
@@ -53,24 +50,42 @@ def record(
     """Record the messages of an arm, and the requests to it, to MCAP files until SIGTERM."""
     name = arm_name(arm)
     if events:
-        save_events(name, folder)
+        print_events(*record_events(name, folder))
         return
-    limits = parse_size(size, "--size"), seconds_of(minutes)
+    if not 0.0 < minutes < 1e6:
+        raise InputFaults(Path("--minutes"), [f"a number above 0 is needed, got {minutes:g}"])
+    limits = parse_size(size, "--size"), 60.0 * minutes
     most_kept = None if keep is None else parse_size(keep, "--keep")
     require("mcap")
     process = Process(name)
-    with opened_folder(folder, name, most_kept) as place, can_log(Path(arm) if can else None) as frames:
+    with contextlib.ExitStack() as stack:
+        place = stack.enter_context(opened_folder(folder, name, most_kept))
+        frames = stack.enter_context(can_log(Path(arm))) if can else None
         process.notifier.notify("READY=1")
-        with opened_session(connect, zenoh_file, process) as session:
-            if session is not None:
-                recorder = new_recorder(process.arm, place, limits, frames, fsync=fsync)
-                record_messages(session, recorder, frames, process)
+        if (session := stack.enter_context(opened_session(connect, zenoh_file, process))) is None:
+            return
+        from hyperbit.controller.network.listener import Listener
+        from hyperbit.controller.recorder.folder import CAN_LOG
+        from hyperbit.controller.recorder.recorder import Limits, Recorder
 
+        flushed = time.monotonic()
 
-def seconds_of(minutes: float) -> float:
-    if not 0.0 < minutes < 1e6:
-        raise InputFaults(Path("--minutes"), [f"a number above 0 is needed, got {minutes:g}"])
-    return 60.0 * minutes
+        def began(recording: Path) -> None:
+            if frames is not None:
+                frames.begin(recording.with_suffix(CAN_LOG))
+
+        def beat() -> None:
+            nonlocal flushed
+            process.feed_watchdog()
+            if frames is not None and time.monotonic() >= flushed + FLUSH_EVERY:
+                flushed = time.monotonic()
+                frames.flush()
+
+        recorder = Recorder(name, place, Limits(*limits), fsync=fsync, began=began)
+        stack.callback(recorder.end_recording)
+        listener = stack.enter_context(contextlib.closing(Listener(session, name)))
+        recorder.run(listener, process.ending.is_set, beat)
+        process.notifier.notify("STOPPING=1")
 
 
 def parse_size(text: str, option: str) -> int:
@@ -85,7 +100,6 @@ def parse_size(text: str, option: str) -> int:
 
 
 def require(package: str) -> None:
-    """Checks that a package for recordings is installed."""
     from importlib.util import find_spec
 
     if find_spec(package) is None:
@@ -108,11 +122,8 @@ def opened_folder(path: Path, arm: str, most: int | None) -> Iterator[Folder]:
 
 
 @contextlib.contextmanager
-def can_log(file: Path | None) -> Iterator[CanLog | None]:
-    """Opens the buses of an arm's file for a log of their frames; None: there is no log."""
-    if file is None:
-        yield None
-        return
+def can_log(file: Path) -> Iterator[CanLog]:
+    """Opens the buses of an arm's file for a log of their frames."""
     if not file.is_file():
         raise InputFaults(Path("--can"), [f"{file}: no such file; --can needs the arm's file, which names its buses"])
     from hyperbit.controller.armfile.actuators import read_wired
@@ -123,46 +134,7 @@ def can_log(file: Path | None) -> Iterator[CanLog | None]:
         yield frames
 
 
-def new_recorder(
-    arm: str, folder: Folder, limits: tuple[int, float], frames: CanLog | None, *, fsync: bool
-) -> Recorder:
-    """Returns a recorder; the log of the frames continues beside each new recording.
-
-    `limits`: most bytes, and longest time [s], of one recording. `fsync`: each flush waits for the disk.
-    """
-    from hyperbit.controller.recorder.folder import CAN_LOG
-    from hyperbit.controller.recorder.recorder import Limits, Recorder
-
-    def began(recording: Path) -> None:
-        if frames is not None:
-            frames.begin(recording.with_suffix(CAN_LOG))
-
-    return Recorder(arm, folder, Limits(*limits), fsync=fsync, began=began)
-
-
-def record_messages(session: zenoh.Session, recorder: Recorder, frames: CanLog | None, process: Process) -> None:
-    """Records the messages of the arm, and writes its frames once a second, until the process is to end."""
-    from hyperbit.controller.network.listener import Listener
-
-    flushed = time.monotonic()
-
-    def beat() -> None:
-        nonlocal flushed
-        process.feed_watchdog()
-        if frames is not None and time.monotonic() >= flushed + FLUSH_EVERY:
-            flushed = time.monotonic()
-            frames.flush()
-
-    with contextlib.ExitStack() as stack:
-        stack.callback(recorder.end_recording)
-        listener = stack.enter_context(contextlib.closing(Listener(session, process.arm)))
-        recorder.run(listener, process.ending.is_set, beat)
-        process.notifier.notify("STOPPING=1")
-
-
-def save_events(arm: str, folder: Path) -> None:
-    """Saves the last events of planner and executor, and prints the paths of the files."""
-    saved, missing = record_events(arm, folder)
+def print_events(saved: list[Path], missing: list[str]) -> None:
     for path in saved:
         typer.echo(str(path))
     if not saved:

@@ -81,23 +81,38 @@ def bench(
     from hyperbit.controller.bench.goal_sets import SETS
 
     if names:
-        print_names(SETS)
+        for title, about in (("sets", SETS), ("methods", {name: entry.summary for name, entry in METHODS.items()})):
+            common.console.print(f"{title}:")
+            for name, text in about.items():
+                common.console.print(f"  {name:24}{text}", markup=False)
         return
-    sharing = checked_sharing(workers, dask)
-    scale = Scale(chosen_methods(methods, method or []), limit, count)
-    results = run_sets(chosen_sets(sets, list(SETS)), scale, sharing, silent=str(json_file) == "-")
+    sharing, chosen, silent = (
+        checked_sharing(workers, dask),
+        chosen_methods(methods, method or []),
+        str(json_file) == "-",
+    )
+    if unknown := [name for name in sets or [] if name not in SETS]:
+        raise InputFaults(Path("--set"), [f"no set {name!r}; there are {', '.join(SETS)}" for name in unknown])
+    results = list[SetResult]()
+
+    def remedy() -> str:
+        """Returns which sets are done, and how to get the others; "" if none is."""
+        done = "" if silent else ", ".join(result.name for result in results)
+        return f"the tables of these sets are complete: {done}; choose the others with --set" if done else ""
+
+    with open_workers(sharing, remedy) as client:
+        for name in sets or SETS:
+            results.append(run_set(name, chosen, limit, count, client))
+            if not silent:
+                print_result(results[-1])
+    if not silent:
+        common.console.print(LEGEND)
+        if sharing.given:
+            common.console.print(BESIDE)
     if json_file is not None:
         write_figures(json_file, results, sharing)
     if impossible := sum(row.impossible for result in results for row in result.rows):
         raise CommandFailed(f"{impossible} answers have fewer switches than the proven minimum: a goal set is wrong")
-
-
-class Scale(NamedTuple):
-    """What runs on each goal set: methods by name, longest time for one goal [s], most goals; None: all."""
-
-    methods: dict[str, Prepare]
-    limit: float
-    most: int | None
 
 
 class SetResult(NamedTuple):
@@ -110,44 +125,21 @@ class SetResult(NamedTuple):
     rows: list[Row]
 
 
-def run_sets(names: list[str], scale: Scale, sharing: Sharing, *, silent: bool) -> list[SetResult]:
-    """Runs all methods on goal sets; prints each set's table as soon as it is known, unless `silent`."""
-    results = list[SetResult]()
-
-    def remedy() -> str:
-        """Returns which sets are done, and how to get the others; "" if none is."""
-        done = "" if silent else ", ".join(result.name for result in results)
-        return f"the tables of these sets are complete: {done}; choose the others with --set" if done else ""
-
-    with open_workers(sharing, remedy) as client:
-        for name in names:
-            results.append(run_set(name, scale, client))
-            if not silent:
-                print_result(results[-1])
-    if not silent:
-        common.console.print(LEGEND)
-        if sharing.given:
-            common.console.print(BESIDE)
-    return results
-
-
-def run_set(name: str, scale: Scale, client: Client | None) -> SetResult:
-    """Runs all methods on a goal set, by the workers of a client, or by this process; shows progress on stderr."""
+def run_set(name: str, methods: dict[str, Prepare], limit: float, most: int | None, client: Client | None) -> SetResult:
+    """Runs methods on a goal set, at most `limit` [s] for a goal, by the workers of a client or by this process."""
     from hyperbit.controller.bench.goal_sets import SETS, read, sample_evenly
     from hyperbit.controller.bench.running import run
 
     tasks = read(name)
-    tasks = sample_evenly(tasks, len(tasks) if scale.most is None else scale.most)
+    tasks = sample_evenly(tasks, len(tasks) if most is None else most)
     rows = []
     with progress_bar("goals") as progress, contextlib.redirect_stdout(sys.stderr):  # stdout is for the figures
-        for method, prepare in scale.methods.items():
-            spread = spread_over(client, progress, f"{name}: {method}")
-            rows.append(run(method, prepare, tasks, scale.limit, spread))
+        for method, prepare in methods.items():
+            rows.append(run(method, prepare, tasks, limit, spread_over(client, progress, f"{name}: {method}")))
     return SetResult(name, SETS[name], len(tasks), sum(task.proven for task in tasks), rows)
 
 
 def print_result(result: SetResult) -> None:
-    """Prints the table of a goal set, with examples of errors."""
     common.print_table(table(result))
     for row in result.rows:
         for example in row.examples:
@@ -166,12 +158,6 @@ def write_figures(file: Path, results: Iterable[SetResult], sharing: Sharing) ->
         sys.stdout.write(text)
     else:
         file.write_text(text, encoding="utf-8")
-
-
-def chosen_sets(wanted: list[str] | None, known: list[str]) -> list[str]:
-    if unknown := [name for name in wanted or [] if name not in known]:
-        raise InputFaults(Path("--set"), [f"no set {name!r}; there are {', '.join(known)}" for name in unknown])
-    return wanted or known
 
 
 def chosen_methods(wanted: str | None, own: list[str]) -> dict[str, Prepare]:
@@ -207,10 +193,3 @@ def table(found: SetResult) -> Table:
     if others := [row.method for row in found.rows if row.goals == 0]:
         result.caption, result.caption_justify = f"Not made for these goals: {', '.join(others)}.", "left"
     return result
-
-
-def print_names(sets: dict[str, str]) -> None:
-    for title, about in (("sets", sets), ("methods", {name: entry.summary for name, entry in METHODS.items()})):
-        common.console.print(f"{title}:")
-        for name, text in about.items():
-            common.console.print(f"  {name:24}{text}", markup=False)

@@ -99,7 +99,6 @@ def plan(
 
 
 def check_options(options: PlanOptions) -> None:
-    """Checks which options are given together, and the range of tolerances, time and work."""
     if [options.goal, options.goals, options.configuration].count(None) != 2:
         raise InputFaults(Path("plan"), ["give one of --goal, --goals and --configuration"])
     tolerances = (

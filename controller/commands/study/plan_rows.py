@@ -73,8 +73,6 @@ class WantedGoal(NamedTuple):
 
 
 class PointSolution(NamedTuple):
-    """The solution of a goal, or of a point between two goals."""
-
     position: list[float]
     orientation: Orientation
     solution: Solution
@@ -90,7 +88,6 @@ class Row(NamedTuple):
 
 
 def read_goals(arm: Arm, options: PlanOptions) -> Iterator[WantedGoal]:
-    """Yields the goals of the options' CSV file as they are read."""
     path = options.goals or Path()
     rows = goal_rows(path, "previous", lambda text, where: unlocked(arm, text, where), arm.manipulator.dimension)
     for goal in map(WantedGoal._make, rows):
@@ -111,7 +108,6 @@ def unlocked(arm: Arm, text: str, where: str) -> Configuration:
 
 
 def row_of(arm: Arm, options: PlanOptions, point: PointSolution) -> Row:
-    """Returns a solution as it is printed."""
     found, orientation = point.solution, point.orientation
     line = {
         "goal": point.position,
@@ -211,7 +207,6 @@ def write_line(file: BinaryIO, line: Mapping[str, Any]) -> None:
 
 
 def check_header(path: Path, line: bytes, header: Mapping[str, Any]) -> None:
-    """Checks that a file belongs to this study."""
     try:
         found = json.loads(line)
     except ValueError:

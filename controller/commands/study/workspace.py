@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
-from hyperbit.controller.arm.arm import load
+from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.arguments import ArmFile, AsJson, Dask, Picture, Tolerance, Workers
 from hyperbit.controller.commands.common import (
@@ -20,7 +23,21 @@ from hyperbit.controller.commands.common import (
     shown,
 )
 from hyperbit.controller.commands.sharing import checked_sharing, open_workers, progress_bar, spread_over
-from hyperbit.controller.commands.study.workspace_report import FIGURES, WorkspaceStudy, describe_study
+from hyperbit.controller.manipulator.frames import quaternion
+
+if TYPE_CHECKING:
+    from hyperbit.controller.workspace.coverage import Coverage, Range
+    from hyperbit.controller.workspace.locked_reach import LockedReach, Reach
+    from hyperbit.controller.workspace.orientations import Orientations
+
+FIGURES = ("reach", "covered", "log10_redundancy")
+DRAWN = "random draws, weighted by the Mapping Algorithm's densities; a grid over orientations would be far too coarse"
+COUNTED = {
+    "listing": "the arm has few configurations, all are listed",
+    "halves": "configurations are counted exactly, as pairs of two lists",
+    "draws": "random draws, weighted by the Mapping Algorithm's densities; the arm has too many configurations to list",
+}
+LOCKED = "a lock changes only the intermediate workspaces below its module; the others are mapped once"
 
 
 def workspace(
@@ -68,13 +85,25 @@ def workspace(
                 reach = reach_when_locked(reduced, densities, own, LockChoices(locked, samples, seed), spread)
             except ValueError as error:
                 raise InputFaults(Path("--locked"), [str(error)]) from None
-    study = WorkspaceStudy(arm, densities, covered, own, point, found, locked or 0, reach)
-    save_picture(picture, study)
-    report = {**describe_study(study), "picture": str(picture)}
+    from hyperbit.controller.pictures.workspace_plots import draw_workspace, locked_field, positions_field
+
+    fields: dict[str, Any] = {"arm": arm.settings.name, "tolerance": own, "positions": positions(covered)}
+    drawn = [positions_field(densities, arm.manipulator.dimension, own)]
+    if found is not None:
+        fields["at"] = {"position": point, **orientations(found, planar=arm.manipulator.planar)}
+    if reach is not None:
+        fields["locked"] = locks(arm, reach, locked or 0)
+        drawn.append(locked_field(reach, locked or 0))
+    shown_at = found if found is not None and len(found.counts) else None
+    try:
+        draw_workspace(reduced, drawn, point, shown_at, arm.settings.name).savefig(picture, dpi=130)
+    except (OSError, ValueError) as error:
+        raise InputFaults(picture, [f"cannot be written: {error}"]) from None
+    fields["picture"] = str(picture)
     if as_json:
-        print_json(report)
+        print_json(fields)
     else:
-        show(report)
+        show(fields)
 
 
 def position(text: str, dimension: int) -> list[float]:
@@ -84,17 +113,79 @@ def position(text: str, dimension: int) -> list[float]:
     return found
 
 
-def save_picture(file: Path, study: WorkspaceStudy) -> None:
-    from hyperbit.controller.pictures.workspace_plots import draw_workspace, locked_field, positions_field
+def positions(found: Coverage) -> dict[str, Any]:
+    """Returns the figures of positions. Names of logarithms begin with `log10_`."""
+    return {
+        "method": found.method,
+        "why": COUNTED[found.method],
+        "positions": found.positions,
+        "log10_configurations": found.log10_configurations,
+        "covered": limits(found.area),
+        "log10_redundancy": limits(found.log10_median),
+        "log10_greatest_redundancy": found.log10_greatest,
+        "densest": found.densest.tolist(),
+    }
 
-    arm, reach = study.arm, study.locked_reach
-    fields = [positions_field(study.densities, arm.manipulator.dimension, study.tolerance)]
-    fields += [] if reach is None else [locked_field(reach, study.locks)]
-    found = study.orientations if study.orientations is not None and len(study.orientations.counts) else None
-    try:
-        draw_workspace(arm.reduced, fields, study.point, found, arm.settings.name).savefig(file, dpi=130)
-    except (OSError, ValueError) as error:
-        raise InputFaults(file, [f"cannot be written: {error}"]) from None
+
+def limits(figure: Range) -> dict[str, float]:
+    return {"lower": figure.lower, "estimate": figure.middle, "upper": figure.upper}
+
+
+def orientations(found: Orientations, *, planar: bool) -> dict[str, Any]:
+    from hyperbit.controller.pictures.orientation_plots import angles_of, arcs, directions, twists
+
+    exact = found.draws == 0
+    fields: dict[str, Any] = {
+        "method": "enumeration" if exact else "mapping",
+        "why": "the arm has few configurations, all are enumerated" if exact else DRAWN,
+        "configurations": found.total,
+        "standard_error": found.deviation,
+        "draws": found.draws,
+        "mean": None,
+        "spread": None,
+    }
+    if len(found.counts) == 0:
+        return fields
+    frame = np.eye(4)
+    frame[:3, :3] = found.mean
+    fields["mean"] = float(angles_of(frame[None, :3, :3])[0]) if planar else quaternion(frame).tolist()
+    fields["spread"] = found.spread
+    if planar:
+        return fields | {"angles": arcs(angles_of(found.rotations), found.counts).tolist()}
+    return fields | {
+        "directions": directions(found).tolist(),
+        "twists": arcs(twists(found.rotations), found.counts).tolist(),
+    }
+
+
+def locks(arm: Arm, found: LockedReach, locked: int) -> dict[str, Any]:
+    return {
+        "method": "mapping",
+        "why": LOCKED,
+        "actuators": locked,
+        "every": found.every,
+        "impossible": found.impossible,
+        "pixel": found.pixel,
+        "free": figures(found.free),
+        "mean": {name: finite(found.mean(name)) for name in FIGURES},
+        "worst": {name: choice(arm, found.worst(name)) for name in FIGURES},
+        "choices": [choice(arm, one) for one in found.choices],
+    }
+
+
+def figures(reach: Reach) -> dict[str, float | None]:
+    return {name: finite(getattr(reach, name)) for name in FIGURES}
+
+
+def choice(arm: Arm, reach: Reach) -> dict[str, Any]:
+    """Returns the figures of one choice of locked actuators, and the locked states by label."""
+    labels = zip(arm.manipulator.actuators, reach.locked.tolist(), strict=True)
+    return {"locked": {label: STATES[state] for label, state in labels if state >= 0}, **figures(reach)}
+
+
+def finite(value: float) -> float | None:
+    """Returns a number, or None if it is infinite: JSON has no infinity."""
+    return value if math.isfinite(value) else None
 
 
 def span(figure: dict[str, float], form: str) -> str:

@@ -162,7 +162,6 @@ def filled(table: Table, arms: Sequence[ArmStatus], absence: str = "gone") -> Ta
 
 
 def mode_of(arm: ArmStatus, absence: str) -> Text:
-    """Returns an arm's mode, or why it is not known."""
     if arm.gone_at is not None:
         return Text(f"{absence} since {clock(arm.gone_at)}", style="red")
     if arm.state is None:
@@ -173,5 +172,4 @@ def mode_of(arm: ArmStatus, absence: str) -> Text:
 
 
 def clock(stamp: float | None = None) -> str:
-    """Returns a UNIX time as hours, minutes and seconds; None: now."""
     return time.strftime("%H:%M:%S", time.localtime(stamp))

@@ -37,7 +37,6 @@ def obstacles(
 
 
 def print_obstacles(description: dict[str, Any], as_json: bool) -> None:
-    """Prints the obstacles in an arm's description, a line each."""
     told = {"file": description["obstacles"], "sent": description["sent_obstacles"]}
     if as_json:
         print_json({"obstacles": told["file"], "sent_obstacles": told["sent"]})

@@ -44,7 +44,6 @@ def poses(
 
 
 def present(client: Client, arm: str) -> dict[str, Any]:
-    """Returns a goal with the arm's present configuration."""
     state = client.next_message("state")
     if state["configuration"] is None:
         raise CommandFailed(f"{arm} is in no configuration: {state['reason']}", "save a goal's file instead")

@@ -44,7 +44,6 @@ def stop(
 
 
 def stop_arms(connect: str, zenoh_file: Path | None, as_json: bool) -> None:
-    """Stops all arms, and prints for each what became of it."""
     from hyperbit.controller.network.stop_all import stop_all
 
     with open_session(connect, zenoh_file) as session:

@@ -86,11 +86,9 @@ class View:
         self._latest: dict[str, dict[str, Any]] = {}
 
     def receive_message(self, key: str, message: dict[str, Any]) -> None:
-        """Keeps the latest message of a key, "state" or "diagnostics"."""
         self._latest[key] = message
 
     def __rich__(self) -> RenderableType:
-        """Returns the panel to draw."""
         state = self._latest.get("state")
         if state is None:
             return Text(f"waiting for the state of {self._arm} ...")
