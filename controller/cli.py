@@ -20,13 +20,9 @@ WIDE = {"max_content_width": 120}  # columns of --help, on terminals that have t
 
 
 class PlainValue:
-    """Converts texts and paths without Typer, and other values with Typer.
+    """Converts texts and paths, by their `kind`, without Typer, and other values with Typer's `usual` converter.
 
     Typer imports pydantic for the conversion. This import takes longer than the rest of `hyperbit stop`.
-
-    Args:
-        kind: type of the value.
-        usual: returns Typer's converter.
     """
 
     def __init__(self, kind: object, usual: Callable[[], Any]) -> None:
@@ -46,7 +42,6 @@ class QuickCommand(TyperCommand):
     """A command whose texts and paths are converted without Typer; see PlainValue."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Returns the parameters."""
         return [quick(parameter) for parameter in super().get_params(ctx)]
 
 
@@ -62,7 +57,6 @@ class DeferredCommand(TyperCommand):
     """A command whose module is imported when its arguments are parsed."""
 
     def __init__(self, name: str, entry: CommandEntry) -> None:
-        """Creates the command of a table entry."""
         super().__init__(name, help=entry.summary)
         self._entry = entry
 
@@ -74,18 +68,16 @@ class DeferredCommand(TyperCommand):
         """Imports the command and returns its context; the group then invokes that command in place of this one."""
         module = importlib.import_module(f"hyperbit.controller.commands.{self._entry.module}")
         single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-        function, epilog = getattr(module, self._entry.function), f"Example: {self._entry.example}"
+        function, epilog = getattr(module, (self.name or "").replace("-", "_")), f"Example: {self._entry.example}"
         single.command(self.name, cls=QuickCommand, epilog=epilog, context_settings=WIDE)(function)
         words = with_omitted_values(args, self._entry.omitted)
         return typer.main.get_command(single).make_context(info_name, words, parent, **extra)
 
 
 def with_omitted_values(args: list[str], omitted: Mapping[str, str]) -> list[str]:
-    """Returns the arguments with values for options that have none: Typer has no options with an optional value.
+    """Returns the arguments with the `omitted` values, by option: Typer has no options with an optional value.
 
-    Args:
-        args: arguments of a command.
-        omitted: values by option. A number that follows the option is its value.
+    A number that follows such an option is its value.
     """
     return [
         f"{arg}={omitted[arg]}" if arg in omitted and not "".join(args[k : k + 1]).isdecimal() else arg
@@ -97,13 +89,11 @@ class Commands(TyperGroup):
     """The group of all commands of the table."""
 
     def __init__(self, **settings: Any) -> None:
-        """Adds the deferred commands."""
         super().__init__(**settings)
         for name, entry in COMMANDS.items():
             self.add_command(DeferredCommand(name, entry), name)
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Returns the parameters that precede a command."""
         return [quick(parameter) for parameter in super().get_params(ctx)]
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

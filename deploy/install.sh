@@ -107,5 +107,5 @@ Installed and enabled. Next:
   systemctl start hyperbit-recorder                      record the arm into /var/lib/hyperbit-recorder
   systemctl start hyperbit-ros2                          show the arm to a ROS 2 system, see README.md
   systemctl start hyperbit-router                        connect a cell's arms, see fleet.md
-  usermod --append --groups hyperbit USER                let USER run `hyperbit halt --local`
+  usermod --append --groups hyperbit USER                let USER run `hyperbit halt`
 TEXT

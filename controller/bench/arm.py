@@ -21,12 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class BenchArm:
-    """An arm of the goal sets: B modules with at most K states and at most A actuators each.
-
-    Attributes:
-        name: name of the arm's file.
-        model: the arm in the form of controller/arm.
-    """
+    """An arm of the goal sets, by the name of its file: B modules, each with at most K states and A actuators."""
 
     name: str
     model: config.Arm
@@ -94,5 +89,4 @@ class BenchArm:
 
 
 def bench_arm(name: str) -> BenchArm:
-    """Returns an arm of the goal sets."""
     return BenchArm(name, load_arm(name))

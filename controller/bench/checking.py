@@ -45,16 +45,10 @@ class Outcome:
 
 
 def check(arm: BenchArm, task: Task, answer: Any, seconds: float) -> Outcome:
-    """Checks an answer by forward kinematics and recounted switches.
-
-    Args:
-        arm: the arm.
-        task: the goal.
-        answer: return value of the method, of any type.
-        seconds: time of the method [s].
-    """
+    """Checks an answer, of any type, which a method gave in `seconds`."""
     try:
-        given, certificate, bound = (attribute(answer, name) for name in ("configuration", "certificate", "bound"))
+        names = "configuration", "certificate", "bound"
+        given, certificate, bound = evaluated(lambda: [getattr(answer, name, None) for name in names])
         if answer is None or (given is None and hasattr(answer, "configuration")):
             wrong = contradiction(task, False, 0, certificate, bound)
             return Outcome(False, 0, seconds, kind="nothing found", detail="returned None", wrong=wrong)
@@ -78,21 +72,8 @@ def fault(arm: BenchArm, task: Task, configuration: Configuration) -> tuple[str,
     return ("", "") if where is None else ("touches", where)
 
 
-def attribute(answer: Any, name: str) -> Any:
-    """Returns an attribute of an answer; None if it has none.
-
-    Raises:
-        InvalidAnswer: reading the attribute fails.
-    """
-    return evaluated(lambda: getattr(answer, name, None))
-
-
 def configuration_of(given: Any, manipulator: Manipulator) -> Configuration:
-    """Returns an answer as a configuration (B,).
-
-    Raises:
-        InvalidAnswer: the answer is no configuration of the arm.
-    """
+    """Returns an answer as a configuration (B,); raises InvalidAnswer if it is none of the arm."""
     if isinstance(given, str):
         try:
             return parse_configuration(manipulator, given)
@@ -109,11 +90,7 @@ def configuration_of(given: Any, manipulator: Manipulator) -> Configuration:
 
 
 def evaluated(call: Callable[[], Any]) -> Any:
-    """Calls a function on an object of a method.
-
-    Raises:
-        InvalidAnswer: the call raises an exception.
-    """
+    """Calls a function on an object of a method; an exception becomes InvalidAnswer."""
     try:
         return call()
     except Exception as error:

@@ -78,22 +78,14 @@ def goal_frame(position: tuple[float, ...], angle: float | None) -> Frame:
 
 @cache
 def load_arm(name: str) -> Arm:
-    """Returns an arm of the sets."""
-    return load(arm_path(name))
-
-
-def arm_path(name: str) -> Path:
-    """Returns the path of an arm's file."""
-    return FOLDER / "arms" / f"{name}.yaml"
+    return load(FOLDER / "arms" / f"{name}.yaml")
 
 
 def read(name: str) -> list[Task]:
-    """Returns the goals of a set."""
     return [task(row) for _, row in read_csv(FOLDER / "sets" / f"{name}.csv").records()]
 
 
 def task(row: dict[str, str]) -> Task:
-    """Returns the goal of a row."""
     arm = load_arm(row["arm"]).manipulator
     numbers = tuple(map(float, row["goal"].split()))
     oriented = row["angle_tolerance"] != ""

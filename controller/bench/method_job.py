@@ -1,8 +1,11 @@
 """One method on one arm, as a job whose shares are goals: what a worker prepares, solves, measures and checks."""
 
+import ctypes
 import gc
+import threading
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -12,7 +15,6 @@ from hyperbit.controller.bench.arm import BenchArm
 from hyperbit.controller.bench.checking import Outcome, check
 from hyperbit.controller.bench.goal_sets import Task
 from hyperbit.controller.bench.methods import Prepare, Solve
-from hyperbit.controller.bench.time_limit import TooLongError, at_most
 from hyperbit.controller.library.goals import Goal
 from hyperbit.controller.studies.shares import Run
 
@@ -27,12 +29,7 @@ class GoalResult(NamedTuple):
 class MethodJob(NamedTuple):
     """A method on an arm. A share is a sequence of goals.
 
-    Attributes:
-        method: the method, see hyperbit.controller.bench.methods.
-        arm: name of the arm.
-        model: the arm.
-        first: a goal that is solved once before all others, so that no goal waits for tables.
-        limit: longest time for a goal [s].
+    `first` is solved once before all others, so that no goal waits for tables. `limit` is for one goal [s].
     """
 
     method: Prepare
@@ -42,7 +39,6 @@ class MethodJob(NamedTuple):
     limit: float
 
     def prepare(self) -> Run:
-        """Prepares the method; returns what solves the goals of a share."""
         arm = BenchArm(self.arm, self.model)
         began = time.perf_counter()
         solve, outcome = prepared(self.method, arm, self.first, self.limit)
@@ -58,8 +54,7 @@ class MethodJob(NamedTuple):
 def prepared(prepare: Prepare, arm: BenchArm, first: Task, limit: float) -> tuple[Solve, Outcome | None]:
     """Prepares a method for an arm and solves one goal; returns `solve`, or the outcome of all goals if it failed."""
 
-    def nothing(goal: Goal, start: np.ndarray) -> None:
-        """Placeholder of a method that failed."""
+    def nothing(goal: Goal, start: np.ndarray) -> None: ...
 
     try:
         solve = prepare(arm)
@@ -96,6 +91,33 @@ def solved(solve: Solve, arm: BenchArm, task: Task, limit: float) -> Outcome:
 
 
 def raised(error: BaseException, seconds: float) -> Outcome:
-    """Returns the outcome of an exception."""
     text = " ".join(str(error).split())
     return Outcome(False, 0, seconds, kind=f"raised {type(error).__name__}", detail=text[:200])
+
+
+class TooLongError(BaseException):
+    """A method took too long for a goal. It is no Exception, so that a method does not catch it by accident."""
+
+
+@contextmanager
+def at_most(seconds: float) -> Iterator[None]:
+    """Raises TooLongError in the block after a time [s], at the next Python code of this thread.
+
+    A call that waits, or computes outside Python, ends first. Nothing is raised after the end of the block.
+    """
+    thread = threading.get_ident()
+    timer = threading.Timer(seconds, set_exception, (thread, TooLongError))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
+        set_exception(thread, None)  # the timer may have set one that is not raised yet
+
+
+def set_exception(thread: int, kind: type[BaseException] | None) -> None:
+    """Has a thread raise an exception at its next Python code; None: takes back one that it has not raised yet."""
+    given = None if kind is None else ctypes.py_object(kind)
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), given)

@@ -61,15 +61,7 @@ class Row:
 
 
 def run(name: str, prepare: Prepare, tasks: Sequence[Task], limit: float, spread: Spread = alone) -> Row:
-    """Runs a method on goals; returns the summary.
-
-    Args:
-        name: name of the method.
-        prepare: the method, see hyperbit.controller.bench.methods.
-        tasks: the goals.
-        limit: longest time for a goal [s].
-        spread: solves the goals of each arm, PART goals a share.
-    """
+    """Runs a method on goals; returns the summary. `limit` is for one goal [s]; `spread` solves PART goals a share."""
     outcomes, tables = dict[int, Outcome](), 0.0
     for arm, own in by_arm(list(tasks)).items():
         job = MethodJob(prepare, arm, load_arm(arm), own[0], limit)

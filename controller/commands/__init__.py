@@ -1,0 +1,3 @@
+"""The commands, in rooms by the groups of `hyperbit --help`; `table.py` names them all."""
+
+ENDPOINT = "tcp/127.0.0.1:7447"  # of the daemon, unless --connect names another one

@@ -1,6 +1,9 @@
 """Readers and printers that the commands share.
 
 Commands that only talk to a daemon import this module, too. It therefore imports kernels and NumPy inside functions.
+
+CommandFailed and InputFaults end a command with their message and an exit code. Docstrings of commands name only other
+exceptions.
 """
 
 from __future__ import annotations
@@ -25,7 +28,6 @@ if TYPE_CHECKING:
     from hyperbit.controller.manipulator.manipulator import Configuration
     from hyperbit.controller.workspace.densities import Densities
 
-if TYPE_CHECKING:
     console: Console
     errors: Console
 
@@ -41,12 +43,7 @@ def __getattr__(name: str) -> Console:
 
 
 class CommandFailed(Exception):
-    """A request failed; the command exits with code 1.
-
-    Args:
-        message: what happened.
-        step: next step for the user; "" if there is none.
-    """
+    """A request failed; the command exits with code 1. `step`: next step for the user."""
 
     def __init__(self, message: str, step: str = "") -> None:
         super().__init__(f"{message}\nNext: {step}" if step else message)
@@ -65,7 +62,6 @@ def refusal(answer: Mapping[str, Any], arm: str) -> CommandFailed:
 
 
 def print_json(value: object) -> None:
-    """Prints one line of JSON."""
     sys.stdout.write(json.dumps(value) + "\n")
     sys.stdout.flush()
 
@@ -76,13 +72,7 @@ def shipped(name: str) -> Path:
 
 
 def densities_of(arm: Arm, *, rebuild: bool = False, silent: bool = False) -> Densities:
-    """Reads an arm's densities from the cache, or computes them with a progress bar on stderr.
-
-    Args:
-        arm: the arm.
-        rebuild: compute them even if the cache has them.
-        silent: show no progress bar.
-    """
+    """Reads an arm's densities from the cache, or computes them with a progress bar on stderr."""
     from rich.progress import Progress
 
     from hyperbit.controller.commands import common
@@ -104,11 +94,7 @@ def densities_of(arm: Arm, *, rebuild: bool = False, silent: bool = False) -> De
 
 
 def load_wired(path: Path) -> Arm:
-    """Returns the arm of a file, which must map actuators to boards.
-
-    Raises:
-        InputFaults: the file is wrong, or maps no actuator.
-    """
+    """Returns the arm of a file, which must map actuators to boards."""
     from hyperbit.controller.arm.arm import load
 
     arm = load(path)
@@ -118,13 +104,7 @@ def load_wired(path: Path) -> Arm:
 
 
 def arm_name(arm: str) -> str:
-    """Returns the name of an arm, given by its file or by its name.
-
-    This function reads only the name: building the arm would import the kernels.
-
-    Raises:
-        InputFaults: the file is missing, is not YAML, or holds no valid name.
-    """
+    """Returns the name of an arm, given by its file or name. It reads only the name: an arm imports the kernels."""
     path = Path(arm)
     if not path.is_file() and not arm.endswith((".yaml", ".yml")):
         return arm
@@ -136,18 +116,10 @@ def arm_name(arm: str) -> str:
 
 
 def parse_goal(text: str, dimension: int, where: str) -> tuple[list[float], float | list[float] | None]:
-    """Parses a goal, "X,Y[,TH]" or "X,Y,Z[,QX,QY,QZ,QW]".
-
-    Args:
-        text: the goal.
-        dimension: of the arm, 2 or 3.
-        where: option or line that messages name.
+    """Parses a goal, "X,Y[,TH]" or "X,Y,Z[,QX,QY,QZ,QW]", of an option or line that messages name.
 
     Returns:
         Position, shape (dimension,), and orientation: an angle [rad], a unit quaternion x, y, z, w, or None.
-
-    Raises:
-        InputFaults: the numbers are not finite, their count is wrong, or the quaternion has not length 1.
     """
     try:
         goal = [float(part) for part in text.split(",")]
@@ -157,26 +129,24 @@ def parse_goal(text: str, dimension: int, where: str) -> tuple[list[float], floa
         form = "X,Y or X,Y,TH is needed, 2 or 3" if dimension == 2 else "X,Y,Z or X,Y,Z,QX,QY,QZ,QW is needed, 3 or 7"
         raise InputFaults(Path(where), [f"{text!r} is no goal; {form} numbers"])
     position, turned = goal[:dimension], goal[dimension:]
-    if len(turned) == 4 and abs(math.hypot(*turned) - 1.0) > UNIT:
-        length = math.hypot(*turned)
-        raise InputFaults(
-            Path(where), [f"{text!r}: a quaternion of length 1 is needed, got one of length {length:.4g}"]
-        )
+    if len(turned) == 4 and abs((length := math.hypot(*turned)) - 1.0) > UNIT:
+        words = f"{text!r}: a quaternion of length 1 is needed, got one of length {length:.4g}"
+        raise InputFaults(Path(where), [words])
     return position, None if not turned else turned[0] if dimension == 2 else turned
 
 
 def configuration(arm: Arm, text: str, where: str) -> Configuration:
-    """Parses a configuration, shape (B,).
-
-    Raises:
-        InputFaults: the text is no configuration of the arm; the message begins with `where`.
-    """
+    """Parses a configuration, shape (B,); messages begin with `where`."""
     from hyperbit.controller.manipulator.notation import parse_configuration
 
     try:
         return parse_configuration(arm.manipulator, text)
     except ValueError as error:
         raise InputFaults(Path(where), [str(error)]) from None
+
+
+def counted(switches: int) -> str:
+    return f"{switches} {'switch' if switches == 1 else 'switches'}"
 
 
 def shown(values: Any) -> str:

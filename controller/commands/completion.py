@@ -6,6 +6,8 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
+from hyperbit.controller.commands import ENDPOINT
+
 TIMEOUT = 1.0  # [s] for the answer of a daemon
 
 
@@ -35,28 +37,22 @@ def complete_files(ctx: Any, incomplete: str) -> list[str]:
 
 def complete_changes(ctx: Any, incomplete: str) -> list[str]:
     """Returns "ACTUATOR=STATE" for each actuator of the arm of a command line that begins with a text."""
+    from hyperbit.controller.armfile.locks import STATES
+
+    states = STATES if ctx.info_name == "jog" else (*STATES, "free")
     earlier = ctx.params.get("changes") or ("=contracted",)
     if earlier[-1] == "=" or ("=" not in earlier[-1] and not incomplete):  # bash divides "5.left=extended" at "="
-        return [state for state in states_of(ctx.info_name) if state.startswith(incomplete)]
+        return [state for state in states if state.startswith(incomplete)]
     label, equals, _ = incomplete.partition("=")
     labels = list[str]()
     with contextlib.suppress(Exception):  # the arm is not there, or its file is wrong: nothing is completed
         labels = [each for each in actuators_of(ctx) if each.startswith(label)]
     if not equals and len(labels) > 1:
         return [f"{each}=" for each in labels]
-    words = (f"{each}={state}" for each in labels for state in states_of(ctx.info_name))
-    return [word for word in words if word.startswith(incomplete)]
-
-
-def states_of(command: str | None) -> tuple[str, ...]:
-    """Returns the states that a command accepts; `jog` frees nothing."""
-    from hyperbit.controller.armfile.locks import STATES
-
-    return STATES if command == "jog" else (*STATES, "free")
+    return [word for each in labels for state in states if (word := f"{each}={state}").startswith(incomplete)]
 
 
 def actuators_of(ctx: Any) -> list[str]:
-    """Returns the labels of the actuators of the arm that a command line names."""
     arm = str(ctx.params["arm"])
     if arm.endswith((".yaml", ".yml")):
         from hyperbit.controller.armfile.actuators import read_wired
@@ -70,6 +66,4 @@ def actuators_of(ctx: Any) -> list[str]:
 
 def network_of(ctx: Any) -> tuple[str, Path | None]:
     """Returns endpoint and Zenoh file of a command line."""
-    from hyperbit.controller.commands.connection import ENDPOINT
-
     return ctx.params.get("connect") or ENDPOINT, ctx.params.get("zenoh_file")

@@ -1,4 +1,4 @@
-"""Sessions with running daemons, and requests to them."""
+"""Zenoh sessions of the commands, and requests to running daemons."""
 
 from __future__ import annotations
 
@@ -20,59 +20,52 @@ if TYPE_CHECKING:
 
 # Zenoh logs to the standard output. A sample that is on its way while a subscriber is undeclared is an error to it.
 LOG = "error,zenoh::api::session=off"
-ENDPOINT = "tcp/127.0.0.1:7447"
 START = "start it by: hyperbit run ARM.yaml (--simulate without hardware), or name its endpoint by --connect"
 
 
-def client_config(connect: str, zenoh_file: Path | None) -> zenoh.Config:
-    """Returns the configuration of a client's Zenoh session.
+class NoSession(Exception):
+    """There is no Zenoh session; the message is Zenoh's reason."""
 
-    Raises:
-        InputFaults: the configuration file is wrong.
-    """
+
+def zenoh_config(
+    file: Path | None, *, mode: str = "client", listen: str | None = None, connect: str | None = None
+) -> zenoh.Config:
+    """Returns the configuration in a Zenoh file, or one with these endpoints if there is no file."""
     from hyperbit.controller.network import session
 
     try:
-        return session.from_file(zenoh_file) if zenoh_file else session.configuration("client", connect=connect)
+        return session.from_file(file) if file else session.configuration(mode, listen=listen, connect=connect)
     except ValueError as error:
         raise InputFaults(Path("--zenoh"), [str(error)]) from None
 
 
-def open_session(connect: str, zenoh_file: Path | None) -> zenoh.Session:
-    """Opens a Zenoh session as a client.
-
-    Args:
-        connect: Zenoh endpoint of the daemon.
-        zenoh_file: Zenoh configuration, instead of the endpoint.
-
-    Raises:
-        CommandFailed: nobody listens there.
-        InputFaults: the configuration file is wrong.
-    """
+def open_zenoh(config: zenoh.Config) -> zenoh.Session:
+    """Opens a session. Raises NoSession if nobody is at its endpoint, or the endpoint is taken."""
     import zenoh
 
     from hyperbit.controller.network import session
 
     zenoh.init_log_from_env_or(LOG)
     try:
-        return zenoh.open(client_config(connect, zenoh_file))
+        return zenoh.open(config)
     except zenoh.ZError as error:
-        raise CommandFailed(f"no daemon at {zenoh_file or connect}: {session.reason(error)}", START) from None
+        raise NoSession(session.reason(error)) from None
+
+
+def open_session(connect: str, zenoh_file: Path | None) -> zenoh.Session:
+    """Opens a session with a running daemon, or its router, as a client."""
+    try:
+        return open_zenoh(zenoh_config(zenoh_file, connect=connect))
+    except NoSession as error:
+        raise CommandFailed(f"no daemon at {zenoh_file or connect}: {error}", START) from None
 
 
 @contextlib.contextmanager
 def connected(arm: str, connect: str, zenoh_file: Path | None, *, find: bool = True) -> Iterator[Client]:
-    """Opens a Zenoh session with an arm's daemon.
+    """Opens a Zenoh session with the daemon of an arm, given by its file or name.
 
-    Args:
-        arm: file or name of the arm.
-        connect: Zenoh endpoint of the daemon.
-        zenoh_file: Zenoh configuration, instead of the endpoint.
-        find: fail at once if other arms have a daemon, and this arm has none.
-
-    Raises:
-        CommandFailed: no daemon is there, or the daemon does not answer a request inside the context.
-        InputFaults: the arm's file or the Zenoh configuration is wrong.
+    A request inside the context that is not answered ends the command. `find`: fail at once if other arms have a
+    daemon, and this arm has none.
     """
     import zenoh
 
@@ -81,7 +74,9 @@ def connected(arm: str, connect: str, zenoh_file: Path | None, *, find: bool = T
     name = arm_name(arm)
     with (
         open_session(connect, zenoh_file) as session,
-        contextlib.closing(Client(session, name, lambda: zenoh.open(client_config(connect, zenoh_file)))) as client,
+        contextlib.closing(
+            Client(session, name, lambda: zenoh.open(zenoh_config(zenoh_file, connect=connect)))
+        ) as client,
     ):
         if find and (names := arms_alive(session)) and name not in names:
             raise CommandFailed(f"no daemon for arm {name!r} at {zenoh_file or connect}", step_after(name, names))
@@ -106,12 +101,7 @@ def step_after(arm: str, names: list[str]) -> str:
 
 
 def ask(client: Client, arm: str, key: str, payload: dict[str, Any], as_json: bool) -> None:
-    """Sends a request and prints the daemon's answer.
-
-    Raises:
-        CommandFailed: the daemon refused.
-        Unanswered: the daemon did not answer; `connected` makes this a CommandFailed.
-    """
+    """Sends a request and prints the daemon's answer."""
     answer = client.request(key, payload)
     if as_json:
         print_json(answer)
@@ -122,16 +112,7 @@ def ask(client: Client, arm: str, key: str, payload: dict[str, Any], as_json: bo
 
 
 def read_payload(path: Path, what: str, field: str) -> dict[str, Any]:
-    """Reads a payload from a YAML or JSON file.
-
-    Args:
-        path: of the file.
-        what: kind of the payload, for messages.
-        field: its main field, for messages.
-
-    Raises:
-        InputFaults: the file holds no mapping, or the mapping cannot be written as JSON.
-    """
+    """Reads a payload from a YAML or JSON file; messages name its kind and its main field."""
     value = read_yaml(path)  # JSON is a subset of YAML
     if not isinstance(value, dict):
         raise InputFaults(path, [f"no {what}: a mapping with `{field}` is needed"])

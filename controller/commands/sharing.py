@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
@@ -21,22 +21,12 @@ if TYPE_CHECKING:
     from distributed import Client
     from rich.progress import Progress
 
-MOST_WORKERS = 1024
-
-Workers = Annotated[
-    int, typer.Option(min=1, max=MOST_WORKERS, help="Number of processes on this computer that share the work.")
-]
-Dask = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that shares the work, such as tcp://host:8786."),
-]
-
 
 class Sharing(NamedTuple):
     """Who computes: `workers` processes on this computer, 1: this process; or the cluster of the scheduler `dask`."""
 
-    workers: int = 1
-    dask: str | None = None
+    workers: int
+    dask: str | None
 
     @property
     def given(self) -> str | None:
@@ -44,27 +34,17 @@ class Sharing(NamedTuple):
         return "--dask" if self.dask is not None else "--workers" if self.workers > 1 else None
 
 
-def check_sharing(sharing: Sharing) -> None:
-    """Checks that the options do not contradict each other.
-
-    Raises:
-        InputFaults: both are given.
-    """
-    if sharing.dask is not None and sharing.workers > 1:
+def checked_sharing(workers: int, dask: str | None) -> Sharing:
+    if dask is not None and workers > 1:
         raise InputFaults(Path("--dask"), ["the cluster has its own workers: leave out --workers"])
+    return Sharing(workers, dask)
 
 
 @contextmanager
 def open_workers(sharing: Sharing, remedy: Callable[[], str] = lambda: "") -> Iterator[Client | None]:
     """Opens the workers of a command: a client of Dask, or None for this process.
 
-    Args:
-        sharing: the options.
-        remedy: returns what is done so far, and how to get the rest.
-
-    Raises:
-        CommandFailed: the workers are missing, do not fit, or are lost.
-        Exit: with code 130, after Ctrl-C.
+    `remedy` returns what is done so far, and how to get the rest, after Ctrl-C and lost workers.
     """
     try:
         if sharing.dask is not None:
@@ -82,12 +62,7 @@ def open_workers(sharing: Sharing, remedy: Callable[[], str] = lambda: "") -> It
 
 @contextmanager
 def progress_bar(unit: str, *, shown: bool = True) -> Iterator[Progress]:
-    """Shows counts, rate and time left on stderr, if that is a terminal.
-
-    Args:
-        unit: what is counted, such as "goals".
-        shown: False: show nothing, because results are printed there as well.
-    """
+    """Shows counts, rate and time left on stderr, if that is a terminal and no results are printed there as well."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
     from rich.text import Text
 
@@ -107,11 +82,7 @@ def progress_bar(unit: str, *, shown: bool = True) -> Iterator[Progress]:
 def spread_over(client: Client | None, progress: Progress, name: str, each: Callable[[Any], int] = len) -> Spread:
     """Returns what computes the shares of a job on the workers, and shows how far it is.
 
-    Args:
-        client: of `open_workers`.
-        progress: shows the results that have come.
-        name: of the work.
-        each: returns the number of results of a share.
+    `each` returns the number of results of a share.
     """
 
     def spread(job: Job, shares: Iterable[Any]) -> Iterator[Any]:

@@ -6,18 +6,16 @@ from typing import NamedTuple
 
 
 class CommandEntry(NamedTuple):
-    """One command.
+    """One command. Its function in the module has the command's name, with _ in place of -.
 
     Attributes:
         module: name of its module in `hyperbit.controller.commands`.
-        function: name of its function in the module.
         summary: first line of the function's docstring.
         example: a call of the command.
         omitted: values of options that may be given without one, by option.
     """
 
     module: str
-    function: str
     summary: str
     example: str
     omitted: Mapping[str, str] = MappingProxyType({})
@@ -27,82 +25,57 @@ GROUPS = {
     "Use an arm": {
         "send": CommandEntry(
             "use.send",
-            "send",
             "Send a goal and follow it to its result; Ctrl-C cancels the goal.",
             "hyperbit send planar16 --to 0.4,2.9",
         ),
         "watch": CommandEntry(
             "use.watch",
-            "watch",
             "Show a running arm until Ctrl-C; print changes as lines in a pipe, and states with --json.",
             "hyperbit watch planar16",
         ),
-        "list": CommandEntry(
-            "use.list",
-            "list_",
-            "List the arms that have a daemon, each with its mode, goal and faults.",
-            "hyperbit list",
-        ),
         "fleet": CommandEntry(
             "use.fleet",
-            "fleet",
             "Show all arms of a network until Ctrl-C, also below namespaces; in a pipe or with --json print them once.",
             "hyperbit fleet",
         ),
         "cancel": CommandEntry(
             "use.requests",
-            "cancel",
             "Cancel the running goal or stream of set-points; the arm holds and accepts the next goal.",
             "hyperbit cancel planar16",
         ),
         "stop": CommandEntry(
             "use.requests",
-            "stop",
             "Stop the arm: it holds and accepts no motion until reset. No substitute for a switch that cuts the power.",
             "hyperbit stop planar16",
         ),
         "halt": CommandEntry(
             "use.halt",
-            "halt",
-            "Stop the arm as `stop` does; --local needs neither planner nor Zenoh. No substitute for a power switch.",
-            "hyperbit halt --local",
+            "Stop arms of this computer, without planner and Zenoh. No substitute for a power switch.",
+            "hyperbit halt",
         ),
-        "reset": CommandEntry(
-            "use.requests", "reset", "Leave a stop or a fault. Nothing moves.", "hyperbit reset planar16"
-        ),
+        "reset": CommandEntry("use.requests", "Leave a stop or a fault. Nothing moves.", "hyperbit reset planar16"),
         "jog": CommandEntry(
             "use.actuators",
-            "jog",
             "Switch single actuators, even if their states form no configuration. The arm moves.",
             "hyperbit jog planar16 5.left=extended",
         ),
-        "degrade": CommandEntry(
-            "use.actuators",
-            "degrade",
-            "Lock actuators that are stuck, or unlock them. Nothing moves.",
-            "hyperbit degrade planar16 5.left=contracted",
-        ),
         "lock": CommandEntry(
             "use.actuators",
-            "lock",
-            "Lock actuators in a state, or unlock them with `free`; the same as `degrade`. Nothing moves.",
+            "Lock actuators that are stuck in a state, or unlock them with `free`. Nothing moves.",
             "hyperbit lock planar16 5.left=contracted 7.right=free",
         ),
         "obstacles": CommandEntry(
             "use.obstacles",
-            "obstacles",
             "List the obstacles, or replace those that were sent before; the file's remain. Nothing moves.",
             "hyperbit obstacles planar16 --none",
         ),
         "poses": CommandEntry(
             "use.poses",
-            "poses",
             "List the named poses of an arm, save one, or remove one; `send --pose` goes there. Nothing moves.",
             "hyperbit poses planar16 --save pick",
         ),
         "fault": CommandEntry(
             "use.fault",
-            "fault",
             "Play a fault in the boards of a simulated arm, or end it; an arm with real boards refuses.",
             "hyperbit fault planar16 silence can0/5",
         ),
@@ -110,25 +83,21 @@ GROUPS = {
     "Show, record and connect an arm": {
         "panel": CommandEntry(
             "serve.panel",
-            "panel",
             "Serve the operator's web page, which shows and commands all connected arms, until SIGTERM.",
             "hyperbit panel",
         ),
         "record": CommandEntry(
             "serve.record",
-            "record",
             "Record the messages of an arm, and the requests to it, to MCAP files until SIGTERM.",
             "hyperbit record planar16",
         ),
         "replay": CommandEntry(
             "serve.replay",
-            "replay",
             "Publish a recording again below another key prefix, or repeat its goals on a simulated arm and compare.",
             "hyperbit replay --goals recording.mcap",
         ),
         "ros2": CommandEntry(
             "serve.ros2",
-            "ros2",
             "Show an arm to a ROS 2 system as a node, without ROS on this computer, until SIGTERM.",
             "hyperbit ros2 planar16",
         ),
@@ -136,38 +105,32 @@ GROUPS = {
     "Operate the daemon": {
         "run": CommandEntry(
             "operate.run",
-            "run",
             "Run the daemon until SIGTERM: it takes goals over Zenoh and moves the arm by an executor.",
             "hyperbit run my-arm.yaml",
             omitted={"--panel": "7480"},
         ),
         "execute": CommandEntry(
             "operate.execute",
-            "execute",
             "Run the executor until SIGTERM: it takes motion programs from a planner and commands boards over CAN.",
             "hyperbit execute my-arm.yaml",
         ),
         "simulate": CommandEntry(
             "operate.simulate",
-            "simulate",
             "Run simulated boards on the arm's own bus, in place of the real boards, until SIGTERM.",
             "hyperbit simulate my-arm.yaml --board fixed-mapping",
         ),
         "router": CommandEntry(
             "operate.router",
-            "router",
             "Run a Zenoh router until SIGTERM: it connects arms, pages and commands of several computers.",
             "hyperbit router",
         ),
         "demo": CommandEntry(
             "operate.demo",
-            "demo",
             "Run a daemon on simulated boards, send it three targets and a closed curve, and draw a picture.",
             "hyperbit demo --animation demo.gif",
         ),
         "wear": CommandEntry(
             "operate.wear",
-            "wear",
             "Print how often each actuator has switched, and how goals ended.",
             "hyperbit wear my-arm.yaml",
         ),
@@ -175,37 +138,31 @@ GROUPS = {
     "Configure arm and boards": {
         "check": CommandEntry(
             "configure.check",
-            "check",
             "Check an arm's file, name each fault by its line, and sum the arm up; --bus also reads the boards.",
             "hyperbit check my-arm.yaml --bus",
         ),
         "probe": CommandEntry(
             "configure.probe",
-            "probe",
             "Find the nodes of a CAN bus and print their identity, mapping and settings; writes nothing.",
             "hyperbit probe can0 --json",
         ),
         "node-id": CommandEntry(
             "configure.node_id",
-            "node_id",
             "Set and store a board's node id and bit rate by LSS; they apply from the next power-on.",
             "hyperbit node-id can0 5",
         ),
         "board": CommandEntry(
             "configure.board",
-            "board",
             "Read the errors of one board, or reset it, while the arm's executor is stopped.",
             "hyperbit board my-arm.yaml can0/5 errors",
         ),
         "exercise": CommandEntry(
             "configure.exercise",
-            "exercise",
             "Move each actuator once there and back, one at a time, and propose travel times for the arm's file.",
             "hyperbit exercise planar16",
         ),
         "calibrate": CommandEntry(
             "configure.calibrate",
-            "calibrate",
             "Fit the modules and the base of an arm's file to measured tips; print the residuals before and after.",
             "hyperbit calibrate my-arm.yaml samples.csv --out better.yaml",
         ),
@@ -213,37 +170,31 @@ GROUPS = {
     "Study arms": {
         "plan": CommandEntry(
             "study.plan",
-            "plan",
             "Search configurations for goals, without hardware.",
             "hyperbit plan deploy/planar16.yaml --goal 0.55,2.9,0.3",
         ),
         "fk": CommandEntry(
             "study.report",
-            "fk",
             "Print position and orientation of the tip for a configuration.",
             "hyperbit fk deploy/planar16.yaml 4646676700771206",
         ),
         "map": CommandEntry(
             "study.report",
-            "map_",
             "Compute the point densities of all intermediate workspaces and store them in the cache.",
             "hyperbit map deploy/planar16.yaml",
         ),
         "workspace": CommandEntry(
             "study.workspace",
-            "workspace",
             "Draw and report where an arm can reach: positions, orientations at a point, reach with locked actuators.",
             "hyperbit workspace deploy/planar16.yaml --at 0.55,2.9",
         ),
         "figure5": CommandEntry(
             "study.report",
-            "figure5",
             "Repeat the paper's experiment of section 4: three targets, three algorithms.",
             "hyperbit figure5",
         ),
         "bench": CommandEntry(
             "study.bench",
-            "bench",
             "Compare methods of inverse kinematics on goals whose fewest switches are proven.",
             "hyperbit bench --set lattice",
         ),

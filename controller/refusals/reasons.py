@@ -201,7 +201,7 @@ class Reason(enum.Enum):
         "send one request a second, then the answer says what is wrong",
     )
     UNKNOWN_GOAL = "unknown-goal", "the ledger has no goal {goal}: it was not accepted, or is not written yet"
-    LEDGER_UNREADABLE = "ledger-unreadable", "the ledger cannot be read: {why}", "see the warnings: hyperbit list"
+    LEDGER_UNREADABLE = "ledger-unreadable", "the ledger cannot be read: {why}", "see the warnings: hyperbit fleet"
     UNKNOWN_POSE = "unknown-pose", "remove: there is no saved pose {name}; saved are {known}"
     TOO_MANY_POSES = "too-many-poses", "save: an arm has at most {most} saved poses", "remove one: hyperbit poses {arm}"
     POSES_UNWRITTEN = (

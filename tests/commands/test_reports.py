@@ -294,7 +294,7 @@ def test_help_lists_all_commands(hyperbit):
         "cancel",
         "stop",
         "reset",
-        "degrade",
+        "lock",
         "obstacles",
         "plan",
         "fk",

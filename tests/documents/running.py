@@ -21,7 +21,8 @@ import yaml
 
 from hyperbit.controller import cli
 from hyperbit.controller.arm.arm import load
-from hyperbit.controller.commands.connection import ENDPOINT, connected
+from hyperbit.controller.commands import ENDPOINT
+from hyperbit.controller.commands.connection import connected
 from tests.arm_files import document
 from tests.documents.page import ROOT, Example, Page
 
@@ -140,7 +141,7 @@ def options(command: str) -> Mapping[str, bool]:
     entry = cli.COMMANDS[command]
     module = importlib.import_module(f"hyperbit.controller.commands.{entry.module}")
     single = typer.Typer(add_completion=False)
-    single.command()(getattr(module, entry.function))
+    single.command()(getattr(module, command.replace("-", "_")))
     parameters = typer.main.get_command(single).params
     return {name: not getattr(p, "is_flag", False) for p in parameters for name in (*p.opts, *p.secondary_opts)} | {
         "--help": False

@@ -62,9 +62,7 @@ def timeless(row: Row) -> dict[str, Any]:
     return {name: value for name, value in asdict(row).items() if "seconds" not in name}
 
 
-@pytest.mark.parametrize(
-    "name", ["pop", "ipop-fewest-switches", "two-by-two", "k-switch-3", "coordinate-descent", "random-search"]
-)
+@pytest.mark.parametrize("name", ["pop", "ipop-fewest-switches", "two-by-two", "k-switch-3"])
 def test_rows_are_those_of_one_process(spread, name):
     method = find_method(METHODS[name].target)
     row = run(name, method, TASKS, 60.0, spread)

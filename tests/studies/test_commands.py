@@ -84,7 +84,7 @@ def test_bench_changes_nothing_but_times(hyperbit, client, tmp_path):
         return [{name: value for name, value in row.items() if "seconds" not in name} for row in rows], found["workers"]
 
     (tmp_path / "mine.py").write_text(MINE)
-    words = ("bench", "--set", "revolute24", "--count", "20", "--methods", "pop,random-search", "--method")
+    words = ("bench", "--set", "revolute24", "--count", "20", "--methods", "pop,two-by-two", "--method")
     words += (f"{tmp_path / 'mine.py'}:boast", "--json")
     code, out, _ = hyperbit(*words, str(tmp_path / "1.json"))
     assert code == 0

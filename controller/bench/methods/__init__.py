@@ -33,87 +33,52 @@ class Entry(NamedTuple):
     summary: str
 
 
-ROOM = "hyperbit.controller.bench.methods"
+OWN, PLANAR = (f"hyperbit.controller.bench.methods.{module}" for module in ("hyperbit", "planar_positions"))
+PRINTED = "re-implemented as printed (Ebert-Uphoff, Chirikjian 1996); planar positions"
+FROM_K_SWITCH = "k-switch search, re-implemented from a description (Lees, Chirikjian 1996); planar positions"
+FROM_TWO_BY_TWO = "re-implemented from a description (Motahari, Zohoor, Korayem 2013); planar positions"
 METHODS = {
-    MINIMUM_SWITCH: Entry(f"{ROOM}.hyperbit:minimum_switch", "hyperbit's search for fewest switches"),
+    MINIMUM_SWITCH: Entry(f"{OWN}:minimum_switch", "hyperbit's search for fewest switches"),
     "ipop-previous": Entry(
-        f"{ROOM}.hyperbit:ipop_previous",
-        "hyperbit's IPOP, exact table; criterion: unchanged modules, as printed",
+        f"{OWN}:ipop_previous", "hyperbit's IPOP, exact table; criterion: unchanged modules, as printed"
     ),
-    "ipop-contracted": Entry(
-        f"{ROOM}.hyperbit:ipop_contracted", "the same; criterion: fully contracted modules, as printed"
-    ),
+    "ipop-contracted": Entry(f"{OWN}:ipop_contracted", "the same; criterion: fully contracted modules, as printed"),
     "ipop-fewest-switches": Entry(
-        f"{ROOM}.hyperbit:ipop_fewest_switches", "variant of hyperbit's IPOP; criterion: fewest switches"
+        f"{OWN}:ipop_fewest_switches", "variant of hyperbit's IPOP; criterion: fewest switches"
     ),
     "ipop-fewest-extended": Entry(
-        f"{ROOM}.hyperbit:ipop_fewest_extended", "variant of hyperbit's IPOP; criterion: fewest extended actuators"
+        f"{OWN}:ipop_fewest_extended", "variant of hyperbit's IPOP; criterion: fewest extended actuators"
     ),
-    "pop": Entry(f"{ROOM}.hyperbit:pop", "hyperbit's POP with its exact table"),
+    "pop": Entry(f"{OWN}:pop", "hyperbit's POP with its exact table"),
     "meet-in-the-middle": Entry(
-        f"{ROOM}.planar_positions:meet_in_the_middle", "two lists of half the arm, to 5 switches each; planar positions"
+        f"{PLANAR}:meet_in_the_middle", "two lists of half the arm, to 5 switches each; planar positions"
     ),
-    "pop-printed": Entry(
-        f"{ROOM}.planar_positions:pop_printed",
-        "POP, re-implemented as printed (Ebert-Uphoff, Chirikjian 1996); planar positions",
-    ),
-    "ipop-printed": Entry(
-        f"{ROOM}.planar_positions:ipop_printed",
-        "IPOP, re-implemented as printed (Ebert-Uphoff, Chirikjian 1996); planar positions",
-    ),
-    "ipop-printed-switches": Entry(
-        f"{ROOM}.planar_positions:ipop_printed_switches", "its variant that counts actuators; planar positions"
-    ),
-    "k-switch-3": Entry(
-        f"{ROOM}.planar_positions:k_switch_3",
-        "k-switch search, re-implemented from a description (Lees, Chirikjian 1996); planar positions",
-    ),
-    "k-switch-4": Entry(f"{ROOM}.planar_positions:k_switch_4", "the same with k = 4"),
-    "two-by-two": Entry(
-        f"{ROOM}.planar_positions:two_by_two_search",
-        "re-implemented from a description (Motahari, Zohoor, Korayem 2013); planar positions",
-    ),
-    "rounding": Entry(
-        f"{ROOM}.planar_positions:rounding", "continuous least squares, rounded, then coordinate descent; trusses"
-    ),
-    "annealing-10ms": Entry(
-        f"{ROOM}.planar_positions:annealing_10ms", "simulated annealing for 10 ms a goal; planar positions"
-    ),
-    "coordinate-descent": Entry(f"{ROOM}.plain:coordinate_descent", "greedy: changes the best module repeatedly"),
-    "random-search": Entry(f"{ROOM}.plain:random_search", "the best of 2,000 random configurations"),
+    "pop-printed": Entry(f"{PLANAR}:pop_printed", f"POP, {PRINTED}"),
+    "ipop-printed": Entry(f"{PLANAR}:ipop_printed", f"IPOP, {PRINTED}"),
+    "k-switch-3": Entry(f"{PLANAR}:k_switch_3", FROM_K_SWITCH),
+    "k-switch-4": Entry(f"{PLANAR}:k_switch_4", "the same with k = 4"),
+    "two-by-two": Entry(f"{PLANAR}:two_by_two_search", FROM_TWO_BY_TWO),
 }
 
 
 class FileMethod:
-    """A method from a file. Pickled, it carries the source of the file, so workers do not need the file.
-
-    Args:
-        path: path of the file.
-        function: name of the function.
-        source: content of the file.
-
-    Raises:
-        ValueError: the source fails, or has no such function.
-    """
+    """A method from a file. Pickled, it carries the source of the file, so workers do not need the file."""
 
     def __init__(self, path: str, function: str, source: bytes) -> None:
         self._sent = path, function, source
         self._prepare = function_of(lambda: executed(path, source), path, function)
 
     def __call__(self, arm: "BenchArm") -> Solve:
-        """Prepares the method for an arm."""
         return self._prepare(arm)
 
     def __reduce__(self) -> tuple[type["FileMethod"], tuple[str, str, bytes]]:
-        """Returns what is pickled."""
         return FileMethod, self._sent
 
 
 def find_method(target: str) -> Prepare:
     """Imports the function of "module:function" or "file.py:function"; modules of the working directory are found.
 
-    Raises:
-        ValueError: the text has another form, or the function cannot be imported.
+    Raises ValueError: the text has another form, or the function cannot be imported.
     """
     place, _, name = target.rpartition(":")
     if not place or not name.isidentifier():
@@ -131,11 +96,7 @@ def find_method(target: str) -> Prepare:
 
 
 def function_of(load: Callable[[], ModuleType], place: str, name: str) -> Prepare:
-    """Returns a function of a module that `load` returns.
-
-    Raises:
-        ValueError: the module cannot be loaded, or has no such function.
-    """
+    """Returns a function of the module that `load` returns; raises ValueError if there is none."""
     try:
         module = load()
     except (Exception, SystemExit) as error:

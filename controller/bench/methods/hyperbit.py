@@ -1,6 +1,7 @@
 """hyperbit's own methods, called through its public library."""
 
 from functools import partial
+from typing import NamedTuple
 
 from hyperbit.controller.bench.arm import BenchArm
 from hyperbit.controller.bench.methods import Solve
@@ -8,36 +9,18 @@ from hyperbit.controller.library.solver import Solver
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
 
 
-def solver(arm: BenchArm, method: Method) -> Solve:
-    """Returns `solve` of one of the library's methods."""
-    return partial(Solver(arm.arm).solve, method=method)
+class OwnMethod(NamedTuple):
+    """A method of the library."""
+
+    method: Method
+
+    def __call__(self, arm: BenchArm) -> Solve:
+        return partial(Solver(arm.arm).solve, method=self.method)
 
 
-def minimum_switch(arm: BenchArm) -> Solve:
-    """Prepares the search for fewest switches."""
-    return solver(arm, MINIMUM_SWITCH)
-
-
-def ipop_previous(arm: BenchArm) -> Solve:
-    """Prepares IPOP with the criterion of unchanged modules."""
-    return solver(arm, "ipop-previous")
-
-
-def ipop_contracted(arm: BenchArm) -> Solve:
-    """Prepares IPOP with the criterion of fully contracted modules."""
-    return solver(arm, "ipop-contracted")
-
-
-def ipop_fewest_switches(arm: BenchArm) -> Solve:
-    """Prepares IPOP with the criterion of fewest switches."""
-    return solver(arm, "ipop-fewest-switches")
-
-
-def ipop_fewest_extended(arm: BenchArm) -> Solve:
-    """Prepares IPOP with the criterion of fewest extended actuators."""
-    return solver(arm, "ipop-fewest-extended")
-
-
-def pop(arm: BenchArm) -> Solve:
-    """Prepares POP."""
-    return solver(arm, "pop")
+minimum_switch = OwnMethod(MINIMUM_SWITCH)
+ipop_previous = OwnMethod("ipop-previous")
+ipop_contracted = OwnMethod("ipop-contracted")
+ipop_fewest_switches = OwnMethod("ipop-fewest-switches")
+ipop_fewest_extended = OwnMethod("ipop-fewest-extended")
+pop = OwnMethod("pop")

@@ -8,7 +8,7 @@ The search enumerates only the changed modules. The tip is fixed in the frame ab
 configuration costs one motion of a point.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import float64, int64, njit, types
@@ -19,32 +19,25 @@ from hyperbit.controller.manipulator.manipulator import Configuration, Manipulat
 from hyperbit.controller.workspace.densities import Densities
 
 
-@dataclass(frozen=True, eq=False)
-class KSwitchProblem:
-    """The tables of an arm."""
+class KSwitch(NamedTuple):
+    """The arm, and k."""
 
     arm: Planar
     switches: int
 
 
-def prepare(manipulator: Manipulator, densities: Densities | None, switches: int = 4) -> KSwitchProblem:
-    """Returns the tables of an arm."""
-    return KSwitchProblem(planar(manipulator), switches)
+def prepare(manipulator: Manipulator, densities: Densities | None, switches: int = 4) -> KSwitch:
+    return KSwitch(planar(manipulator), switches)
 
 
-def solve(problem: KSwitchProblem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+def solve(tables: KSwitch, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
     """Returns a configuration (B,) for a goal (2,)."""
-    arm, configuration = problem.arm, np.array(previous)
-    search(goal, arm, problem.switches, tolerance, configuration)
+    configuration = np.array(previous)
+    search(goal, tables.arm, tables.switches, tolerance, configuration)
     return configuration
 
 
-@njit(
-    types.void(F1, PLANAR, int64, float64, I1),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@njit(types.void(F1, PLANAR, int64, float64, I1), cache=True, nogil=True, error_model="numpy")
 def search(goal: Array, arm: Planar, k: int, tolerance: float, configuration: Index) -> None:
     """Improves the configuration, by at most k switches at a time."""
     states, up, down, differing = arm

@@ -12,7 +12,7 @@ which generalizes the method. We chose that consecutive pairs overlap in one mod
 the tolerance, and we chose the order of improvement.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,29 +22,27 @@ from hyperbit.controller.manipulator.manipulator import Configuration, Manipulat
 from hyperbit.controller.workspace.densities import Densities
 
 
-@dataclass(frozen=True, eq=False)
-class TwoByTwoProblem:
+class TwoByTwo(NamedTuple):
     """The arm, and the mean of each intermediate workspace in its own frame, shape (B+1, 2)."""
 
     arm: Planar
     means: Array
 
 
-def prepare(manipulator: Manipulator, densities: Densities | None) -> TwoByTwoProblem:
-    """Returns the tables of an arm."""
+def prepare(manipulator: Manipulator, densities: Densities | None) -> TwoByTwo:
     arm = planar(manipulator)
     means = np.zeros((len(arm.states) + 1, 2))
     for i in reversed(range(len(arm.states))):
         c, s, x, y = arm.up[i, : arm.states[i]].mean(axis=0)  # motions are affine: mean of images = image of mean
         px, py = means[i + 1]
         means[i] = c * px - s * py + x, s * px + c * py + y
-    return TwoByTwoProblem(arm, means)
+    return TwoByTwo(arm, means)
 
 
-def solve(problem: TwoByTwoProblem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+def solve(tables: TwoByTwo, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
     """Returns a configuration (B,) for a goal (2,)."""
-    arm, configuration = problem.arm, np.zeros(len(previous), dtype=np.int64)
-    place(goal, arm.down, arm.states, problem.means, configuration)
+    arm, configuration = tables.arm, np.zeros(len(previous), dtype=np.int64)
+    place(goal, arm.down, arm.states, tables.means, configuration)
     improve(goal, arm.up, arm.down, arm.states, tolerance, configuration)
     return configuration
 

@@ -49,11 +49,6 @@ def board(
 
 
 def show_errors(found: list[ProbedNode], name: str, as_json: bool) -> None:
-    """Prints error register and error history of a probed board.
-
-    Raises:
-        CommandFailed: the board does not answer.
-    """
     if found and not found[0].answers and found[0].state is State.STOPPED:
         raise CommandFailed(stopped(name))
     if not found or not found[0].answers:
@@ -68,11 +63,6 @@ def show_errors(found: list[ProbedNode], name: str, as_json: bool) -> None:
 
 
 def reset(session: Session, node: Node, timeout: float, yes: bool, as_json: bool) -> None:
-    """Resets a board and prints how long it took to boot.
-
-    Raises:
-        CommandFailed: the board does not boot, or the user declined.
-    """
     name = f"{node[0]}/{node[1]}"
     question = f"A reset switches the outputs of board {name} off: its actuators may move. Continue?"
     if not yes:

@@ -13,20 +13,14 @@ import yaml
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.armfile.places import counted
 from hyperbit.controller.armfile.strict import InputFaults, read_yaml
-from hyperbit.controller.commands.arguments import ArmFile, AsJson
+from hyperbit.controller.commands.arguments import ArmFile, AsJson, Dask, Workers
 from hyperbit.controller.commands.common import CommandFailed, console, print_json, print_table, results_table
-from hyperbit.controller.commands.sharing import (
-    Dask,
-    Sharing,
-    Workers,
-    check_sharing,
-    open_workers,
-    progress_bar,
-    spread_over,
-)
+from hyperbit.controller.commands.sharing import checked_sharing, open_workers, progress_bar, spread_over
 
 if TYPE_CHECKING:
-    from hyperbit.controller.calibration.calibration import Calibration, PoseResiduals
+    from hyperbit.controller.calibration.calibration import Calibration
+
+RESIDUALS = ("before", "base_only", "after", "held_out", "held_out_base_only")  # of a calibration
 
 
 def calibrate(
@@ -54,7 +48,7 @@ def calibrate(
     from hyperbit.controller.calibration.fit import CannotFit
     from hyperbit.controller.calibration.samples import read_samples
 
-    check_sharing(sharing := Sharing(workers, dask))
+    sharing = checked_sharing(workers, dask)
     arm = load(file)
     measured = read_samples(samples, arm.manipulator)
     if out is not None and out.exists() and not force:
@@ -79,11 +73,7 @@ def calibrate(
 
 
 def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
-    """Writes the fitted arm's file, after reading a draft of it back.
-
-    Raises:
-        CommandFailed: the file cannot be written, or the fitted numbers describe no valid arm.
-    """
+    """Writes the fitted arm's file, after reading a draft of it back."""
     raw = {**read_yaml(file), **found.description}
     before, after = found.before.position.rms, found.after.position.rms
     text = f"# {file.name}, fitted to the {found.samples} tips in {samples.name}: rms {before:.3g}, now {after:.3g}.\n"
@@ -104,60 +94,38 @@ def write(out: Path, file: Path, samples: Path, found: Calibration) -> None:
 
 
 def payload(found: Calibration) -> dict[str, Any]:
-    """Returns a calibration for JSON."""
+    changes = [
+        {"field": change.parameter.path}
+        | {name: getattr(change, name) for name in ("before", "after", "deviation", "determined")}
+        for change in found.changes
+    ]
     return {
         "samples": found.samples,
         "set_aside": list(found.outliers),
-        **{name: asdict(pose_residuals) for name, pose_residuals in residuals_by_name(found).items()},
+        **{name: asdict(getattr(found, name)) for name in RESIDUALS},
         "noise": found.noise.tolist(),
         "held_directions": found.undetermined,
         "better": found.better,
-        "changes": [
-            {
-                "field": change.parameter.path,
-                "before": change.before,
-                "after": change.after,
-                "deviation": change.deviation,
-                "determined": change.determined,
-            }
-            for change in found.changes
-        ],
-    }
-
-
-def residuals_by_name(found: Calibration) -> dict[str, PoseResiduals]:
-    """Returns the residuals by name."""
-    return {
-        "before": found.before,
-        "base_only": found.base_only,
-        "after": found.after,
-        "held_out": found.held_out,
-        "held_out_base_only": found.held_out_base_only,
+        "changes": changes,
     }
 
 
 def show(found: Calibration) -> None:
-    """Prints a calibration: residuals and changed numbers."""
     lines = ", ".join(map(str, found.outliers))
     aside = f"; {len(found.outliers)} outliers set aside, lines {lines}" if found.outliers else ""
     console.print(f"{found.samples} samples{aside}")
     table = results_table("residuals", "", "rms", "95 %", "worst")
     for kind in ("position", "orientation"):
-        for name, pose_residuals in residuals_by_name(found).items():
-            if (residuals := getattr(pose_residuals, kind)) is not None:
+        for name in RESIDUALS:
+            if (residuals := getattr(getattr(found, name), kind)) is not None:
                 values = (residuals.rms, residuals.most, residuals.worst)
                 table.add_row(kind, name.replace("_", " "), *(f"{value:.3g}" for value in values))
     print_table(table)
     table = results_table("field", "before", "after", "deviation", "")
     for change in found.changes:
-        before, after = (change.before, change.after)
-        table.add_row(
-            counted(change.parameter.path),
-            written(before),
-            written(after),
-            f"{change.deviation:.2g}",
-            "" if change.determined else "not determined: kept near the file's value",
-        )
+        numbers = written(change.before), written(change.after), f"{change.deviation:.2g}"
+        note = "" if change.determined else "not determined: kept near the file's value"
+        table.add_row(counted(change.parameter.path), *numbers, note)
     print_table(table)
     if found.undetermined:
         console.print(
@@ -168,5 +136,4 @@ def show(found: Calibration) -> None:
 
 
 def written(value: Any) -> str:
-    """Returns a number or a quaternion for the table."""
     return ", ".join(f"{part:.6g}" for part in value) if isinstance(value, list) else f"{value:.6g}"

@@ -48,13 +48,14 @@ def check(
     """
     if node is not None and eds is None:
         raise InputFaults(Path("check"), ["--node needs --eds FILE"])
+    from hyperbit.controller.arm.summary import summarize
+    from hyperbit.controller.arm.warnings import file_warnings
 
     arm = checked_arm(file, as_json)
     if (bus or eds is not None) and not arm.wiring:
-        raise InputFaults(
-            file, ["the file has no boards, which --bus and --eds need: name them under buses and actuators"]
-        )
-    fields, warnings = summarize_file(arm)
+        words = "the file has no boards, which --bus and --eds need: name them under buses and actuators"
+        raise InputFaults(file, [words])
+    fields, warnings = summarize(arm), file_warnings(arm)
     if picture is not None:
         draw(arm, picture)
     boards = compare(arm, eds, node) if eds is not None else []
@@ -72,12 +73,6 @@ def check(
 
 
 def checked_arm(file: Path, as_json: bool) -> Arm:
-    """Returns the arm of a file.
-
-    Raises:
-        InputFaults: the file is wrong.
-        typer.Exit: likewise; the faults were printed as JSON.
-    """
     from hyperbit.controller.arm.arm import load
     from hyperbit.controller.executor.core.arm import read_arm
 
@@ -93,26 +88,12 @@ def checked_arm(file: Path, as_json: bool) -> Arm:
     return arm
 
 
-def summarize_file(arm: Arm) -> tuple[dict[str, Any], list[str]]:
-    """Returns the summary of an arm, and the warnings about its file."""
-    from hyperbit.controller.arm.summary import summarize
-    from hyperbit.controller.arm.warnings import file_warnings
-
-    return summarize(arm), file_warnings(arm)
-
-
 def draw(arm: Arm, picture: Path) -> None:
-    """Draws an arm twice: with each module in its first state, and in its last.
-
-    Raises:
-        InputFaults: the picture cannot be written.
-    """
+    """Draws an arm twice: with each module in its first state, and in its last."""
     from hyperbit.controller.pictures import plots
 
-    drawn = {
-        "first state of each module": arm.manipulator.states * 0,
-        "last state of each module": arm.manipulator.states - 1,
-    }
+    first, last = arm.manipulator.states * 0, arm.manipulator.states - 1
+    drawn = {"first state of each module": first, "last state of each module": last}
     try:
         subplot = plots.Subplot(arm.settings.name, drawn)
         plots.save(picture, arm.manipulator, None, [subplot], unit="arm's unit", obstacles=arm.obstacles)
@@ -135,7 +116,6 @@ def print_arm(file: Path, arm: Arm, fields: dict[str, Any], warnings: list[str])
 
 
 def print_boards(boards: list[dict[str, Any]]) -> None:
-    """Prints the answer of each board."""
     for board in boards:
         style = None if board["ok"] else "red"
         common.console.print(f"  {board['board']}: {board['answer']}", style=style, markup=False)
@@ -153,11 +133,6 @@ def summary(codes: Iterable[str]) -> str:
 
 
 def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
-    """Reads each board of an arm; returns an answer for each.
-
-    Raises:
-        CommandFailed: a bus cannot be used, or an executor runs.
-    """
     from hyperbit.controller.commands.configure.executor_absence import session_without_executor
     from hyperbit.controller.executor.core.arm import timing_of, wiring_of
     from hyperbit.drivers.canopen.tools.bus_check import check_bus
@@ -169,16 +144,7 @@ def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
 
 
 def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
-    """Compares the boards of an arm with an EDS; returns an answer for each board, naming what the EDS lacks.
-
-    Args:
-        arm: the arm.
-        eds: path of the EDS.
-        node: the only board to compare; None: all boards.
-
-    Raises:
-        InputFaults: the file is no EDS, or the arm has no such board.
-    """
+    """Compares the boards of an arm, or one, with an EDS; returns an answer for each, naming what the EDS lacks."""
     from hyperbit.controller.executor.core.arm import timing_of, wiring_of
     from hyperbit.drivers.canopen.layout import lay_out
     from hyperbit.drivers.canopen.tools.eds import Eds

@@ -29,11 +29,11 @@ def session_without_executor(
         arm: name of the arm; None: the command knows none, and only listens to the buses.
         path: socket of the arm's executor, or its folder; None: the default.
         heartbeat: period of the master's heartbeat [s]; 0: not known.
-
-    Raises:
-        CommandFailed: an executor runs, or a bus cannot be used.
     """
-    refuse_executor(arm, path)
+    places = [] if arm is None else [socket_path(path, arm), *(one for one in found_sockets() if one.stem == arm)]
+    for own in dict.fromkeys(places):
+        if answers(own, arm or ""):
+            raise running(f"the executor of {arm} is running (it answers at {own})")
     try:
         with Session([CanBus(bus) for bus in buses], heartbeat) as session:
             yield session
@@ -41,18 +41,6 @@ def session_without_executor(
         raise running(f"an executor is running (its heartbeat, node {MASTER}, is on {error})") from None
     except BusError as error:
         raise CommandFailed(str(error)) from None
-
-
-def refuse_executor(arm: str | None, path: Path | None) -> None:
-    """Refuses if the executor of an arm answers at its socket.
-
-    Raises:
-        CommandFailed: it answers.
-    """
-    if arm is not None:
-        for own in dict.fromkeys([socket_path(path, arm), *(one for one in found_sockets() if one.stem == arm)]):
-            if answers(own, arm):
-                raise running(f"the executor of {arm} is running (it answers at {own})")
 
 
 def running(who: str) -> CommandFailed:

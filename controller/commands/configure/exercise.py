@@ -12,10 +12,10 @@ import typer
 
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands import common
+from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json, results_table
-from hyperbit.controller.commands.connection import ENDPOINT, connected
+from hyperbit.controller.commands.connection import connected
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client
@@ -29,17 +29,11 @@ END_STOPS = {"extended": "input", "contracted": "input_contracted"}
 
 
 class MeasuredTravel(NamedTuple):
-    """A motion of an actuator to one of its ends.
-
-    Attributes:
-        actuator: label.
-        state: state at the end, "contracted" or "extended".
-        seconds: travel time measured by the executor [s]; None if it could not be measured.
-    """
+    """A motion of an actuator to one of its ends, by its label and the state there."""
 
     actuator: str
     state: str
-    seconds: float | None
+    seconds: float | None  # travel time measured by the executor; None if it could not be measured
 
 
 def exercise(
@@ -68,7 +62,7 @@ def exercise(
         failure = None
         try:
             for label in chosen:
-                for state in there_and_back(where[label]):
+                for state in (STATES[1 - where[label]], STATES[where[label]]):
                     travels.append(move(client, label, state))
                     if as_json:
                         print_json(travels[-1]._asdict())
@@ -84,11 +78,7 @@ def exercise(
 
 
 def choose(wanted: list[str], labels: list[str]) -> list[str]:
-    """Returns the labels of the actuators to exercise; all if none is named.
-
-    Raises:
-        InputFaults: the arm has no such actuator.
-    """
+    """Returns the labels of the actuators to exercise; all if none is named."""
     if unknown := [label for label in wanted if label not in labels]:
         text = f"{unknown[0]!r} is no actuator of this arm, which has {labels[0]} to {labels[-1]}"
         raise InputFaults(Path("exercise"), [text])
@@ -96,19 +86,13 @@ def choose(wanted: list[str], labels: list[str]) -> list[str]:
 
 
 def commanded(client: Client) -> list[int]:
-    """Returns the commanded state of each actuator, shape (A,), of an arm in mode ready.
-
-    Raises:
-        CommandFailed: the arm is in another mode, or the state of an actuator is unknown.
-    """
+    """Returns the commanded state of each actuator, shape (A,), of an arm in mode ready."""
     states: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-    subscriber = client.subscribe("state", states.put)
-    try:
-        state = states.get(timeout=STATE_TIMEOUT)
-    except queue.Empty:
-        raise CommandFailed(f"the daemon published no state for {STATE_TIMEOUT:g} s") from None
-    finally:
-        subscriber.undeclare()  # type: ignore[no-untyped-call]
+    with client.subscribe("state", states.put):
+        try:
+            state = states.get(timeout=STATE_TIMEOUT)
+        except queue.Empty:
+            raise CommandFailed(f"the daemon published no state for {STATE_TIMEOUT:g} s") from None
     if state["mode"] != "ready":
         raise CommandFailed(f"the arm is {state['mode']}: {state['reason']}; `exercise` needs an arm in mode ready")
     if state["commanded"] is None:
@@ -118,28 +102,16 @@ def commanded(client: Client) -> list[int]:
     return [int(bit) for bit in state["commanded"]]
 
 
-def there_and_back(state: int) -> tuple[str, str]:
-    """Returns the two states to switch an actuator to: the other state, then its present state."""
-    return STATES[1 - state], STATES[state]
-
-
 def move(client: Client, label: str, state: str) -> MeasuredTravel:
-    """Switches one actuator and returns its measured travel.
-
-    Raises:
-        CommandFailed: the daemon refused, or the actuator did not arrive.
-    """
     result = client.run({"actuators": {label: state}}, key="jog")
-    if "status" not in result:
-        raise CommandFailed(f"{label} to {state}: refused (code {result['code']}): {result['message']}")
-    if result["code"] != 0:
-        raise CommandFailed(f"{label} to {state}: {result['status']} (code {result['code']}): {result['message']}")
+    if "status" not in result or result["code"] != 0:
+        status = result.get("status", "refused")
+        raise CommandFailed(f"{label} to {state}: {status} (code {result['code']}): {result['message']}")
     measured = [t["seconds"] for t in result["travels"] if (t["actuator"], t["state"]) == (label, state)]
     return MeasuredTravel(label, state, measured[0] if measured else None)
 
 
 def report(travels: list[MeasuredTravel], description: Mapping[str, Any], as_json: bool) -> None:
-    """Prints the measured times and the proposal for the arm's file."""
     lines = proposal(travels, description["actuators"])
     if as_json:
         print_json({"proposal": "\n".join(lines)})
@@ -166,14 +138,10 @@ def shown(travel: MeasuredTravel | None, wired: Mapping[str, Any], state: str) -
 
 
 def proposal(travels: Iterable[MeasuredTravel], labels: Sequence[str]) -> list[str]:
-    """Returns YAML lines for the arm's file.
+    """Returns YAML lines for the file of an arm with these actuators.
 
     The arm gets a travel time for a direction in which all its actuators were measured. An actuator gets its own travel
     time where the arm gets none, or if it is much faster. A direction that was not measured gets no time.
-
-    Args:
-        travels: the motions.
-        labels: all actuators of the arm.
     """
     single: dict[str, dict[str, float]] = {}
     for label, state, seconds in travels:
@@ -205,8 +173,5 @@ def reserved(seconds: float) -> float:
 
 def written(times: Mapping[str, float]) -> str:
     """Returns times as YAML; the time of a direction that was not measured is left open, "..."."""
-    return (
-        "{"
-        + ", ".join(f"{field}: {times[field]:g}" if field in times else f"{field}: ..." for field in FIELDS.values())
-        + "}"
-    )
+    numbers = (f"{times[field]:g}" if field in times else "..." for field in FIELDS.values())
+    return "{" + ", ".join(f"{field}: {number}" for field, number in zip(FIELDS.values(), numbers, strict=True)) + "}"

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.arguments import AsJson
+from hyperbit.controller.commands.arguments import AsJson, Bitrate, Channel, Interface
 from hyperbit.controller.commands.common import CommandFailed, print_json
-from hyperbit.controller.commands.configure.probe import Bitrate, Channel, Interface, session_on
+from hyperbit.controller.commands.configure.probe import session_on
 from hyperbit.drivers.canopen.tools.lss import BIT_TIMINGS, Lss, LssIdentity, LssRefused
 from hyperbit.drivers.canopen.tools.probe import probe_bus
 from hyperbit.drivers.canopen.wiring import MASTER, BusWiring
@@ -37,8 +37,7 @@ def node_id(
 
     Example: hyperbit node-id can0 5 --board 0x21:0x2f1:0x10000:0x1a2b
     """
-    wanted = NewSettings(new, new_bitrate)
-    check_options(wanted, list_=list_)
+    check_options(new, new_bitrate, list_=list_)
     identity = None if board is None else parse_identity(board)
     bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
     try:
@@ -48,97 +47,43 @@ def node_id(
             if list_:
                 show(lss.unconfigured(), channel, as_json)
                 return
-            if identity is None:
-                check_single(nodes, channel)
-            selected, old = store(lss, identity, wanted, nodes, channel)
+            if identity is None and len(nodes) > 1:
+                listed = ", ".join(map(str, nodes))
+                raise CommandFailed(f"nodes {listed} are on {channel}: connect a single board, or name one by --board")
+            try:
+                selected, old = lss.select(identity)
+                if new is not None and new != old and new in nodes:
+                    raise CommandFailed(f"node id {new} is taken on {channel}; see its board: hyperbit probe {channel}")
+                lss.configure(old, new, new_bitrate)
+            finally:
+                lss.release()
     except LssRefused as error:
         raise CommandFailed(f"{channel}: {error}") from None
     if as_json:
         print_json({"identity": str(selected), "before": old, "node": new or old, "bitrate": new_bitrate})
-    else:
-        print_stored(selected, old, wanted, bus)
-
-
-class NewSettings(NamedTuple):
-    """The new node id and bit rate [bit/s] of a board; None: unchanged."""
-
-    node: int | None
-    bitrate: int | None
-
-
-def check_options(wanted: NewSettings, *, list_: bool) -> None:
-    """Checks which options are given together, and the range of node id and bit rate.
-
-    Raises:
-        InputFaults: an option is wrong.
-    """
-    if list_ == (wanted != (None, None)):
-        raise InputFaults(Path("node-id"), ["give a node id, --new-bitrate or both; or --list alone"])
-    if wanted.node is not None and not 1 <= wanted.node < MASTER:
-        form = f"a board's node id is 1 to {MASTER - 1} ({MASTER} is the master's)"
-        raise InputFaults(Path("node-id"), [f"{wanted.node}: {form}"])
-    if wanted.bitrate is not None and wanted.bitrate not in BIT_TIMINGS:
-        rates = ", ".join(map(str, sorted(BIT_TIMINGS)))
-        raise InputFaults(Path("--new-bitrate"), [f"{wanted.bitrate} is not one of {rates}"])
-
-
-def check_single(nodes: list[int], channel: str) -> None:
-    """Checks that at most one board with a node id is on a bus.
-
-    Raises:
-        CommandFailed: there are more.
-    """
-    if len(nodes) > 1:
-        listed = ", ".join(map(str, nodes))
-        raise CommandFailed(f"nodes {listed} are on {channel}: connect a single board, or name one by --board")
-
-
-def store(
-    lss: Lss, identity: LssIdentity | None, wanted: NewSettings, nodes: list[int], channel: str
-) -> tuple[LssIdentity, int]:
-    """Stores the new settings of a board, and releases it.
-
-    Args:
-        lss: of the bus.
-        identity: of the board; None: the only board.
-        wanted: the new settings.
-        nodes: node ids on the bus.
-        channel: of the bus, for messages.
-
-    Returns:
-        The board's identity, and its node id before.
-
-    Raises:
-        CommandFailed: another board has the node id.
-    """
-    try:
-        selected, old = lss.select(identity)
-        if wanted.node is not None and wanted.node != old:
-            refuse_taken(nodes, wanted.node, channel)
-        lss.configure(old, wanted.node, wanted.bitrate)
-    finally:
-        lss.release()
-    return selected, old
-
-
-def print_stored(selected: LssIdentity, old: int, wanted: NewSettings, bus: BusWiring) -> None:
-    """Prints what was stored, and the next step."""
-    before = "none" if old > MASTER else str(old)
-    stored = [f"node id {wanted.node} (before: {before})"] if wanted.node is not None else []
-    stored += [f"{wanted.bitrate} bit/s"] if wanted.bitrate is not None else []
+        return
+    stored = [] if new is None else [f"node id {new} (before: {'none' if old > MASTER else old})"]
+    stored += [] if new_bitrate is None else [f"{new_bitrate} bit/s"]
     typer.echo(f"board {selected}: stored {' and '.join(stored)}")
-    named = bus.interface != "socketcan"
-    rate = f" --bitrate {wanted.bitrate or bus.bitrate}" if wanted.bitrate or named else ""
-    interface = f" --interface {bus.interface}" if named else ""
-    typer.echo(f"switch its supply off and on, then: hyperbit probe {bus.channel}{rate}{interface}")
+    named = interface != "socketcan"
+    rate = f" --bitrate {new_bitrate or bitrate}" if new_bitrate or named else ""
+    where = f" --interface {interface}" if named else ""
+    typer.echo(f"switch its supply off and on, then: hyperbit probe {channel}{rate}{where}")
+
+
+def check_options(node: int | None, bitrate: int | None, *, list_: bool) -> None:
+    if list_ == (node is not None or bitrate is not None):
+        raise InputFaults(Path("node-id"), ["give a node id, --new-bitrate or both; or --list alone"])
+    if node is not None and not 1 <= node < MASTER:
+        form = f"a board's node id is 1 to {MASTER - 1} ({MASTER} is the master's)"
+        raise InputFaults(Path("node-id"), [f"{node}: {form}"])
+    if bitrate is not None and bitrate not in BIT_TIMINGS:
+        rates = ", ".join(map(str, sorted(BIT_TIMINGS)))
+        raise InputFaults(Path("--new-bitrate"), [f"{bitrate} is not one of {rates}"])
 
 
 def parse_identity(text: str) -> LssIdentity:
-    """Parses an identity, "VENDOR:PRODUCT:REVISION:SERIAL".
-
-    Raises:
-        InputFaults: the text has another form.
-    """
+    """Parses an identity, "VENDOR:PRODUCT:REVISION:SERIAL"."""
     try:
         numbers = [int(part, 0) for part in text.split(":")]
     except ValueError:
@@ -149,18 +94,7 @@ def parse_identity(text: str) -> LssIdentity:
     return LssIdentity(*numbers)
 
 
-def refuse_taken(nodes: list[int], new: int, channel: str) -> None:
-    """Refuses a node id that another board has.
-
-    Raises:
-        CommandFailed: another board has it.
-    """
-    if new in nodes:
-        raise CommandFailed(f"node id {new} is taken on {channel}; see its board: hyperbit probe {channel}")
-
-
 def show(found: list[LssIdentity], channel: str, as_json: bool) -> None:
-    """Prints the boards without a node id."""
     for one in found:
         if as_json:
             print_json(one._asdict())

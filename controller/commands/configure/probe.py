@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from hyperbit.controller.commands import common
-from hyperbit.controller.commands.arguments import AsJson
+from hyperbit.controller.commands.arguments import AsJson, Bitrate, Channel, Interface
 from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.configure.executor_absence import session_without_executor
 from hyperbit.drivers.canopen.boot.pdo_setup import PdoState, pdo_words
@@ -21,16 +19,9 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import State
 from hyperbit.drivers.canopen.wiring import MASTER, BusWiring
 
-RATE = "Bit rate of the bus [bit/s]; ignored with socketcan, whose bit rate the system sets."
-
-Channel = Annotated[str, typer.Argument(metavar="CHANNEL", help="The bus, such as can0.", show_default=False)]
-Interface = Annotated[str, typer.Option(help="Interface of python-can.")]
-Bitrate = Annotated[int, typer.Option(min=10_000, max=1_000_000, help=RATE)]
-
 PROFILE = 0x191  # low word of 1000h of CiA 401
 KINDS = {16: "digital inputs", 17: "digital outputs", 18: "analog inputs", 19: "analog outputs"}  # bits of 1000h
 LOST = {0: "pre-operational", 1: "no change", 2: "stopped"}  # 1029h sub 1
-Row = tuple[str, str]
 
 
 def probe(
@@ -42,8 +33,8 @@ def probe(
     """Find the nodes of a CAN bus and print their identity, mapping and settings; writes nothing.
 
     The command asks the node ids 1 to 127 in parallel and listens to heartbeats. It needs no arm's file, and a bus
-    without an executor. With --json it
-    prints a line for each node; send this line in if hyperbit does not know the board.
+    without an executor. With --json it prints a line for each node; send this line in if hyperbit does not know the
+    board.
     """
     bus = BusWiring(name=channel, interface=interface, channel=channel, bitrate=bitrate)
     with session_on(bus) as session:
@@ -62,11 +53,6 @@ def probe(
 
 @contextlib.contextmanager
 def session_on(bus: BusWiring) -> Iterator[Session]:
-    """Opens a session on a bus that the user has named.
-
-    Raises:
-        CommandFailed: the bus cannot be used, or an executor uses it.
-    """
     try:
         with session_without_executor([bus]) as session:
             yield session
@@ -77,8 +63,7 @@ def session_on(bus: BusWiring) -> Iterator[Session]:
         raise CommandFailed(str(error), advice) from None
 
 
-def rows(it: ProbedNode, channel: str) -> Iterable[Row]:
-    """Yields the rows of a node: subject and text."""
+def rows(it: ProbedNode, channel: str) -> Iterable[tuple[str, str]]:
     if not it.answers and it.state is State.STOPPED:
         yield "state", stopped(f"{channel}/{it.node}")
         return
@@ -105,13 +90,11 @@ def rows(it: ProbedNode, channel: str) -> Iterable[Row]:
 
 
 def device(it: ProbedNode) -> str:
-    """Returns the name and version texts of a node, 1008h to 100Ah."""
     texts = [f"{it.texts[index]} ({index:04X}h)" for index in TEXTS if it.texts.get(index)]
     return ", ".join(texts) or "no texts (1008h to 100Ah)"
 
 
 def device_type(kind: int | None) -> str:
-    """Returns the device type, 1000h, in words."""
     if kind is None:
         return "1000h cannot be read"
     if kind & 0xFFFF != PROFILE:
@@ -135,7 +118,6 @@ def process_data(it: ProbedNode, index: int, pdos: Iterable[PdoState]) -> str:
 
 
 def pdo_text(pdo: PdoState) -> str:
-    """Returns communication and mapping parameters of a PDO in words."""
     entries = " ".join(f"{entry:08X}h" for entry in pdo.mapping) or "nothing"
     state = "enabled" if pdo.valid else "disabled"
     timer = "" if not pdo.timer else f", timer {pdo.timer} ms"
@@ -143,7 +125,6 @@ def pdo_text(pdo: PdoState) -> str:
 
 
 def supervision(it: ProbedNode) -> Iterable[str]:
-    """Yields a node's heartbeat and node guarding settings."""
     if (count := it.numbers.get((0x1016, 0))) is None:
         yield "no 1016h (heartbeat consumer)"
     else:
@@ -154,7 +135,6 @@ def supervision(it: ProbedNode) -> Iterable[str]:
 
 
 def error_state(it: ProbedNode) -> Iterable[str]:
-    """Yields a node's reaction to the loss of its master."""
     for index in (0x6206, 0x6207):
         yield f"{index:04X}h: {listed(it, index, 2)}" if (index, 0) in it.numbers else f"no {index:04X}h"
     yield number(it, 0x1029, 1, 2, lambda value: LOST.get(value, "of the maker"))
@@ -167,17 +147,12 @@ def errors(it: ProbedNode) -> Iterable[str]:
         yield "no 1003h (error history)"
         return
     yield f"1003h: {count} entries" if count else "1003h: empty"
-    yield from history(it)
-
-
-def history(it: ProbedNode) -> list[str]:
-    """Returns the entries of the error history in words, newest first."""
-    values = [it.numbers.get((0x1003, sub)) for sub in range(1, 1 + it.numbers.get((0x1003, 0), 0))]
-    return [f"{value:08X}h {cia301.emergency_words(value & 0xFFFF)}" for value in values if value is not None]
+    for sub in range(1, 1 + count):
+        if (value := it.numbers.get((0x1003, sub))) is not None:
+            yield f"{value:08X}h {cia301.emergency_words(value & 0xFFFF)}"
 
 
 def storing(it: ProbedNode) -> str:
-    """Returns a node's way to store parameters, 1010h sub 1, in words."""
     value = it.numbers.get((0x1010, 1))
     if value is None:
         return "no 1010h sub 1"
@@ -186,7 +161,6 @@ def storing(it: ProbedNode) -> str:
 
 
 def number(it: ProbedNode, index: int, sub: int, digits: int, words: Callable[[int], str] | None = None) -> str:
-    """Returns an object's value with its index, and in words."""
     place = f"{index:04X}h" + (f" sub {sub}" if sub else "")
     value = it.numbers.get((index, sub))
     if value is None:
@@ -202,7 +176,6 @@ def listed(it: ProbedNode, index: int, digits: int, names: tuple[str, ...] = ())
 
 
 def as_mapping(it: ProbedNode) -> dict[str, Any]:
-    """Returns all objects that were read from a node, for JSON."""
     return {
         "node": it.node,
         "answers": it.answers,

@@ -70,67 +70,47 @@ def demo(
 
 
 class DemoGoals(NamedTuple):
-    """What the arm is sent.
-
-    Attributes:
-        densities: of the arm, on which the pictures are drawn.
-        targets: positions (count, dimension).
-        curve: waypoints (n, dimension) of a closed curve.
-    """
-
     densities: Densities
-    targets: list[list[float]]
-    curve: NDArray[np.float64]
+    targets: list[list[float]]  # positions, shape (count, dimension)
+    curve: NDArray[np.float64]  # waypoints of a closed curve, shape (n, dimension)
 
 
 class Shown(NamedTuple):
-    """What the arm did.
-
-    Attributes:
-        rows: name, result and duration [s] of each goal.
-        reached: configuration (B,) at each target.
-        states: commanded actuator states, shape (A,) each.
-        pauses: indices of states at which a goal had ended.
-    """
-
-    rows: list[tuple[str, Message, float]]
-    reached: dict[str, Configuration]
-    states: list[list[int]]
-    pauses: list[int]
+    rows: list[tuple[str, Message, float]]  # name, result and duration [s] of each goal
+    reached: dict[str, Configuration]  # at each target, shape (B,)
+    states: list[list[int]]  # commanded actuator states, shape (A,) each
+    pauses: list[int]  # indices of states at which a goal had ended
 
 
 def choose_goals(arm: Arm, *, paper: bool) -> DemoGoals:
-    """Returns targets and a curve for an arm; `paper`: the targets are those of the paper."""
     densities = densities_of(arm)
     return DemoGoals(densities, PAPER_TARGETS if paper else sample(arm, 3), closed_curve(arm, densities))
 
 
 def move(client: Client, arm: Arm, goals: DemoGoals) -> Shown:
-    """Sends all targets and the curve, and returns what the arm did.
-
-    Raises:
-        CommandFailed: a goal was refused, or not reached.
-    """
+    """Sends all targets and the curve, and returns what the arm did."""
     states, shown = Watched(), Shown([], {}, [], [])
-    watching = client.subscribe("state", states.receive_state)
-    for target in goals.targets:
+
+    def run_goal(waypoints: list[dict[str, Any]], row: str, what: str) -> Configuration:
         began = time.perf_counter()
-        result = run(client, [{"position": target}], f"target ({written(target)})")
-        shown.rows.append((written(target), result, time.perf_counter() - began))
-        shown.reached[f"at ({written(target)})"] = parse_configuration(arm.manipulator, result["configuration"])
-        shown.pauses.append(states.find(states_of(arm, result)))
-    step = max(STEP, 1.5 * arm.travel_time * stages(arm) + arm.settings.rest_time)
-    waypoints = [{"t": k * step, "position": p} for k, p in enumerate(goals.curve.tolist())]
-    name, began = f"closed curve, {len(waypoints)} waypoints", time.perf_counter()
-    result = run(client, waypoints, name)
-    shown.rows.append((name, result, time.perf_counter() - began))
-    shown.pauses.append(states.find(states_of(arm, result)))
-    watching.undeclare()  # type: ignore[no-untyped-call]
+        result = run(client, waypoints, what)
+        shown.rows.append((row, result, time.perf_counter() - began))
+        configuration = parse_configuration(arm.manipulator, result["configuration"])
+        shown.pauses.append(states.find([int(state) for state in arm.manipulator.actuator_states(configuration)]))
+        return configuration
+
+    with client.subscribe("state", states.receive_state):
+        for target in goals.targets:
+            where = written(target)
+            shown.reached[f"at ({where})"] = run_goal([{"position": target}], where, f"target ({where})")
+        step = max(STEP, 1.5 * arm.travel_time * stages(arm) + arm.settings.rest_time)
+        curve = [{"t": k * step, "position": p} for k, p in enumerate(goals.curve.tolist())]
+        name = f"closed curve, {len(curve)} waypoints"
+        run_goal(curve, name, name)
     return shown._replace(states=states)
 
 
 def draw(arm: Arm, goals: DemoGoals, shown: Shown, picture: Path, animation: Path | None) -> None:
-    """Draws the picture, and the animation if one is wanted."""
     title = f"{arm.settings.name}: {len(arm.manipulator.modules)} modules, {len(arm.manipulator.actuators)} actuators"
     subplots = [plots.Subplot(title, shown.reached, goals.targets, goals.curve)]
     plots.save(picture, arm.manipulator, goals.densities, subplots, obstacles=arm.obstacles)
@@ -142,12 +122,6 @@ def draw(arm: Arm, goals: DemoGoals, shown: Shown, picture: Path, animation: Pat
         movement = Movement(shown.states, shown.pauses)
         animate(animation, arm.manipulator, goals.densities, movement, subplot, arm.obstacles)
         console.print(f"animation: {animation}")
-
-
-def states_of(arm: Arm, result: Message) -> list[int]:
-    """Returns the actuator states, shape (A,), of a result's configuration."""
-    configuration = parse_configuration(arm.manipulator, result["configuration"])
-    return [int(state) for state in arm.manipulator.actuator_states(configuration)]
 
 
 class Watched(list[list[int]]):
@@ -229,7 +203,6 @@ def outside(arm: Arm, curves: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def stages(arm: Arm) -> int:
-    """Returns the number of stages to allow time for, if less than a third of the actuators switch at each waypoint."""
     return 1 if arm.settings.inrush is None else math.ceil(len(arm.manipulator.actuators) / 3 / arm.settings.inrush)
 
 
@@ -238,9 +211,6 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
     """Runs a daemon with simulated boards and long time-outs; yields its process and its Zenoh endpoint.
 
     Sockets, ledger and log are in `folder`, so another daemon of this arm may run on the computer.
-
-    Raises:
-        CommandFailed: the daemon did not start within DAEMON_TIMEOUT.
     """
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = "127.0.0.1", free.getsockname()[1]
@@ -266,38 +236,24 @@ def started(file: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes],
 
 
 def wait_until_ready(client: Client, ended: Callable[[], int | None] = lambda: None) -> None:
-    """Waits until the arm is in mode ready.
-
-    Args:
-        client: connected to the arm's daemon.
-        ended: returns the daemon's exit code, None while the daemon runs.
-
-    Raises:
-        CommandFailed: the daemon reports a fault, publishes no state, or has ended.
-    """
+    """Waits until the arm is in mode ready. `ended` returns the daemon's exit code, None while the daemon runs."""
     states: queue.SimpleQueue[Message] = queue.SimpleQueue()
-    subscriber = client.subscribe("state", states.put)
-    try:
+    with client.subscribe("state", states.put):
         while True:
-            state = states.get(timeout=DAEMON_TIMEOUT)
+            try:
+                state = states.get(timeout=DAEMON_TIMEOUT)
+            except queue.Empty:
+                raise CommandFailed(f"the daemon published no state for {DAEMON_TIMEOUT:g} s") from None
             if state["mode"] == "ready":
                 return
             if (code := ended()) is not None:
                 raise CommandFailed(f"the daemon ended with code {code}")
             if state["mode"] == "fault":
                 raise CommandFailed(f"the daemon reports a fault: {state['reason']}")
-    except queue.Empty:
-        raise CommandFailed(f"the daemon published no state for {DAEMON_TIMEOUT:g} s") from None
-    finally:
-        subscriber.undeclare()  # type: ignore[no-untyped-call]
 
 
 def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
-    """Sends a goal and shows its progress; returns its result, with the worst error of its waypoints as `worst`.
-
-    Raises:
-        CommandFailed: the goal was refused, or not reached.
-    """
+    """Sends a goal and shows its progress; returns its result, with the worst error of its waypoints as `worst`."""
     errors_seen = [0.0]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, console=console) as progress:
@@ -315,7 +271,6 @@ def run(client: Client, waypoints: list[dict[str, Any]], what: str) -> Message:
 
 
 def summary(arm: Arm, rows: list[tuple[str, Message, float]]) -> Table:
-    """Returns the table of targets and results."""
     table = Table("target", "reached", "error", "switches", "time [s]", title=f"{arm.settings.name}, tip positions")
     for target, result, seconds in rows:
         table.add_row(
@@ -325,5 +280,4 @@ def summary(arm: Arm, rows: list[tuple[str, Message, float]]) -> Table:
 
 
 def written(position: list[float], digits: int = 2) -> str:
-    """Returns a position as text, with commas."""
     return ", ".join(f"{x:.{digits}f}" for x in position)

@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
-KIND = "Kind of the simulated boards; see `simulate --help`."
+from hyperbit.controller.commands.arguments import ArmFile, BoardKinds
 
 
 def execute(
-    file: Annotated[Path, typer.Argument(metavar="ARM.yaml", help="The arm's file.", show_default=False)],
+    file: ArmFile,
     socket: Annotated[Path | None, typer.Option(help="Socket to create for the planner, or its folder.")] = None,
     simulate: Annotated[bool, typer.Option("--simulate", help="Use simulated boards, in this process.")] = False,
-    board: Annotated[list[str], typer.Option(metavar="[BOARD=]KIND", help=KIND, show_default=False)] = [],  # noqa: B006  # typer needs a list
+    board: BoardKinds = [],  # noqa: B006  # typer needs a list
     journal: Annotated[Path | None, typer.Option(help="File of the switch journal, which counts switches.")] = None,
     list_modules: Annotated[bool, typer.Option("--list-modules", hidden=True)] = False,
 ) -> None:

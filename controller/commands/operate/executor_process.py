@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import IO
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
@@ -19,46 +18,18 @@ FOREGROUND_POLL = 0.5  # [s] between two attempts to read a terminal in the back
 END_TIMEOUT = 5.0  # [s] for the executor to end by itself
 
 
-class ExecutorProcess:
-    """Runs `hyperbit execute` and ends it with this process.
+def start_executor(words: Sequence[str], *, simulate: bool) -> subprocess.Popen[bytes]:
+    """Starts `hyperbit execute` with these words; it ends with this process.
 
-    The kernel sends the child SIGTERM if this process is killed. The child has a process group of its own. Ctrl-C
-    therefore reaches only this process, which ends goals first. With `simulate` this process passes the lines of its
-    standard input on to the child, which reads commands for faults from them. A terminal is not passed on to another
-    process group.
-
-    Args:
-        file: of the arm.
-        path: of the socket.
-        simulate: whether the executor simulates the boards.
-        journal: path of its switch journal; its default if None.
-        board: variants of simulated boards, as `hyperbit simulate` takes them.
+    Its process group is its own: Ctrl-C reaches only this process, which ends goals first. With `simulate` this process
+    passes the lines of its standard input on to the child, which reads commands for faults from them. A terminal is not
+    passed on to another process group.
     """
-
-    def __init__(
-        self, file: Path, path: Path, *, simulate: bool, journal: Path | None = None, board: Sequence[str] = ()
-    ) -> None:
-        command = [sys.executable, "-m", "hyperbit", "execute", str(file), "--socket", str(path)]
-        command += ["--journal", str(journal)] if journal else []
-        command += [f"--board={word}" for word in board]
-        self._process = start_child(
-            command + ["--simulate"] * simulate, stdin=subprocess.PIPE if simulate else subprocess.DEVNULL
-        )
-        if self._process.stdin is not None:
-            threading.Thread(target=pass_lines, args=(self._process.stdin,), name="lines", daemon=True).start()
-
-    @property
-    def pid(self) -> int:
-        """Id of the process."""
-        return self._process.pid
-
-    def ended(self) -> int | None:
-        """Returns the exit code, negative for a signal; None while it runs."""
-        return self._process.poll()
-
-    def close(self, timeout: float = END_TIMEOUT) -> None:
-        """Ends the executor; kills it after `timeout` seconds."""
-        end_child(self._process, timeout)
+    command = [sys.executable, "-m", "hyperbit", "execute", *words, *["--simulate"] * simulate]
+    process = start_child(command, stdin=subprocess.PIPE if simulate else subprocess.DEVNULL)
+    if process.stdin is not None:
+        threading.Thread(target=pass_lines, args=(process.stdin,), name="lines", daemon=True).start()
+    return process
 
 
 def pass_lines(to: IO[bytes]) -> None:
@@ -91,7 +62,9 @@ def start_child(command: Sequence[str], stdin: int | None = None) -> subprocess.
         if os.getppid() != parent:  # the parent was killed meanwhile
             os._exit(1)
 
-    return subprocess.Popen(command, preexec_fn=die_with_parent, process_group=0, stdin=stdin, env=environment())
+    private = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")  # of systemd: only this process notifies it
+    own = {name: value for name, value in os.environ.items() if name not in private}
+    return subprocess.Popen(command, preexec_fn=die_with_parent, process_group=0, stdin=stdin, env=own)
 
 
 def end_child(process: subprocess.Popen[bytes], timeout: float = END_TIMEOUT) -> None:
@@ -102,9 +75,3 @@ def end_child(process: subprocess.Popen[bytes], timeout: float = END_TIMEOUT) ->
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
-
-
-def environment() -> dict[str, str]:
-    """Returns the child's environment, without systemd's variables: only this process notifies systemd."""
-    private = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
-    return {name: value for name, value in os.environ.items() if name not in private}

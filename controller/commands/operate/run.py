@@ -7,7 +7,6 @@ import ctypes
 import hashlib
 import os
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -16,11 +15,13 @@ import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.terminals import named_boards
-from hyperbit.controller.commands.arguments import ArmFile, ZenohFile
+from hyperbit.controller.commands import ENDPOINT
+from hyperbit.controller.commands.arguments import ArmFile, BoardKinds, Listen, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, densities_of, load_wired
-from hyperbit.controller.commands.connection import ENDPOINT
+from hyperbit.controller.commands.connection import zenoh_config
 from hyperbit.controller.commands.operate.endpoints import port_taken, wait_for_router
 from hyperbit.controller.commands.operate.simulate import variants_of
+from hyperbit.controller.commands.process import ending_event
 
 if TYPE_CHECKING:
     import zenoh
@@ -32,7 +33,6 @@ SIMULATE = (
 )
 TYPED = "the boards are simulated: type a fault, such as silence can0/5; help names all"
 INPUT = 0  # file descriptor of the standard input
-KIND = "Kind of the simulated boards; see `simulate --help`."
 CONNECT = "Zenoh router to join, such as rmw_zenohd, instead of accepting connections; waits until it is there."
 LEDGER = "File of the ledger, which counts goals and switches; the switch journal is written beside it."
 PANEL = "Also serve the operator's web page at this port of 127.0.0.1, by default 7480, and print its address."
@@ -44,9 +44,9 @@ LARGE = 1 << 17  # [bytes]
 def run(
     file: ArmFile,
     simulate: Annotated[bool, typer.Option("--simulate", help=SIMULATE)] = False,
-    board: Annotated[list[str], typer.Option(metavar="[BOARD=]KIND", help=KIND, show_default=False)] = [],  # noqa: B006  # typer needs a list
+    board: BoardKinds = [],  # noqa: B006  # typer needs a list
     socket: Annotated[Path | None, typer.Option(help=SOCKET, show_default=False)] = None,
-    listen: Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")] = ENDPOINT,
+    listen: Listen = ENDPOINT,
     connect: Annotated[str | None, typer.Option(help=CONNECT, show_default=False)] = None,
     zenoh_file: ZenohFile = None,
     ledger: Annotated[Path | None, typer.Option(help=LEDGER)] = None,
@@ -67,44 +67,24 @@ def run(
 
 
 class RunningExecutor(NamedTuple):
-    """The executor to connect to.
-
-    Attributes:
-        path: of its socket.
-        ended: returns the exit code of an executor that this command started; None while it runs, or if none was.
-    """
+    """The executor at a socket. `ended`: exit code of one that this command started; None while it runs."""
 
     path: Path
     ended: Callable[[], int | None]
 
 
 class Network(NamedTuple):
-    """Where the daemon meets its clients.
-
-    Attributes:
-        listen: Zenoh endpoint to accept connections at.
-        connect: Zenoh router to join instead; None: there is none.
-        file: Zenoh configuration instead of both; None: there is none.
-    """
+    """Where the daemon meets its clients: an endpoint to listen at, or instead a router or a Zenoh configuration."""
 
     listen: str
     connect: str | None
     file: Path | None
 
     def config(self) -> zenoh.Config:
-        """Returns the configuration of the session. Peers do not hear each other through a router, clients do.
-
-        Raises:
-            InputFaults: the file is wrong.
-        """
-        from hyperbit.controller.network import session
-
+        """Returns the configuration of the session. Peers do not hear each other through a router, clients do."""
         if self.connect is not None:
-            return session.configuration("client", connect=self.connect)
-        try:
-            return session.from_file(self.file) if self.file else session.configuration("peer", listen=self.listen)
-        except ValueError as error:
-            raise InputFaults(Path("--zenoh"), [str(error)]) from None
+            return zenoh_config(None, connect=self.connect)
+        return zenoh_config(self.file, mode="peer", listen=self.listen)
 
     def failure(self, error: zenoh.ZError) -> str:
         """Returns why there is no session, and what to do."""
@@ -117,11 +97,6 @@ class Network(NamedTuple):
 def check_options(
     board: list[str], socket: Path | None, zenoh_file: Path | None, *, simulate: bool, panel: bool
 ) -> None:
-    """Checks which options are given together.
-
-    Raises:
-        InputFaults: an option needs or excludes another.
-    """
     if board and socket is not None:
         raise InputFaults(Path("run"), ["give --board to the executor at --socket, not to this command"])
     if board and not simulate:
@@ -143,21 +118,12 @@ def prepare_process() -> None:
 def started_executor(
     file: Path, socket: Path | None, ledger: Path | None, boards: list[str] | None
 ) -> Iterator[RunningExecutor]:
-    """Starts an executor, unless one is running at `socket`; ends it at the end.
+    """Starts an executor, unless one is running at `socket`; ends it at the end. `boards`: kinds of the simulated ones.
 
     The boards boot while this process loads the kernels.
-
-    Args:
-        file: the arm's file.
-        socket: socket of a running executor, or its folder; None: start one.
-        ledger: path of the ledger, beside which the switch journal is written; None: the default path.
-        boards: kinds of the simulated boards; None: the boards on the arm's buses.
-
-    Raises:
-        InputFaults: the arm's file is wrong, or there is no such board or kind of boards.
     """
     from hyperbit.controller.armfile.actuators import ending_time, read_wired
-    from hyperbit.controller.commands.operate.executor_process import END_TIMEOUT, ExecutorProcess
+    from hyperbit.controller.commands.operate.executor_process import END_TIMEOUT, end_child, start_executor
     from hyperbit.controller.host.journal import start_logging
     from hyperbit.controller.host.sockets import socket_path
 
@@ -168,22 +134,18 @@ def started_executor(
     if socket is not None:
         yield RunningExecutor(path, lambda: None)
         return
-    journal = ledger and ledger.with_name(f"{ledger.stem}.switches")  # a ledger has its own counts
-    executor = ExecutorProcess(file, path, simulate=boards is not None, journal=journal, board=boards or [])
+    words = [str(file), "--socket", str(path), *(f"--board={word}" for word in boards or [])]
+    words += [] if ledger is None else ["--journal", str(ledger.with_name(f"{ledger.stem}.switches"))]  # its own counts
+    executor = start_executor(words, simulate=boards is not None)
     try:
-        yield RunningExecutor(path, executor.ended)
+        yield RunningExecutor(path, executor.poll)
     finally:
-        executor.close(END_TIMEOUT + ending_time(settings, len(actuators)))
+        end_child(executor, END_TIMEOUT + ending_time(settings, len(actuators)))
 
 
 @contextlib.contextmanager
 def started_page(endpoint: str, port: int | None) -> Iterator[None]:
-    """Serves the operator's page for a daemon.
-
-    Args:
-        endpoint: Zenoh endpoint at which the daemon listens, or of its router.
-        port: of the page; None: there is no page.
-    """
+    """Serves the operator's page for a daemon or router at a Zenoh endpoint; no page if `port` is None."""
     from hyperbit.controller.commands.operate.executor_process import end_child, start_child
 
     if port is None:
@@ -214,32 +176,12 @@ def reachable(listen: str) -> str:
     return listen
 
 
-def serve(
-    file: Path,
-    executor: RunningExecutor,
-    network: Network,
-    ledger: Path | None,
-    *,
-    simulated: bool,
-) -> None:
-    """Serves an arm until a signal arrives, or until the executor that this command started ends.
-
-    Args:
-        file: the arm's file.
-        executor: the executor to connect to.
-        network: where the daemon meets its clients.
-        ledger: path of the ledger; None: the default path.
-        simulated: whether the executor simulates the boards.
-
-    Raises:
-        CommandFailed: executor or planner ended, there is no Zenoh session, or another daemon serves the arm.
-        InputFaults: the arm's file or the Zenoh configuration is wrong.
-    """
+def serve(file: Path, executor: RunningExecutor, network: Network, ledger: Path | None, *, simulated: bool) -> None:
+    """Serves an arm until a signal arrives, or until the executor that this command started ends."""
     import zenoh
 
     from hyperbit.controller.gateway.claim import AlreadyRunning
     from hyperbit.controller.gateway.daemon import ServedArm, running
-    from hyperbit.controller.host.signals import end_on_signals
     from hyperbit.controller.planning.ledger import LedgerInUse
     from hyperbit.controller.planning.ledger_file import default_path
 
@@ -247,9 +189,9 @@ def serve(
     config = network.config()
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     served = ServedArm(arm, densities_of(arm), digest, simulated)
-    book, ending = ledger or default_path(arm.settings.name, simulated=simulated), threading.Event()
+    book = ledger or default_path(arm.settings.name, simulated=simulated)
+    ending = ending_event()  # before the first goal, so that an early signal ends goals in order
     try:
-        end_on_signals(ending.set)  # before the first goal, so that an early signal ends goals in order
         if network.connect is not None:
             wait_for_router(network.connect, ending)
             if ending.is_set():

@@ -1,5 +1,7 @@
 """The command `simulate`: runs simulated boards."""
 
+from __future__ import annotations
+
 import sys
 import threading
 from pathlib import Path
@@ -10,11 +12,11 @@ import typer
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.arguments import ArmFile
 from hyperbit.controller.commands.common import CommandFailed, console, errors
+from hyperbit.controller.commands.process import ending_event
 from hyperbit.drivers.simulation.variants import VARIANTS, Variant, choose
 
 if TYPE_CHECKING:
     from hyperbit.drivers.simulation.simulation import Simulation
-
 
 WIDEST = max(map(len, VARIANTS))
 BOARD = "Kind of the boards: KIND for all, or BOARD=KIND for one, such as can0/5=guarding-only; repeatable."
@@ -31,14 +33,12 @@ def simulate(
 
     import can
 
-    from hyperbit.controller.host.signals import end_on_signals
     from hyperbit.drivers.simulation import fault_commands
     from hyperbit.drivers.simulation.buses import board_names
     from hyperbit.drivers.simulation.simulation import Simulation
 
     variants = variants_of(board, board_names(arm.wiring))
-    ending = threading.Event()
-    end_on_signals(ending.set)
+    ending = ending_event()
     try:
         simulation = Simulation(arm.wiring, arm.timing, variants=variants)
     except (can.CanError, OSError) as error:
@@ -53,24 +53,20 @@ def simulate(
         simulation.stop()
 
 
-def variants_of(board: list[str], boards: list[str]) -> dict[str, Variant]:
-    """Returns the kinds of simulated boards that the option --board names, for the boards of an arm.
+simulate.__doc__ = f"{simulate.__doc__}\n\n\b\nKinds of boards:\n" + "\n".join(
+    f"  {name:{WIDEST}} {variant.text}" for name, variant in VARIANTS.items()
+)
 
-    Raises:
-        InputFaults: there is no such board or kind.
-    """
+
+def variants_of(board: list[str], boards: list[str]) -> dict[str, Variant]:
+    """Returns the kinds of simulated boards that the option --board names, for the boards of an arm."""
     try:
         return choose(board, boards)
     except ValueError as error:
         raise InputFaults(Path("--board"), [str(error)]) from None
 
 
-simulate.__doc__ = f"{simulate.__doc__}\n\n\b\nKinds of boards:\n" + "\n".join(
-    f"  {name:{WIDEST}} {variant.text}" for name, variant in VARIANTS.items()
-)
-
-
-def obey(simulation: "Simulation") -> None:
+def obey(simulation: Simulation) -> None:
     """Injects the faults that lines on standard input name."""
     for line in sys.stdin:
         try:

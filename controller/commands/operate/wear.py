@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -25,11 +25,19 @@ def wear(
     as_json: AsJson = False,
 ) -> None:
     """Print how often each actuator has switched, and how goals ended."""
+    import sqlite3
+
+    from hyperbit.controller.planning.ledger_file import read
+
     name, actuators = name_and_labels(file)
     if simulated and ledger is not None:
         raise InputFaults(Path("wear"), ["give either --ledger or --simulated"])
     path = ledger or ledger_of(name, simulated=simulated)
-    switches, goals = read_ledger(path)
+    step = "name it by --ledger, run the daemon first, or read that of simulated boards by --simulated"
+    try:
+        switches, goals = read(path)
+    except sqlite3.Error as error:
+        raise CommandFailed(f"{path}: no ledger there: {error}", step) from None
     counts = {label: switches.get(label, 0) for label in actuators}
     if as_json:
         print_json({"ledger": str(path), "simulated": simulated, "switches": counts, "goals": goals})
@@ -43,11 +51,6 @@ def wear(
 
 
 def name_and_labels(file: Path) -> tuple[str, tuple[str, ...]]:
-    """Returns the name of an arm's file, and the labels of its actuators.
-
-    Raises:
-        InputFaults: the file is wrong.
-    """
     from hyperbit.controller.armfile.actuators import actuator_names, labels
     from hyperbit.controller.armfile.settings import read_settings
 
@@ -69,25 +72,7 @@ def ledger_of(name: str, *, simulated: bool = False) -> Path:
     return last_written([own, *(folder / f"{name}.sqlite" for folder in folders)])
 
 
-def read_ledger(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
-    """Returns the number of switches by label, and the goals.
-
-    Raises:
-        CommandFailed: there is no ledger.
-    """
-    import sqlite3
-
-    from hyperbit.controller.planning.ledger_file import read
-
-    try:
-        return read(path)
-    except sqlite3.Error as error:
-        step = "name it by --ledger, run the daemon first, or read that of simulated boards by --simulated"
-        raise CommandFailed(f"{path}: no ledger there: {error}", step) from None
-
-
 def print_counts(counts: dict[str, int]) -> None:
-    """Prints a table of the numbers of switches, the most worn actuator first."""
     from rich.table import Table
 
     most = max(max(counts.values()), 1)
@@ -98,10 +83,7 @@ def print_counts(counts: dict[str, int]) -> None:
 
 
 def last_written(ledgers: list[Path]) -> Path:
-    """Returns the ledger that was written last; the first path if none exists.
-
-    This function names ledgers that the user cannot read on stderr.
-    """
+    """Returns the ledger that was written last, else the first path; names those that the user cannot read."""
     times: dict[Path, float] = {}
     for path in ledgers:
         try:

@@ -5,17 +5,14 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ZenohFile
 from hyperbit.controller.commands.common import CommandFailed
-from hyperbit.controller.commands.connection import ENDPOINT
-
-if TYPE_CHECKING:
-    import zenoh
 
 LISTEN = "127.0.0.1:7480"
 PEOPLE = "File of people who may view or command. Default: new tokens for one operator and one viewer at each start."
@@ -46,31 +43,20 @@ def panel(
         raise InputFaults(Path("panel"), ["--certificate and --key go together; --client-ca needs both"])
     try:
         from hyperbit.controller.panel.log_limit import LogLimit
-        from hyperbit.controller.panel.serve import Tls, parse_address, serve
+        from hyperbit.controller.panel.serve import Tls, parse_address, serve, zenoh_configuration
     except ImportError as error:
         raise CommandFailed(str(error), "install the page's libraries: pip install 'hyperbit[panel]'") from None
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     logging.getLogger().handlers[0].addFilter(LogLimit())
     tls = None if certificate is None or key is None else Tls(certificate, key, client_ca)
-    config = zenoh_config(connect or [ENDPOINT], zenoh_file)
+    try:
+        config = zenoh_configuration(connect or [ENDPOINT], zenoh_file)
+    except ValueError as error:
+        raise InputFaults(Path("--zenoh"), [str(error)]) from None
     try:
         serve(parse_address(listen), tls, people, config, prefix)
     except OSError as error:
         raise CommandFailed(f"the page cannot be served at {listen}: {error.strerror or error}", WAY_OUT) from None
-
-
-def zenoh_config(connect: list[str], file: Path | None) -> zenoh.Config:
-    """Returns the Zenoh configuration of the page's session.
-
-    Raises:
-        InputFaults: the file is no Zenoh configuration.
-    """
-    from hyperbit.controller.panel.serve import zenoh_configuration
-
-    try:
-        return zenoh_configuration(connect, file)
-    except ValueError as error:
-        raise InputFaults(Path("--zenoh"), [str(error)]) from None
 
 
 def print_token(name: str) -> None:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import contextlib
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands import common
-from hyperbit.controller.commands.arguments import AsJson
+from hyperbit.controller.commands.arguments import AsJson, Listen
 from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json
+from hyperbit.controller.commands.connection import NoSession, open_zenoh, zenoh_config
+from hyperbit.controller.commands.process import ending_event
 from hyperbit.controller.commands.serve.record import require
 
 if TYPE_CHECKING:
+    import zenoh
+
+    from hyperbit.controller.recorder.player import Timeline
     from hyperbit.controller.recorder.reader import RecordingReader
 
 LISTEN = "tcp/127.0.0.1:7457"
@@ -37,7 +41,7 @@ def replay(
     begin: Annotated[float, typer.Option("--from", metavar="SECONDS", help=BEGIN)] = 0.0,
     stay: Annotated[bool, typer.Option("--stay", help=STAY)] = False,
     prefix: Annotated[str, typer.Option(help=PREFIX)] = "replay",
-    listen: Annotated[str, typer.Option(help="Zenoh endpoint to accept connections at.")] = LISTEN,
+    listen: Listen = LISTEN,
     connect: Annotated[str | None, typer.Option(help=CONNECT, show_default=False)] = None,
     goals: Annotated[bool, typer.Option("--goals", help=GOALS)] = False,
     arm: Annotated[Path | None, typer.Option(help=ARM, show_default=False)] = None,
@@ -45,56 +49,28 @@ def replay(
 ) -> None:
     """Publish a recording again below another key prefix, or repeat its goals on a simulated arm and compare."""
     require("mcap")
-    check_times(speed, begin)
-    check_prefix(prefix)
+    check_options(speed, begin, prefix)
     if arm is not None and not goals:
         raise InputFaults(Path("--arm"), ["only with --goals"])
     with opened_recording(file) as past:
         if goals:
             compare_goals(past, arm, as_json)
-        else:
-            play(past, ReplayKeys(prefix, listen, connect), (speed, begin), stay=stay)
+            return
+        from hyperbit.controller.recorder.player import Timeline
+
+        where = {"mode": "client", "connect": connect} if connect else {"mode": "peer", "listen": listen}
+        timeline = Timeline(past.begin / 1e9, past.end / 1e9, speed)
+        timeline.change({"at": timeline.begin + begin})
+        play(past, zenoh_config(None, **where), connect or listen, prefix, timeline, stay=stay)
 
 
-class ReplayKeys(NamedTuple):
-    """Where a recording is published again.
-
-    Attributes:
-        prefix: of the keys.
-        listen: Zenoh endpoint to listen at.
-        connect: Zenoh endpoint to connect to instead; None: listen.
-    """
-
-    prefix: str
-    listen: str
-    connect: str | None
-
-    @property
-    def endpoint(self) -> str:
-        """The Zenoh endpoint in use."""
-        return self.connect or self.listen
-
-
-def check_times(speed: float, begin: float) -> None:
-    """Checks speed and begin of a replay.
-
-    Raises:
-        InputFaults: a number is out of range.
-    """
+def check_options(speed: float, begin: float, prefix: str) -> None:
     from hyperbit.controller.recorder.player import FASTEST
 
     if not 0.0 < speed <= FASTEST:
         raise InputFaults(Path("--speed"), [f"a number above 0 and up to {FASTEST:g} is needed, got {speed:g}"])
     if not 0.0 <= begin < 1e9:
         raise InputFaults(Path("--from"), [f"seconds from 0 on are needed, got {begin:g}"])
-
-
-def check_prefix(prefix: str) -> None:
-    """Checks the prefix of the keys.
-
-    Raises:
-        InputFaults: the prefix has other characters, or is that of running daemons.
-    """
     keys = prefix.split("/")
     if "hyperbit" in keys or not all(key.isascii() and key.replace("-", "").replace("_", "").isalnum() for key in keys):
         words = f"{prefix!r}: letters, digits, - and _ are needed, and not hyperbit, the prefix of running daemons"
@@ -103,12 +79,7 @@ def check_prefix(prefix: str) -> None:
 
 @contextlib.contextmanager
 def opened_recording(file: Path) -> Iterator[RecordingReader]:
-    """Opens a recording; warns if it is incomplete.
-
-    Raises:
-        InputFaults: the file is no recording.
-        CommandFailed: the recording is found damaged inside the context.
-    """
+    """Opens a recording; warns if it is incomplete. One that is found damaged inside the context ends the command."""
     from hyperbit.controller.recorder.reader import BadRecording, RecordingReader
 
     try:
@@ -124,51 +95,25 @@ def opened_recording(file: Path) -> Iterator[RecordingReader]:
             raise CommandFailed(str(error)) from None
 
 
-def play(past: RecordingReader, keys: ReplayKeys, times: tuple[float, float], *, stay: bool) -> None:
-    """Publishes a recording again, until its end or SIGTERM.
+def play(
+    past: RecordingReader, config: zenoh.Config, endpoint: str, prefix: str, timeline: Timeline, *, stay: bool
+) -> None:
+    """Publishes a recording again, until its end or SIGTERM; `stay`: it continues after the recording's end."""
+    from hyperbit.controller.recorder.player import Player
 
-    Args:
-        past: the recording.
-        keys: where to publish.
-        times: recorded seconds in a second, and time after the recording's begin [s].
-        stay: continue after the recording's end.
-
-    Raises:
-        CommandFailed: there is no Zenoh session.
-    """
-    import zenoh
-
-    from hyperbit.controller.host.signals import end_on_signals
-    from hyperbit.controller.network import session
-    from hyperbit.controller.recorder.player import Player, Timeline
-
-    zenoh.init_log_from_env_or("error")
-    ending = threading.Event()
-    end_on_signals(ending.set)
-    if keys.connect is None:
-        config = session.configuration("peer", listen=keys.listen)
-    else:
-        config = session.configuration("client", connect=keys.connect)
-    speed, begin = times
-    timeline = Timeline(past.begin / 1e9, past.end / 1e9, speed)
-    timeline.change({"at": timeline.begin + begin})
+    ending = ending_event()
     try:
-        opened = zenoh.open(config)
-    except zenoh.ZError as error:
-        raise CommandFailed(f"no Zenoh session at {keys.endpoint}: {session.reason(error)}") from None
-    with opened as live, contextlib.closing(Player(past, live, keys.prefix, timeline)) as player:
-        what = f"{timeline.end - timeline.begin:.0f} s of {past.arm} on {keys.prefix}/{past.arm}"
-        common.console.print(f"replaying {what} at {keys.endpoint}", markup=False)
+        session = open_zenoh(config)
+    except NoSession as error:
+        raise CommandFailed(f"no Zenoh session at {endpoint}: {error}") from None
+    with session, contextlib.closing(Player(past, session, prefix, timeline)) as player:
+        what = f"{timeline.end - timeline.begin:.0f} s of {past.arm} on {prefix}/{past.arm}"
+        common.console.print(f"replaying {what} at {endpoint}", markup=False)
         player.play(ending.is_set, stay=stay)
 
 
 def compare_goals(past: RecordingReader, file: Path | None, as_json: bool) -> None:
-    """Sends the recorded goals to a simulated arm and prints how their configurations compare.
-
-    Raises:
-        CommandFailed: a configuration differs, no goal can be compared, or the arm does not start.
-        InputFaults: the arm's file is wrong, or describes another arm.
-    """
+    """Sends the recorded goals to a simulated arm and prints how their configurations compare."""
     from hyperbit.controller.recorder.regression import ArmFailed, Compared, compare
 
     if file is not None:

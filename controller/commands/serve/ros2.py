@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import os
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, arm_name
-from hyperbit.controller.commands.connection import ENDPOINT
-from hyperbit.controller.commands.serve.arm_process import RETRY, ArmProcess, opened_session
+from hyperbit.controller.commands.process import Process, opened_session
 
 if TYPE_CHECKING:
     import zenoh
@@ -32,7 +30,7 @@ WORLD = "Name of the world's frame in /tf."
 ORIENTATION = "Goals on goal_pose and goal_path count with their orientation; else the arm chooses its own."
 GONE_WITHIN = 15.0  # [s] in which the token of a bridge that was killed disappears
 ROUTER_TIMEOUT = 2.0  # [s]
-log = logging.getLogger(__name__)
+WAITING = "waiting for ROS 2's router, ros2 run rmw_zenoh_cpp rmw_zenohd"
 
 
 def ros2(
@@ -51,6 +49,7 @@ def ros2(
     try:
         from hyperbit.controller.ros2.arm_node import Settings, node_name
         from hyperbit.controller.ros2.wire import names
+        from hyperbit.controller.ros2.wire.session import NoRouter, Session
         from hyperbit.controller.ros2.wire.types import Types, UnknownType
     except ImportError as error:
         raise CommandFailed(str(error), "install the libraries of ROS 2: pip install 'hyperbit[ros2]'") from None
@@ -63,19 +62,18 @@ def ros2(
         names.check_node(*node_name(name, namespace))
     except names.BadName as error:
         raise InputFaults(Path("--namespace"), [str(error)]) from None
-    process = ArmProcess(name)
+    process = Process(name)
     process.notifier.notify("READY=1")
     with opened_session(connect, zenoh_file, process) as session:
-        if session is None:
+        network = None if session is None else process.retried(lambda: Session(ros, ROUTER_TIMEOUT), NoRouter, WAITING)
+        if session is None or network is None:
             return
-        with ros_session(ros, process) as network:
-            if network is not None:
-                check_alone(network, name, settings, process)
-                serve(session, network, name, settings, process)
+        with network:
+            check_alone(network, name, settings, process)
+            serve(session, network, name, settings, process)
 
 
-def serve(session: zenoh.Session, network: Session, arm: str, settings: Settings, process: ArmProcess) -> None:
-    """Runs the bridge until the process is to end."""
+def serve(session: zenoh.Session, network: Session, arm: str, settings: Settings, process: Process) -> None:
     from hyperbit.controller.host.folders import state_folder
     from hyperbit.controller.network.client import Client
     from hyperbit.controller.network.listener import Listener
@@ -91,35 +89,8 @@ def serve(session: zenoh.Session, network: Session, arm: str, settings: Settings
         process.notifier.notify("STOPPING=1")
 
 
-@contextlib.contextmanager
-def ros_session(endpoint: str, process: ArmProcess) -> Iterator[Session | None]:
-    """Opens a session of ROS 2's network once its router is there; yields None if the process is to end before."""
-    from hyperbit.controller.ros2.wire.session import NoRouter
-    from hyperbit.controller.ros2.wire.session import Session as RosSession
-
-    warned = False
-    while not process.ending.is_set():
-        try:
-            network = RosSession(endpoint, ROUTER_TIMEOUT)
-        except NoRouter as error:
-            if not warned:
-                warned = True
-                log.warning("waiting for ROS 2's router, ros2 run rmw_zenoh_cpp rmw_zenohd: %s", error)
-            process.feed_watchdog()
-            process.ending.wait(RETRY)
-            continue
-        with network:
-            yield network
-        return
-    yield None
-
-
-def check_alone(network: Session, arm: str, settings: Settings, process: ArmProcess) -> None:
-    """Checks that no other bridge has this node; the token of one that was killed may still be there for a while.
-
-    Raises:
-        CommandFailed: there is another bridge. /rosout says so, too.
-    """
+def check_alone(network: Session, arm: str, settings: Settings, process: Process) -> None:
+    """Checks that no other bridge has this node; the token of one that was killed may still be there for a while."""
     from hyperbit.controller.ros2.arm_node import node_name, tell
     from hyperbit.controller.ros2.wire.tokens import Kind
 
@@ -132,6 +103,5 @@ def check_alone(network: Session, arm: str, settings: Settings, process: ArmProc
             text = f"another node {namespace}/{node} is there on domain {settings.domain}: two bridges of one name?"
             tell(network, settings, f"hyperbit_{os.getpid()}", text)
             raise CommandFailed(text, "end the other one, or give this one another --namespace")
-        process.feed_watchdog()
-        if process.ending.wait(RETRY):
+        if process.wait():
             return

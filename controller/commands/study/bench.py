@@ -17,23 +17,15 @@ import typer
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.bench.methods import METHODS, find_method
 from hyperbit.controller.commands import common
+from hyperbit.controller.commands.arguments import Dask, Workers
 from hyperbit.controller.commands.common import CommandFailed
-from hyperbit.controller.commands.sharing import (
-    Dask,
-    Sharing,
-    Workers,
-    check_sharing,
-    open_workers,
-    progress_bar,
-    spread_over,
-)
+from hyperbit.controller.commands.sharing import Sharing, checked_sharing, open_workers, progress_bar, spread_over
 from hyperbit.controller.search.method import MINIMUM_SWITCH
 
 if TYPE_CHECKING:
     from distributed import Client
     from rich.table import Table
 
-    from hyperbit.controller.bench.goal_sets import Task
     from hyperbit.controller.bench.methods import Prepare
     from hyperbit.controller.bench.running import Row
 
@@ -89,41 +81,42 @@ def bench(
     from hyperbit.controller.bench.goal_sets import SETS
 
     if names:
-        print_names(SETS)
+        for title, about in (("sets", SETS), ("methods", {name: entry.summary for name, entry in METHODS.items()})):
+            common.console.print(f"{title}:")
+            for name, text in about.items():
+                common.console.print(f"  {name:24}{text}", markup=False)
         return
-    check_sharing(sharing := Sharing(workers, dask))
-    scale = Scale(chosen_methods(methods, method or []), limit, count)
-    results = run_sets(chosen_sets(sets, list(SETS)), scale, sharing, silent=str(json_file) == "-")
+    sharing, chosen, silent = (
+        checked_sharing(workers, dask),
+        chosen_methods(methods, method or []),
+        str(json_file) == "-",
+    )
+    if unknown := [name for name in sets or [] if name not in SETS]:
+        raise InputFaults(Path("--set"), [f"no set {name!r}; there are {', '.join(SETS)}" for name in unknown])
+    results = list[SetResult]()
+
+    def remedy() -> str:
+        """Returns which sets are done, and how to get the others; "" if none is."""
+        done = "" if silent else ", ".join(result.name for result in results)
+        return f"the tables of these sets are complete: {done}; choose the others with --set" if done else ""
+
+    with open_workers(sharing, remedy) as client:
+        for name in sets or SETS:
+            results.append(run_set(name, chosen, limit, count, client))
+            if not silent:
+                print_result(results[-1])
+    if not silent:
+        common.console.print(LEGEND)
+        if sharing.given:
+            common.console.print(BESIDE)
     if json_file is not None:
         write_figures(json_file, results, sharing)
     if impossible := sum(row.impossible for result in results for row in result.rows):
         raise CommandFailed(f"{impossible} answers have fewer switches than the proven minimum: a goal set is wrong")
 
 
-class Scale(NamedTuple):
-    """What runs on each goal set.
-
-    Attributes:
-        methods: the methods, by name.
-        limit: longest time for one goal [s].
-        most: most goals of each set; None: all.
-    """
-
-    methods: dict[str, Prepare]
-    limit: float
-    most: int | None
-
-
 class SetResult(NamedTuple):
-    """The result of a goal set.
-
-    Attributes:
-        name: of the set.
-        about: one line on the set.
-        goals: number of goals.
-        proven: number of goals whose fewest switches are proven.
-        rows: result of each method.
-    """
+    """The result of a goal set: how many goals it has, of how many the fewest switches are proven, and the rows."""
 
     name: str
     about: str
@@ -132,39 +125,21 @@ class SetResult(NamedTuple):
     rows: list[Row]
 
 
-def run_sets(names: list[str], scale: Scale, sharing: Sharing, *, silent: bool) -> list[SetResult]:
-    """Runs all methods on goal sets; prints each set's table as soon as it is known, unless `silent`."""
-    results = list[SetResult]()
-    with open_workers(sharing, lambda: "" if silent else remedy(results)) as client:
-        for name in names:
-            results.append(run_set(name, scale, client))
-            if not silent:
-                print_result(results[-1])
-    if not silent:
-        common.console.print(LEGEND)
-        if sharing.given:
-            common.console.print(BESIDE)
-    return results
-
-
-def remedy(results: Iterable[SetResult]) -> str:
-    """Returns which sets are done, and how to get the others; "" if none is."""
-    done = ", ".join(result.name for result in results)
-    return f"the tables of these sets are complete: {done}; choose the others with --set" if done else ""
-
-
-def run_set(name: str, scale: Scale, client: Client | None) -> SetResult:
-    """Runs all methods on a goal set, by the workers of a client, or by this process."""
+def run_set(name: str, methods: dict[str, Prepare], limit: float, most: int | None, client: Client | None) -> SetResult:
+    """Runs methods on a goal set, at most `limit` [s] for a goal, by the workers of a client or by this process."""
     from hyperbit.controller.bench.goal_sets import SETS, read, sample_evenly
+    from hyperbit.controller.bench.running import run
 
     tasks = read(name)
-    tasks = sample_evenly(tasks, len(tasks) if scale.most is None else scale.most)
-    rows = measured(name, tasks, scale, client)
+    tasks = sample_evenly(tasks, len(tasks) if most is None else most)
+    rows = []
+    with progress_bar("goals") as progress, contextlib.redirect_stdout(sys.stderr):  # stdout is for the figures
+        for method, prepare in methods.items():
+            rows.append(run(method, prepare, tasks, limit, spread_over(client, progress, f"{name}: {method}")))
     return SetResult(name, SETS[name], len(tasks), sum(task.proven for task in tasks), rows)
 
 
 def print_result(result: SetResult) -> None:
-    """Prints the table of a goal set, with examples of errors."""
     common.print_table(table(result))
     for row in result.rows:
         for example in row.examples:
@@ -185,23 +160,7 @@ def write_figures(file: Path, results: Iterable[SetResult], sharing: Sharing) ->
         file.write_text(text, encoding="utf-8")
 
 
-def chosen_sets(wanted: list[str] | None, known: list[str]) -> list[str]:
-    """Returns the names of the sets to run.
-
-    Raises:
-        InputFaults: a set is unknown.
-    """
-    if unknown := [name for name in wanted or [] if name not in known]:
-        raise InputFaults(Path("--set"), [f"no set {name!r}; there are {', '.join(known)}" for name in unknown])
-    return wanted or known
-
-
 def chosen_methods(wanted: str | None, own: list[str]) -> dict[str, Prepare]:
-    """Returns the methods to run, by name.
-
-    Raises:
-        InputFaults: a method is unknown, or cannot be loaded.
-    """
     usual = [MINIMUM_SWITCH] if own else list(METHODS)
     listed = usual if wanted is None else [name.strip() for name in wanted.split(",") if name.strip()]
     if unknown := [name for name in listed if name not in METHODS]:
@@ -212,18 +171,6 @@ def chosen_methods(wanted: str | None, own: list[str]) -> dict[str, Prepare]:
         return found | {target: find_method(target) for target in own}
     except ValueError as error:
         raise InputFaults(Path("--method"), [str(error)]) from None
-
-
-def measured(name: str, tasks: list[Task], scale: Scale, client: Client | None) -> list[Row]:
-    """Runs each method on a goal set, with a progress bar on stderr; returns a row for each method."""
-    from hyperbit.controller.bench.running import run
-
-    rows = []
-    with progress_bar("goals") as progress, contextlib.redirect_stdout(sys.stderr):  # stdout is for the figures
-        for method, prepare in scale.methods.items():
-            spread = spread_over(client, progress, f"{name}: {method}")
-            rows.append(run(method, prepare, tasks, scale.limit, spread))
-    return rows
 
 
 def table(found: SetResult) -> Table:
@@ -246,11 +193,3 @@ def table(found: SetResult) -> Table:
     if others := [row.method for row in found.rows if row.goals == 0]:
         result.caption, result.caption_justify = f"Not made for these goals: {', '.join(others)}.", "left"
     return result
-
-
-def print_names(sets: dict[str, str]) -> None:
-    """Prints the names of sets and methods."""
-    for title, about in (("sets", sets), ("methods", {name: entry.summary for name, entry in METHODS.items()})):
-        common.console.print(f"{title}:")
-        for name, text in about.items():
-            common.console.print(f"  {name:24}{text}", markup=False)

@@ -3,93 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.commands.common import CommandFailed, densities_of, errors
-from hyperbit.controller.commands.goal_rows import Orientation
-from hyperbit.controller.commands.study.plan_goals import PlanOptions, WantedGoal
+from hyperbit.controller.commands.study.plan_rows import PlanOptions, PointSolution, WantedGoal
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.method import Method
 
 if TYPE_CHECKING:  # the search's kernels take a second to import
-    from hyperbit.controller.motion.plans.plan import TrajectoryPlan
     from hyperbit.controller.motion.plans.whole import TipGoals
-    from hyperbit.controller.motion.trajectory import Trajectory
-    from hyperbit.controller.search.solution import SearchTime, Solution
+    from hyperbit.controller.search.solution import SearchTime
     from hyperbit.controller.search.solver import Solver
 
 
-class PointSolution(NamedTuple):
-    """The solution of a goal, or of a point between two goals.
-
-    Attributes:
-        position: of the goal, shape (dimension,).
-        orientation: of the goal, an angle [rad] or a quaternion; None: any orientation.
-        solution: configuration, tip and certificate.
-        between: whether the point lies on a line between goals.
-        whole: switches, cost and certificate of the whole trajectory, for JSON; None: a separate search.
-    """
-
-    position: list[float]
-    orientation: Orientation
-    solution: Solution
-    between: bool = False
-    whole: dict[str, Any] | None = None
-
-
 class GoalSearch(NamedTuple):
-    """A prepared solver, and how to search with it.
-
-    Attributes:
-        arm: the arm.
-        solver: of the reduced arm.
-        tolerance: position tolerance.
-        angle_tolerance: orientation tolerance [rad] of goals with an orientation.
-        path_tolerance: follow straight lines between the goals within this distance; None: do not.
-        method: search method.
-        deadline: longest time of planning [s]; None: no bound of its own.
-        effort: work of each search in place of time; None: by time.
-    """
+    """A prepared solver of the reduced arm, and how to search with it: the options, or the arm's own values."""
 
     arm: Arm
     solver: Solver
     tolerance: float
-    angle_tolerance: float
-    path_tolerance: float | None
+    angle_tolerance: float  # [rad]
     method: Method
-    deadline: float | None = None
-    effort: float | None = None
+    options: PlanOptions
 
     @property
     def allowed(self) -> SearchTime:
         """Time or work of the search for one goal."""
         from hyperbit.controller.search.solver import TIMEOUT, search_effort, search_time
 
-        if self.effort is not None:
-            return search_effort(self.effort)
-        return search_time(TIMEOUT, self.arm.settings.planning.seconds_per_switch, self.deadline)
+        if self.options.effort is not None:
+            return search_effort(self.options.effort)
+        return search_time(TIMEOUT, self.arm.settings.planning.seconds_per_switch, self.options.deadline)
 
 
 def prepared_search(arm: Arm, options: PlanOptions, *, silent: bool) -> GoalSearch:
-    """Returns a search with the options, the arm's values as defaults; `silent` hides the progress bar."""
+    """Returns a search with the options; `silent` hides the progress bar."""
     from hyperbit.controller.search.solver import Solver
 
     solver = Solver(arm.reduced, densities_of(arm, silent=silent), arm.weights(), arm.clearance(arm.reduced))
     solver.prepare()
-    return GoalSearch(
-        arm,
-        solver,
-        options.tolerance or arm.tolerance,
-        options.angle_tolerance or arm.angle_tolerance,
-        options.path_tolerance,
-        options.method or arm.settings.method,
-        options.deadline,
-        options.effort,
-    )
+    tolerances = options.tolerance or arm.tolerance, options.angle_tolerance or arm.angle_tolerance
+    return GoalSearch(arm, solver, *tolerances, options.method or arm.settings.method, options)
 
 
 def described(search: GoalSearch, start: Configuration, configuration: Configuration) -> PointSolution:
@@ -98,17 +56,6 @@ def described(search: GoalSearch, start: Configuration, configuration: Configura
     target = search.solver.target(position, search.tolerance)
     solution = search.solver.described(configuration, target, start)
     return PointSolution(position.tolist(), None, solution)
-
-
-def search_each(search: GoalSearch, goals: list[WantedGoal], start: Configuration) -> Iterator[PointSolution]:
-    """Yields the solution of each goal, searched separately.
-
-    Each search starts at the previous solution, or at the goal's own previous configuration.
-    """
-    for goal in goals:
-        found = search_one(search, goal, start)
-        start = found.solution.configuration
-        yield found
 
 
 def search_one(search: GoalSearch, goal: WantedGoal, start: Configuration) -> PointSolution:
@@ -121,38 +68,37 @@ def search_one(search: GoalSearch, goal: WantedGoal, start: Configuration) -> Po
 
 
 def follow(search: GoalSearch, goals: list[WantedGoal], start: Configuration) -> Iterator[PointSolution]:
-    """Yields the solution of each point of a trajectory, as the daemon answers `plan`.
+    """Yields the solution of each point of a trajectory from `start` (B,), as the daemon answers `plan`.
 
     The trajectory leaves enough time for all switches. Goals that cannot be planned as one trajectory are searched
-    separately.
-
-    Args:
-        search: the search.
-        goals: the goals.
-        start: configuration before the first goal, unless this goal has its own, shape (B,).
-
-    Raises:
-        CommandFailed: the lines between the goals cannot be followed.
+    separately, each from the solution before. Lines between goals that cannot be followed end the command.
     """
     from hyperbit.controller.motion.plans.transitions import TransitionPlanner
     from hyperbit.controller.motion.plans.whole import first_time, plan_whole, unhurried
     from hyperbit.controller.motion.stages.pacing import pace_of
     from hyperbit.controller.search.solver import search_time
 
-    pace, per_switch = pace_of(search.arm.settings), search.arm.settings.planning.seconds_per_switch
+    options, pace, planning = search.options, pace_of(search.arm.settings), search.arm.settings.planning
     start = start if goals[0].previous is None else goals[0].previous
     try:
-        trajectory = unhurried(as_arrays(search, goals), pace, search.path_tolerance)
+        trajectory = unhurried(as_arrays(search, goals), pace, options.path_tolerance)
         planner = TransitionPlanner(search.solver, trajectory, pace)
-        first = search_time(first_time(trajectory), per_switch, search.deadline)
-        found = plan_whole(planner, start, search.method, first, search.deadline)
+        first = search_time(first_time(trajectory), planning.seconds_per_switch, options.deadline)
+        found = plan_whole(planner, start, search.method, first, options.deadline)
     except Refusal as refusal:
-        if search.path_tolerance is not None:
+        if options.path_tolerance is not None:
             raise CommandFailed(str(refusal)) from None
         errors.print(f"no plan of the whole trajectory: {refusal}; each goal is searched separately")
-        yield from search_each(search, [goal._replace(previous=None) for goal in goals], start)
-    else:
-        yield from points(goals, trajectory, found)
+        for goal in goals:
+            point = search_one(search, goal._replace(previous=None), start)
+            start = point.solution.configuration
+            yield point
+        return
+    whole = {"switches": found.switches, "cost": found.cost, **found.proof()}
+    for k, solution in enumerate(found.solutions):
+        between, goal = trajectory.between(k), goals[trajectory.next(k)]
+        position = trajectory.positions[k].tolist() if between else goal.position
+        yield PointSolution(position, goal.orientation, solution, between, whole)
 
 
 def trajectories(goals: Iterable[WantedGoal]) -> Iterator[list[WantedGoal]]:
@@ -165,15 +111,6 @@ def trajectories(goals: Iterable[WantedGoal]) -> Iterator[list[WantedGoal]]:
         part.append(goal)
     if part:
         yield part
-
-
-def points(goals: list[WantedGoal], trajectory: Trajectory, found: TrajectoryPlan) -> Iterator[PointSolution]:
-    """Yields the solution of each point of a planned trajectory."""
-    whole = {"switches": found.switches, "cost": found.cost, **found.proof()}
-    for k, solution in enumerate(found.solutions):
-        between, goal = trajectory.between(k), goals[trajectory.next(k)]
-        position = trajectory.positions[k].tolist() if between else goal.position
-        yield PointSolution(position, goal.orientation, solution, between, whole)
 
 
 def as_arrays(search: GoalSearch, goals: list[WantedGoal]) -> TipGoals:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hyperbit.controller.arm.arm import load
-from hyperbit.controller.commands.arguments import ArmFile, AsJson
+from hyperbit.controller.commands.arguments import ArmFile, AsJson, Picture
 from hyperbit.controller.commands.common import (
     configuration,
     console,
@@ -35,7 +35,7 @@ def fk(
         console.print(f"position {shown(found['position'])}  orientation {shown(found['orientation'])}")
 
 
-def map_(
+def map(
     file: ArmFile,
     rebuild: Annotated[
         bool, typer.Option("--rebuild", help="Compute the densities even if the cache has them.")
@@ -53,16 +53,8 @@ def map_(
     finest, coarsest = float(densities.pixels.min()), float(densities.pixels.max())
     megabytes, cache = densities.values.nbytes / 1e6, str(default_directory())
     if as_json:
-        print_json(
-            {
-                "levels": len(densities.pixels),
-                "pixel": [finest, coarsest],
-                "largest_level": largest,
-                "megabytes": megabytes,
-                "seconds": seconds,
-                "cache": cache,
-            }
-        )
+        sizes = {"levels": len(densities.pixels), "pixel": [finest, coarsest], "largest_level": largest}
+        print_json({**sizes, "megabytes": megabytes, "seconds": seconds, "cache": cache})
     else:
         console.print(
             f"{len(densities.pixels)} intermediate workspaces, pixel {finest:.4g} to {coarsest:.4g}, at most {largest}"
@@ -71,7 +63,7 @@ def map_(
 
 
 def figure5(
-    picture: Annotated[Path, typer.Option(help="File for the picture.")] = Path("figure5.png"),
+    picture: Picture = Path("figure5.png"),
     as_json: AsJson = False,
 ) -> None:
     """Repeat the paper's experiment of section 4: three targets, three algorithms."""
@@ -85,16 +77,9 @@ def figure5(
     for row in rows:
         if as_json:
             print_json({**row.__dict__, "picture": str(picture)})
-        table.add_row(
-            row.method,
-            f"{row.target[0]:g}, {row.target[1]:g}",
-            row.configuration,
-            f"{row.x:.3f}",
-            f"{row.y:.3f}",
-            f"{row.theta:.3f}",
-            f"{row.error:.4f}",
-            str(row.switches),
-        )
+        place = f"{row.x:.3f}", f"{row.y:.3f}", f"{row.theta:.3f}"
+        target = f"{row.target[0]:g}, {row.target[1]:g}"
+        table.add_row(row.method, target, row.configuration, *place, f"{row.error:.4f}", str(row.switches))
     if not as_json:
         print_table(table)
         console.print(f"picture: {picture}")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from hyperbit.controller.arm.arm import Arm, load
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.arguments import ArmFile, AsJson
+from hyperbit.controller.commands.arguments import ArmFile, AsJson, Dask, Picture, Tolerance, Workers
 from hyperbit.controller.commands.common import (
     console,
     densities_of,
@@ -19,24 +22,22 @@ from hyperbit.controller.commands.common import (
     results_table,
     shown,
 )
-from hyperbit.controller.commands.sharing import (
-    Dask,
-    Sharing,
-    Workers,
-    check_sharing,
-    open_workers,
-    progress_bar,
-    spread_over,
-)
-from hyperbit.controller.commands.study.workspace_report import FIGURES, WorkspaceStudy, describe_study
+from hyperbit.controller.commands.sharing import checked_sharing, open_workers, progress_bar, spread_over
+from hyperbit.controller.manipulator.frames import quaternion
 
 if TYPE_CHECKING:
-    from distributed import Client
-    from rich.progress import Progress
+    from hyperbit.controller.workspace.coverage import Coverage, Range
+    from hyperbit.controller.workspace.locked_reach import LockedReach, Reach
+    from hyperbit.controller.workspace.orientations import Orientations
 
-    from hyperbit.controller.workspace.coverage import Coverage
-    from hyperbit.controller.workspace.densities import Densities
-    from hyperbit.controller.workspace.locked_reach import LockChoices, LockedReach
+FIGURES = ("reach", "covered", "log10_redundancy")
+DRAWN = "random draws, weighted by the Mapping Algorithm's densities; a grid over orientations would be far too coarse"
+COUNTED = {
+    "listing": "the arm has few configurations, all are listed",
+    "halves": "configurations are counted exactly, as pairs of two lists",
+    "draws": "random draws, weighted by the Mapping Algorithm's densities; the arm has too many configurations to list",
+}
+LOCKED = "a lock changes only the intermediate workspaces below its module; the others are mapped once"
 
 
 def workspace(
@@ -48,8 +49,8 @@ def workspace(
         int | None, typer.Option(metavar="K", help="Also report the reach with K actuators locked.")
     ] = None,
     samples: Annotated[int, typer.Option(help="Most random choices of locked actuators, if K is above 1.")] = 100,
-    tolerance: Annotated[float | None, typer.Option(help="Position tolerance. Default: the arm's.")] = None,
-    picture: Annotated[Path, typer.Option(help="File for the picture.")] = Path("workspace.png"),
+    tolerance: Tolerance = None,
+    picture: Picture = Path("workspace.png"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of random draws and choices.")] = 0,
     workers: Workers = 1,
     dask: Dask = None,
@@ -59,97 +60,132 @@ def workspace(
 
     `--workers` and `--dask` share the positions, and the choices of locked actuators. The figures stay the same.
     """
-    from hyperbit.controller.workspace.locked_reach import LockChoices
+    from hyperbit.controller.workspace.coverage import CountJob, coverage_of
+    from hyperbit.controller.workspace.locked_reach import LockChoices, reach_when_locked
     from hyperbit.controller.workspace.orientations import orientations_at
 
     arm = load(file)
-    own = arm.tolerance if tolerance is None else tolerance
-    check_options(own, samples)
-    check_sharing(sharing := Sharing(workers, dask))
-    point = None if at is None else position(at, arm.manipulator.dimension)
-    densities = densities_of(arm, silent=as_json)
-    found = None if point is None else orientations_at(arm.reduced, densities, point, own, seed=seed)
-    locks = None if locked is None else LockChoices(locked, samples, seed)
-    with open_workers(sharing) as client, progress_bar("parts", shown=not as_json) as progress:
-        covered = coverage(arm, densities, own, seed, client, progress)
-        reach = None if locks is None else locked_reach(arm, densities, own, locks, client, progress)
-    study = WorkspaceStudy(arm, densities, covered, own, point, found, locked or 0, reach)
-    save_picture(picture, study)
-    report = {**describe_study(study), "picture": str(picture)}
-    if as_json:
-        print_json(report)
-    else:
-        show(report)
-
-
-def check_options(tolerance: float, samples: int) -> None:
-    """Checks the range of options.
-
-    Raises:
-        InputFaults: an option is out of range.
-    """
-    if not 1e-9 <= tolerance <= 1e6:
-        raise InputFaults(Path("--tolerance"), [f"{tolerance:g} is no length from 1e-9 to 1e6"])
+    reduced, own = arm.reduced, arm.tolerance if tolerance is None else tolerance
+    if not 1e-9 <= own <= 1e6:
+        raise InputFaults(Path("--tolerance"), [f"{own:g} is no length from 1e-9 to 1e6"])
     if not 1 <= samples <= 10_000:
         raise InputFaults(Path("--samples"), [f"{samples} is not from 1 to 10000"])
+    sharing = checked_sharing(workers, dask)
+    point = None if at is None else position(at, arm.manipulator.dimension)
+    densities = densities_of(arm, silent=as_json)
+    found = None if point is None else orientations_at(reduced, densities, point, own, seed=seed)
+    reach = None
+    with open_workers(sharing) as client, progress_bar("parts", shown=not as_json) as progress:
+        spread = spread_over(client, progress, "positions", lambda part: 1)
+        job = None if client is None else CountJob(reduced, arm.pixel, arm.level_pixels, own)
+        covered = coverage_of(reduced, densities, own, seed=seed, spread=spread, job=job)
+        if locked is not None:
+            spread = spread_over(client, progress, "choices of locked actuators")
+            try:
+                reach = reach_when_locked(reduced, densities, own, LockChoices(locked, samples, seed), spread)
+            except ValueError as error:
+                raise InputFaults(Path("--locked"), [str(error)]) from None
+    from hyperbit.controller.pictures.workspace_plots import draw_workspace, locked_field, positions_field
+
+    fields: dict[str, Any] = {"arm": arm.settings.name, "tolerance": own, "positions": positions(covered)}
+    drawn = [positions_field(densities, arm.manipulator.dimension, own)]
+    if found is not None:
+        fields["at"] = {"position": point, **orientations(found, planar=arm.manipulator.planar)}
+    if reach is not None:
+        fields["locked"] = locks(arm, reach, locked or 0)
+        drawn.append(locked_field(reach, locked or 0))
+    shown_at = found if found is not None and len(found.counts) else None
+    try:
+        draw_workspace(reduced, drawn, point, shown_at, arm.settings.name).savefig(picture, dpi=130)
+    except (OSError, ValueError) as error:
+        raise InputFaults(picture, [f"cannot be written: {error}"]) from None
+    fields["picture"] = str(picture)
+    if as_json:
+        print_json(fields)
+    else:
+        show(fields)
 
 
 def position(text: str, dimension: int) -> list[float]:
-    """Parses the position of `--at`.
-
-    Raises:
-        InputFaults: the text is no position.
-    """
     found, orientation = parse_goal(text, dimension, "--at")
     if orientation is not None:
         raise InputFaults(Path("--at"), [f"{text!r}: a position of {dimension} numbers is needed"])
     return found
 
 
-def save_picture(file: Path, study: WorkspaceStudy) -> None:
-    """Draws positions, orientations and reach with locked actuators.
-
-    Raises:
-        InputFaults: the file cannot be written.
-    """
-    from hyperbit.controller.pictures.workspace_plots import draw_workspace, locked_field, positions_field
-
-    arm, reach = study.arm, study.locked_reach
-    fields = [positions_field(study.densities, arm.manipulator.dimension, study.tolerance)]
-    fields += [] if reach is None else [locked_field(reach, study.locks)]
-    found = study.orientations if study.orientations is not None and len(study.orientations.counts) else None
-    try:
-        draw_workspace(arm.reduced, fields, study.point, found, arm.settings.name).savefig(file, dpi=130)
-    except (OSError, ValueError) as error:
-        raise InputFaults(file, [f"cannot be written: {error}"]) from None
+def positions(found: Coverage) -> dict[str, Any]:
+    """Returns the figures of positions. Names of logarithms begin with `log10_`."""
+    return {
+        "method": found.method,
+        "why": COUNTED[found.method],
+        "positions": found.positions,
+        "log10_configurations": found.log10_configurations,
+        "covered": limits(found.area),
+        "log10_redundancy": limits(found.log10_median),
+        "log10_greatest_redundancy": found.log10_greatest,
+        "densest": found.densest.tolist(),
+    }
 
 
-def coverage(
-    arm: Arm, densities: Densities, tolerance: float, seed: int, client: Client | None, progress: Progress
-) -> Coverage:
-    """Returns the coverage of the reduced arm, counted by the workers."""
-    from hyperbit.controller.workspace.coverage import CountJob, coverage_of
-
-    spread = spread_over(client, progress, "positions", lambda part: 1)
-    job = None if client is None else CountJob(arm.reduced, arm.pixel, arm.level_pixels, tolerance)
-    return coverage_of(arm.reduced, densities, tolerance, seed=seed, spread=spread, job=job)
+def limits(figure: Range) -> dict[str, float]:
+    return {"lower": figure.lower, "estimate": figure.middle, "upper": figure.upper}
 
 
-def locked_reach(
-    arm: Arm, densities: Densities, tolerance: float, locks: LockChoices, client: Client | None, progress: Progress
-) -> LockedReach:
-    """Returns the reach with locked actuators, mapped by the workers.
+def orientations(found: Orientations, *, planar: bool) -> dict[str, Any]:
+    from hyperbit.controller.pictures.orientation_plots import angles_of, arcs, directions, twists
 
-    Raises:
-        InputFaults: the arm has too few actuators to lock.
-    """
-    from hyperbit.controller.workspace.locked_reach import reach_when_locked
+    exact = found.draws == 0
+    fields: dict[str, Any] = {
+        "method": "enumeration" if exact else "mapping",
+        "why": "the arm has few configurations, all are enumerated" if exact else DRAWN,
+        "configurations": found.total,
+        "standard_error": found.deviation,
+        "draws": found.draws,
+        "mean": None,
+        "spread": None,
+    }
+    if len(found.counts) == 0:
+        return fields
+    frame = np.eye(4)
+    frame[:3, :3] = found.mean
+    fields["mean"] = float(angles_of(frame[None, :3, :3])[0]) if planar else quaternion(frame).tolist()
+    fields["spread"] = found.spread
+    if planar:
+        return fields | {"angles": arcs(angles_of(found.rotations), found.counts).tolist()}
+    return fields | {
+        "directions": directions(found).tolist(),
+        "twists": arcs(twists(found.rotations), found.counts).tolist(),
+    }
 
-    spread = spread_over(client, progress, "choices of locked actuators")
-    try:
-        return reach_when_locked(arm.reduced, densities, tolerance, locks, spread)
-    except ValueError as error:
-        raise InputFaults(Path("--locked"), [str(error)]) from None
+
+def locks(arm: Arm, found: LockedReach, locked: int) -> dict[str, Any]:
+    return {
+        "method": "mapping",
+        "why": LOCKED,
+        "actuators": locked,
+        "every": found.every,
+        "impossible": found.impossible,
+        "pixel": found.pixel,
+        "free": figures(found.free),
+        "mean": {name: finite(found.mean(name)) for name in FIGURES},
+        "worst": {name: choice(arm, found.worst(name)) for name in FIGURES},
+        "choices": [choice(arm, one) for one in found.choices],
+    }
+
+
+def figures(reach: Reach) -> dict[str, float | None]:
+    return {name: finite(getattr(reach, name)) for name in FIGURES}
+
+
+def choice(arm: Arm, reach: Reach) -> dict[str, Any]:
+    """Returns the figures of one choice of locked actuators, and the locked states by label."""
+    labels = zip(arm.manipulator.actuators, reach.locked.tolist(), strict=True)
+    return {"locked": {label: STATES[state] for label, state in labels if state >= 0}, **figures(reach)}
+
+
+def finite(value: float) -> float | None:
+    """Returns a number, or None if it is infinite: JSON has no infinity."""
+    return value if math.isfinite(value) else None
 
 
 def span(figure: dict[str, float], form: str) -> str:
@@ -159,7 +195,6 @@ def span(figure: dict[str, float], form: str) -> str:
 
 
 def show(report: dict[str, Any]) -> None:
-    """Prints the figures."""
     own, tolerance = report["positions"], report["tolerance"]
     kind = "area" if len(own["densest"]) == 2 else "volume"
     console.print(

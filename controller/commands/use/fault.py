@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
-from hyperbit.controller.commands.connection import ENDPOINT, ask, connected
+from hyperbit.controller.commands.connection import ask, connected
 from hyperbit.drivers.simulation.fault_commands import described
 
 WORDS = "Verb, what it applies to, and for some verbs a number, such as: silence can0/5, or: stick 5.left 1."

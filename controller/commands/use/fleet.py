@@ -16,35 +16,48 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from hyperbit.controller.commands import common
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import AsJson, Connect, ZenohFile
-from hyperbit.controller.commands.common import print_json, print_table, results_table
-from hyperbit.controller.commands.connection import ENDPOINT, client_config, open_session
-from hyperbit.controller.commands.use.list import arms_now, fields_of, line_of_arm
-from hyperbit.controller.commands.use.watch import COLOURS
+from hyperbit.controller.commands.common import CommandFailed, print_json, print_table, results_table
+from hyperbit.controller.commands.connection import START, open_session, zenoh_config
+from hyperbit.controller.commands.use.watch import COLOURS, reason_and_faults
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.fleet import ArmAddress, ArmStatus, Fleet
 
 COLUMNS = ("namespace", "arm", "host", "version", "mode", "goal", "faults")
 FOLLOW = "In a pipe or with --json: print a line for each change until Ctrl-C, instead of all arms once."
+ONCE = "Print all arms once also in a terminal."
+STATE_TIMEOUT = 2.0  # [s] for the states of all arms; each arm publishes several a second
 FRAME, POLL = 0.25, 0.05  # [s] between two tables, and between two looks for changes
 
 
 def fleet(
     follow: Annotated[bool, typer.Option("--follow", help=FOLLOW)] = False,
+    once: Annotated[bool, typer.Option("--once", help=ONCE)] = False,
     connect: Connect = ENDPOINT,
     zenoh_file: ZenohFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Show all arms of a network until Ctrl-C, also below namespaces; in a pipe or with --json print them once."""
-    if follow or (common.console.is_terminal and not as_json):
+    if follow and once:
+        raise InputFaults(Path("fleet"), ["give either --follow or --once"])
+    if follow or (common.console.is_terminal and not as_json and not once):
         follow_arms(connect, zenoh_file, as_json=as_json)
         return
-    arms = arms_now(connect, zenoh_file, described=True)
+    from hyperbit.controller.network.fleet import LIST_TIMEOUT, Fleet, alive
+
+    with (
+        open_session(connect, zenoh_file) as session,
+        contextlib.closing(Fleet(session, alive(session, timeout=LIST_TIMEOUT))) as found,
+    ):
+        arms = [arm for arm in found.wait_for_states(STATE_TIMEOUT, described=True) if arm.gone_at is None]
+    if not arms:
+        raise CommandFailed(f"no arm at {zenoh_file or connect}", START)
     if as_json:
         for arm in arms:
-            print_json(all_fields(arm))
+            print_json(fields_of(arm))
     else:
         print_table(filled(results_table(*COLUMNS), arms))
 
@@ -59,7 +72,7 @@ def follow_arms(connect: str, zenoh_file: Path | None, *, as_json: bool) -> None
         contextlib.closing(Fleet(session)) as arms,
         contextlib.suppress(KeyboardInterrupt),
     ):
-        where, connected = str(zenoh_file or connect), reachable(session, client_config(connect, zenoh_file))
+        where, connected = str(zenoh_file or connect), reachable(session, zenoh_config(zenoh_file, connect=connect))
         if as_json or not common.console.is_terminal:
             print_changes(arms, lambda: None if connected() else lost(where), as_json=as_json)
         with Live(console=common.console, auto_refresh=False) as live:
@@ -72,10 +85,7 @@ def follow_arms(connect: str, zenoh_file: Path | None, *, as_json: bool) -> None
 def print_changes(arms: Fleet, loss: Callable[[], str | None], *, as_json: bool) -> NoReturn:
     """Prints a line for each change of an arm, without an end.
 
-    Args:
-        arms: all arms.
-        loss: returns a message while the session has no connection: then nothing is known of any arm.
-        as_json: whether the lines are JSON.
+    `loss` returns a message while the session has no connection: then nothing is known of any arm.
     """
     last: dict[ArmAddress, str] = {}
     told = None
@@ -88,7 +98,7 @@ def print_changes(arms: Fleet, loss: Callable[[], str | None], *, as_json: bool)
                 typer.echo(message, err=True)
         told = message
         for arm in known:
-            line = json.dumps(all_fields(arm)) if as_json else line_of_arm(arm)
+            line = json.dumps(fields_of(arm)) if as_json else line_of_arm(arm)
             if arm.is_new or line == last.get(arm.address):
                 continue
             last[arm.address] = line
@@ -102,20 +112,26 @@ def lost(where: str) -> str:
     return f"no connection to {where}: the arms may be alive; trying again"
 
 
-def all_fields(arm: ArmStatus) -> dict[str, Any]:
-    """Returns an arm as the fields of a line of JSON: those of `list`, its daemon, and whether it is alive."""
+def fields_of(arm: ArmStatus) -> dict[str, Any]:
+    """Returns an arm as the fields of a line of JSON; those of the state are null if no state came."""
+    state = {field: arm.state and arm.state[field] for field in ("mode", "reason", "simulated", "goal", "faults")}
     daemon = {"host": arm.host, "version": arm.version}
-    return {**fields_of(arm), **daemon, "alive": arm.gone_at is None, "gone_at": arm.gone_at, "old": arm.is_old}
+    alive = {"alive": arm.gone_at is None, "gone_at": arm.gone_at, "old": arm.is_old}
+    return {"name": arm.address.name, "namespace": arm.address.namespace, **state, **daemon, **alive}
+
+
+def line_of_arm(arm: ArmStatus) -> str:
+    if arm.gone_at is not None:
+        return f"{arm.address}: gone"
+    if arm.state is None:
+        return f"{arm.address}: alive, but it publishes no state" + (" that can be read" if arm.age is not None else "")
+    simulated = " (simulated)" if arm.state["simulated"] else ""
+    old = "publishes no state any more; the last was: " if arm.is_old else ""
+    return f"{arm.address}{simulated}: {old}{arm.state['mode']}, {'; '.join(reason_and_faults(arm.state))}"
 
 
 def view_of(arms: Sequence[ArmStatus], where: str, *, connected: bool) -> RenderableType:
-    """Returns the table of a terminal.
-
-    Args:
-        arms: all arms.
-        where: endpoint or Zenoh file, for messages.
-        connected: whether the session has a connection.
-    """
+    """Returns the table of a terminal; `where`: endpoint or Zenoh file, for messages."""
     if not connected:
         return Group(Text(lost(where), style="red"), filled(terminal_table(), arms, "not reached"))
     if not arms:
@@ -146,7 +162,6 @@ def filled(table: Table, arms: Sequence[ArmStatus], absence: str = "gone") -> Ta
 
 
 def mode_of(arm: ArmStatus, absence: str) -> Text:
-    """Returns an arm's mode, or why it is not known."""
     if arm.gone_at is not None:
         return Text(f"{absence} since {clock(arm.gone_at)}", style="red")
     if arm.state is None:
@@ -157,5 +172,4 @@ def mode_of(arm: ArmStatus, absence: str) -> Text:
 
 
 def clock(stamp: float | None = None) -> str:
-    """Returns a UNIX time as hours, minutes and seconds; None: now."""
     return time.strftime("%H:%M:%S", time.localtime(stamp))

@@ -1,6 +1,6 @@
-"""The command `halt`: stops an arm, also past the planner and Zenoh.
+"""The command `halt`: stops arms of this computer at the executors' sockets, past the planner and Zenoh.
 
-With `--local` this module imports as little as possible, so that the executor is asked at once.
+This module imports as little as possible, so that the executor is asked at once.
 """
 
 from __future__ import annotations
@@ -13,48 +13,23 @@ from typing import Annotated
 
 import typer
 
+from hyperbit.controller.commands.arguments import AsJson
 from hyperbit.controller.host.sockets import found_sockets, socket_path
 from hyperbit.controller.program import MOST_BYTES, VERSION, Answer, Goodbye, Hello, Malformed, Stop, decode_up, encode
 
-ENDPOINT = "tcp/127.0.0.1:7447"  # as in hyperbit.controller.commands.connection, which takes longer to import
-ARM = "The arm's file, or its name. With --local it may be absent: all arms of this computer."
-LOCAL = "Ask the executor of this computer directly at its socket, without planner and Zenoh."
-ALL = "Stop all arms of the network, also below namespaces, and tell which have stopped."  # as in `stop`
-ZENOH = "Zenoh configuration file, instead of an endpoint."
+ARM = "The arm's file, or its name. Without it: all arms of this computer."
 ANSWER_WITHIN = 1.0  # [s]
 JOIN = "join the executor's group: sudo usermod --append --groups hyperbit USER, or use sudo"
-SEARCH = "name the executor's socket or its folder by --socket, or start an executor: hyperbit run ARM.yaml"
+SEARCH = "name the executor's socket or its folder by --socket, or stop an arm elsewhere: hyperbit stop ARM"
 
 
 def halt(
     arm: Annotated[str, typer.Argument(metavar="ARM", help=ARM, show_default=False)] = "",
-    local: Annotated[bool, typer.Option("--local", help=LOCAL)] = False,
-    all_arms: Annotated[bool, typer.Option("--all", help=ALL)] = False,
-    socket: Annotated[Path | None, typer.Option(help="With --local: the socket, or its folder.")] = None,
-    connect: Annotated[str, typer.Option(help="Zenoh endpoint of the daemon.")] = ENDPOINT,
-    zenoh_file: Annotated[Path | None, typer.Option("--zenoh", help=ZENOH)] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    socket: Annotated[Path | None, typer.Option(help="Socket of the executor, or its folder.")] = None,
+    local: Annotated[bool, typer.Option("--local", hidden=True, help="Of older scripts; it changes nothing.")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Stop the arm as `stop` does; --local needs neither planner nor Zenoh. No substitute for a power switch."""
-    if local and not (arm and all_arms):
-        halt_here(arm, socket, as_json)
-        return
-    from hyperbit.controller.armfile.strict import InputFaults
-    from hyperbit.controller.commands.use.requests import stop
-
-    if bool(arm) == all_arms:
-        raise InputFaults(Path("halt"), ["give either the arm's name, --all or --local"])
-    if socket is not None:
-        raise InputFaults(Path("--socket"), ["only with --local"])
-    stop(arm, all_arms, connect, zenoh_file, as_json)
-
-
-def halt_here(arm: str, socket: Path | None, as_json: bool) -> None:
-    """Halts an arm, or all arms, and prints the executors' answers.
-
-    Raises:
-        CommandFailed: an executor did not answer, or there is none.
-    """
+    """Stop arms of this computer, without planner and Zenoh. No substitute for a power switch."""
     if arm.endswith((".yaml", ".yml")) or Path(arm).is_file():
         from hyperbit.controller.commands.common import arm_name
 
@@ -64,17 +39,11 @@ def halt_here(arm: str, socket: Path | None, as_json: bool) -> None:
 
 
 def halt_local(name: str = "", path: Path | None = None) -> str:
-    """Halts an arm, or all arms whose executors run on this computer.
+    """Halts an arm, or all arms whose executors run on this computer; returns their answers, one in each line.
 
     Args:
         name: name of the arm; "": all arms.
         path: path of the executor's socket or of its folder; None: the default paths.
-
-    Returns:
-        The executors' answers, one in each line.
-
-    Raises:
-        CommandFailed: an executor did not answer, or there is none.
     """
     if name:
         paths = [socket_path(path, name)]
@@ -87,7 +56,7 @@ def halt_local(name: str = "", path: Path | None = None) -> str:
         try:
             answers.append(f"{own.stem}: {halt_at(own, name)}")
         except OSError as error:
-            step = JOIN if isinstance(error, PermissionError) else step
+            step = JOIN if isinstance(error, PermissionError) else step or SEARCH
             failures.append(f"{own}: no executor answers ({error.strerror or error})")
         except Malformed as error:
             failures.append(f"{own}: {error}")

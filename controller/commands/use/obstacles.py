@@ -8,9 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import print_json
-from hyperbit.controller.commands.connection import ENDPOINT, ask, connected, read_payload
+from hyperbit.controller.commands.connection import ask, connected, read_payload
 
 REGIONS = "Obstacles, YAML or JSON: a list `regions`, written as `obstacles` in the arm's file. Without it: list."
 KINDS = ("disc", "sphere", "box", "half_plane", "half_space")
@@ -36,7 +37,6 @@ def obstacles(
 
 
 def print_obstacles(description: dict[str, Any], as_json: bool) -> None:
-    """Prints the obstacles in an arm's description, a line each."""
     told = {"file": description["obstacles"], "sent": description["sent_obstacles"]}
     if as_json:
         print_json({"obstacles": told["file"], "sent_obstacles": told["sent"]})

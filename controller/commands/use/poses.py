@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, print_json
-from hyperbit.controller.commands.connection import ENDPOINT, ask, connected
+from hyperbit.controller.commands.connection import ask, connected
 from hyperbit.controller.commands.use.send import read_goal
 
 if TYPE_CHECKING:
@@ -43,11 +44,6 @@ def poses(
 
 
 def present(client: Client, arm: str) -> dict[str, Any]:
-    """Returns a goal with the arm's present configuration.
-
-    Raises:
-        CommandFailed: the measured states are no configuration.
-    """
     state = client.next_message("state")
     if state["configuration"] is None:
         raise CommandFailed(f"{arm} is in no configuration: {state['reason']}", "save a goal's file instead")
@@ -55,7 +51,6 @@ def present(client: Client, arm: str) -> dict[str, Any]:
 
 
 def print_poses(listed: list[dict[str, Any]], as_json: bool) -> None:
-    """Prints poses, a line each."""
     for pose in listed:
         if as_json:
             print_json(pose)
@@ -66,7 +61,6 @@ def print_poses(listed: list[dict[str, Any]], as_json: bool) -> None:
 
 
 def shown(waypoint: dict[str, Any]) -> str:
-    """Returns a waypoint in words."""
     if "configuration" in waypoint:
         return f"configuration {waypoint['configuration']}"
     position = ", ".join(f"{x:g}" for x in waypoint["position"])

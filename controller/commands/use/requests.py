@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, print_json
 from hyperbit.controller.commands.completion import complete_arms
-from hyperbit.controller.commands.connection import ENDPOINT, START, ask, connected, open_session
+from hyperbit.controller.commands.connection import START, ask, connected, open_session
 
 ALL = "Stop all arms of the network, also below namespaces, and tell which have stopped."
 ANY_ARM = "The arm's file, or its name. With --all it is absent."
@@ -43,11 +44,6 @@ def stop(
 
 
 def stop_arms(connect: str, zenoh_file: Path | None, as_json: bool) -> None:
-    """Stops all arms, and prints for each what became of it.
-
-    Raises:
-        CommandFailed: an arm did not answer, or refused; or no arm is there.
-    """
     from hyperbit.controller.network.stop_all import stop_all
 
     with open_session(connect, zenoh_file) as session:

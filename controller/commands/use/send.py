@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands import common
+from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
-from hyperbit.controller.commands.common import CommandFailed, parse_goal, print_json, refusal
-from hyperbit.controller.commands.connection import ENDPOINT, connected, read_payload
-from hyperbit.controller.commands.goal_rows import read_goal_rows
+from hyperbit.controller.commands.common import CommandFailed, counted, parse_goal, print_json, refusal
+from hyperbit.controller.commands.connection import connected, read_payload
+from hyperbit.controller.commands.goal_rows import Orientation, goal_rows
 
 if TYPE_CHECKING:
     from hyperbit.controller.network.client import Client
@@ -53,46 +53,36 @@ def send(
         form = "X,Y[,TH] is needed, or in space X,Y,Z[,QX,QY,QZ,QW]"
         raise InputFaults(Path("--to"), [f"{to!r} is no goal; {form}: 2, 3 or 7 numbers"])
     if to is not None and numbers != 3:
-        goal["waypoints"] = [waypoint(to, 2 if numbers < 3 else 3)]
+        goal["waypoints"] = [waypoint(*parse_goal(to, 2 if numbers < 3 else 3, "--to"))]
     with connected(arm, connect, zenoh_file) as client:
         if pose is not None:
             goal = {**goal_of_pose(client, arm, pose), **goal}
         if to is not None and numbers == 3:  # X,Y,Z or X,Y,TH: the arm's dimension decides
-            goal["waypoints"] = [waypoint(to, client.request("arm")["dimension"])]
+            goal["waypoints"] = [waypoint(*parse_goal(to, client.request("arm")["dimension"], "--to"))]
         result = run_goal(client, goal, as_json)
     print_result(result, arm, as_json)
 
 
 def read_goal(file: Path) -> dict[str, Any]:
-    """Returns the payload of a goal's file; its ending `.csv` tells the format.
-
-    Raises:
-        InputFaults: the file is wrong; faults of rows name their lines.
-    """
+    """Returns the payload of a goal's file; its ending `.csv` tells the format."""
     if file.suffix.lower() != ".csv":
         return read_payload(file, "goal", "waypoints")
-    waypoints = list[dict[str, Any]]()
-    faults = list[str]()
-    for row in read_goal_rows(file, ("t",)):
-        waypoints.append({"position": row.position})
-        if row.orientation is not None:
-            waypoints[-1]["orientation"] = row.orientation
-        if row.more["t"]:
-            try:
-                waypoints[-1]["t"] = float(row.more["t"])
-            except ValueError:
-                faults.append(f"{row.where}: t is a time [s], got {row.more['t']!r}")
-    if faults:
-        raise InputFaults(file, faults)
-    return {"waypoints": waypoints}
+    return {"waypoints": [waypoint(*row) for row in goal_rows(file, "t", seconds)]}
+
+
+def seconds(text: str, where: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputFaults(Path(where), [f"t is a time [s], got {text!r}"]) from None
+
+
+def waypoint(position: list[float], orientation: Orientation, t: float | None = None) -> dict[str, Any]:
+    more = {"orientation": orientation, "t": t}
+    return {"position": position, **{name: value for name, value in more.items() if value is not None}}
 
 
 def goal_of_pose(client: Client, arm: str, name: str) -> dict[str, Any]:
-    """Returns the goal of a saved pose.
-
-    Raises:
-        CommandFailed: there is no such pose.
-    """
     known = {pose["name"]: pose["goal"] for pose in client.request("arm")["poses"]}
     if name not in known:
         raise CommandFailed(f"{arm} has no pose {name!r}; it has {', '.join(known)}", f"hyperbit poses {arm}")
@@ -101,11 +91,7 @@ def goal_of_pose(client: Client, arm: str, name: str) -> dict[str, Any]:
 
 
 def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, Any]:
-    """Sends a goal, prints its answer and feedback, and returns its result.
-
-    Raises:
-        typer.Exit: Ctrl-C; the goal is canceled.
-    """
+    """Sends a goal, prints its answer and feedback, and returns its result."""
 
     def show(message: dict[str, Any]) -> None:
         if as_json:
@@ -128,11 +114,6 @@ def run_goal(client: Client, goal: dict[str, Any], as_json: bool) -> dict[str, A
 
 
 def print_result(result: dict[str, Any], arm: str, as_json: bool) -> None:
-    """Prints the result of a goal.
-
-    Raises:
-        CommandFailed: the daemon refused the goal, or the goal was not reached.
-    """
     if as_json and "status" in result:
         print_json(result)
     if result["code"] != 0:
@@ -145,11 +126,7 @@ def print_result(result: dict[str, Any], arm: str, as_json: bool) -> None:
 
 
 def cancel_goal(client: Client, goal: str, as_json: bool) -> None:
-    """Cancels the goal of an interrupted command, and no other goal; prints the daemon's answer.
-
-    Raises:
-        Unanswered: the daemon did not answer; `connected` makes this a CommandFailed.
-    """
+    """Cancels the goal of an interrupted command, and no other goal; prints the daemon's answer."""
     common.errors.print(f"interrupted: canceling goal {goal}", markup=False)
     answer = client.request("cancel", {"id": goal})
     if as_json:
@@ -162,14 +139,3 @@ def errors_of(message: dict[str, Any]) -> str:
     """Returns the position error in a message, and the orientation error [rad] if the goal has an orientation."""
     angle = message["orientation_error"]
     return f"{message['error']:.4f}" + ("" if angle is None else f" and {angle:.4f} rad")
-
-
-def counted(switches: int) -> str:
-    """Returns a number of switches in words."""
-    return f"{switches} {'switch' if switches == 1 else 'switches'}"
-
-
-def waypoint(to: str, dimension: int) -> dict[str, Any]:
-    """Parses a waypoint, "X,Y[,TH]" or "X,Y,Z[,QX,QY,QZ,QW]"."""
-    position, orientation = parse_goal(to, dimension, "--to")
-    return {"position": position} if orientation is None else {"position": position, "orientation": orientation}

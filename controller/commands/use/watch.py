@@ -16,21 +16,15 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from hyperbit.controller.commands import common
+from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json
-from hyperbit.controller.commands.connection import ENDPOINT, START, connected
-from hyperbit.controller.commands.use.list import reason_and_faults
+from hyperbit.controller.commands.connection import START, connected
 
 COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}
 
 
-def watch(
-    arm: ArmName,
-    connect: Connect = ENDPOINT,
-    zenoh_file: ZenohFile = None,
-    as_json: AsJson = False,
-) -> None:
+def watch(arm: ArmName, connect: Connect = ENDPOINT, zenoh_file: ZenohFile = None, as_json: AsJson = False) -> None:
     """Show a running arm until Ctrl-C; print changes as lines in a pipe, and states with --json."""
     news: queue.SimpleQueue[tuple[str, dict[str, Any]]] = queue.SimpleQueue()
     with (
@@ -65,21 +59,25 @@ def watch(
 
 
 def line_of(state: dict[str, Any]) -> str:
-    """Returns a state as one line without its time."""
-    tip = state["tip"]
-    where = "unknown" if tip is None else ", ".join(f"{x:.4f}" for x in tip["position"])
     reason, *faults = reason_and_faults(state)
     simulated = " (simulated)" if state.get("simulated") else ""
-    return "; ".join([f"{state['mode']}{simulated}: {reason}", f"tip ({where})", *faults])
+    return "; ".join([f"{state['mode']}{simulated}: {reason}", f"tip ({where_of(state)})", *faults])
+
+
+def where_of(state: dict[str, Any]) -> str:
+    tip = state["tip"]
+    return "unknown" if tip is None else ", ".join(f"{x:.4f}" for x in tip["position"])
+
+
+def reason_and_faults(state: dict[str, Any]) -> list[str]:
+    """Returns the reason of a state's mode, then its faults with their codes; a fault that is the reason comes once."""
+    faults = {f"{fault['code']}: {fault['message']}": fault["message"] for fault in state["faults"]}
+    reason = next((text for text, message in faults.items() if message == state["reason"]), state["reason"])
+    return list(dict.fromkeys([reason, *faults]))
 
 
 class View:
-    """Renders the latest state and diagnostics of an arm.
-
-    Args:
-        arm: name of the arm.
-        actuators: label of each actuator, such as "5.left"; a gap separates the modules.
-    """
+    """Renders the latest state and diagnostics of an arm, given by its name and the labels of its actuators."""
 
     def __init__(self, arm: str, actuators: Sequence[str]) -> None:
         self._arm = arm
@@ -88,11 +86,9 @@ class View:
         self._latest: dict[str, dict[str, Any]] = {}
 
     def receive_message(self, key: str, message: dict[str, Any]) -> None:
-        """Keeps the latest message of a key, "state" or "diagnostics"."""
         self._latest[key] = message
 
     def __rich__(self) -> RenderableType:
-        """Returns the panel to draw."""
         state = self._latest.get("state")
         if state is None:
             return Text(f"waiting for the state of {self._arm} ...")
@@ -108,12 +104,9 @@ class View:
     def _summary(self, state: dict[str, Any]) -> RenderableType:
         table = Table.grid(padding=(0, 2))
         table.add_row("mode", Text(state["mode"], style=f"bold {COLOURS[state['mode']]}"), state["reason"])
-        tip = state["tip"]
-        where = "unknown" if tip is None else ", ".join(f"{x:.4f}" for x in tip["position"])
-        table.add_row("tip", where, f"configuration {state['configuration'] or 'unknown'}")
-        table.add_row(
-            "goal", state["goal"] or "none", f"waypoint {(state['waypoint'] or 0) + 1}" if state["goal"] else ""
-        )
+        table.add_row("tip", where_of(state), f"configuration {state['configuration'] or 'unknown'}")
+        waypoint = f"waypoint {(state['waypoint'] or 0) + 1}" if state["goal"] else ""
+        table.add_row("goal", state["goal"] or "none", waypoint)
         return table
 
     def _actuators(self, state: dict[str, Any]) -> RenderableType:
@@ -131,15 +124,9 @@ class View:
         names = ("bus", "state", "load (worst)", "sent", "received", "dropped", "errors tx/rx")
         buses = Table(*names, box=SIMPLE, padding=(0, 1, 0, 0), pad_edge=False)
         for bus in diagnostics["buses"]:
-            buses.add_row(
-                bus["name"],
-                bus["state"],
-                f"{bus['load']:.0%} ({bus['worst_case']['load']:.0%})",
-                str(bus["tx_frames"]),
-                str(bus["rx_frames"]),
-                str(bus["dropped"]),
-                f"{bus['tx_errors']}/{bus['rx_errors']}",
-            )
+            load = f"{bus['load']:.0%} ({bus['worst_case']['load']:.0%})"
+            counts = [str(bus[name]) for name in ("tx_frames", "rx_frames", "dropped")]
+            buses.add_row(bus["name"], bus["state"], load, *counts, f"{bus['tx_errors']}/{bus['rx_errors']}")
         faulty = [b for b in diagnostics["boards"] if b["state"] != "operational" or b["emergency"]]
         boards = Text(f"{len(diagnostics['boards']) - len(faulty)} of {len(diagnostics['boards'])} boards operational")
         for board in faulty:

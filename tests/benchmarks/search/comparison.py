@@ -19,7 +19,6 @@ from hyperbit.controller.search.method import METHODS as PRODUCT_METHODS
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
 from tests.benchmarks.harness import CommandLine, timed, write_figures
-from tests.benchmarks.search.budgets import FIRST, LONGEST, ladder, ladder_table, reached, reached_table
 from tests.benchmarks.search.figure import plot
 from tests.benchmarks.search.goals import SETS
 from tests.benchmarks.search.growth import growth, growth_table
@@ -35,11 +34,11 @@ from tests.benchmarks.search.measuring import (
     ratio,
     traced,
 )
-from tests.benchmarks.search.methods import METHODS, OPTIMUM, OURS, SLOW, Method, annealed
+from tests.benchmarks.search.methods import METHODS, OPTIMUM, OURS, Method
 
 MODULES, PIXEL, LEVEL_PIXELS = 16, 0.01, 1_000_000
 TOLERANCE = 0.002
-PROOFS, BUDGET_GOALS = 100, 150
+PROOFS = 100
 PROOF_SECONDS, PROOF_SHARE = 25.0, 0.08  # for all proofs of one set: at most, and for each goal asked for
 
 
@@ -80,7 +79,7 @@ def row(name: str, trace: Trace, arm: Arm, ratio: tuple[float | None, int], tabl
 def measured(method: Method, arm: Arm, goals: Goals, proofs: Proofs) -> Row:
     """Measures one method on a set."""
     problem, *tables = prepared(method, arm)
-    trace = traced(method, problem, arm, goals[: method.most])
+    trace = traced(method, problem, arm, goals)
     return row(method.name, trace, arm, ratio(method, problem, arm, goals, proofs), tuple(tables))
 
 
@@ -95,9 +94,6 @@ def compared(name: str, arm: Arm, number: int, console: Console) -> tuple[list[R
     for method in METHODS:
         with console.status(f"{name}: {method.name}"):
             rows.append(measured(method, arm, goals, proofs))
-    equal, first = annealed("annealing, equal time", rows[0].seconds_median), annealed(FIRST, LONGEST, first=True)
-    with console.status(f"{name}: annealing"):
-        rows += [measured(method, arm, goals, proofs) for method in (equal, first)]
     known = proofs.fewest >= 0
     if known.any():
         trace = Trace(proofs.fewest[known], proofs.trace.errors[known], proofs.trace.seconds[known])
@@ -115,7 +111,7 @@ def table(name: str, rows: list[Row], proofs: dict[str, int]) -> Table:
     headers = ("goals", "within", "switches", "worst", "ratio to\noptimum", "over\ngoals", "error\nmm", "99 %\nmm")
     headers += ("time\nms", "99 %\nms", "tables\ns", "tables\nMiB")
     caption = f"Optimum proven for {proofs['proven']} of the first {proofs['tried']} goals: its row is of those alone. "
-    caption += f"The ratio is over those that a method brings within the tolerance. Slow methods: first {SLOW} goals."
+    caption += "The ratio is over those that a method brings within the tolerance."
     if "claimed" in proofs:
         caption += f" {OURS} itself claims to have proven {proofs['claimed']} of them optimal; "
         caption += f"{proofs['confirmed']} confirmed, {proofs['contradicted']} contradicted."
@@ -155,12 +151,6 @@ def main() -> None:
             columns = zip(*((r.method, r.seconds_median, r.switches_mean, r.within) for r in rows), strict=True)
             plot(arguments.plot, title, *columns)
         figures["sets"][name] = {"proofs": proofs, "rows": rows}
-    draw, most = SETS[arguments.set or "random"]
-    goals = draw(manipulator, densities, TOLERANCE, min(arguments.goals, most, BUDGET_GOALS))
-    with progress.status("annealing and ours in equal times"):
-        rungs, shares = ladder(arm, goals), reached(arm, goals)
-    console.print(ladder_table(rungs, len(goals)), reached_table(shares, len(goals)))
-    figures["budgets"] = {"goals": len(goals), "rungs": rungs, "reached": shares}
     if not arguments.set:
         grown = growth(min(arguments.goals, 100), TOLERANCE)
         console.print(growth_table(grown))

@@ -105,7 +105,7 @@ def ratio(method: Method, problem: Any, arm: Arm, goals: Goals, proofs: Proofs) 
 
     Only goals with a proven optimum that the method solves are counted.
     """
-    number = min(len(proofs.fewest), method.most or len(proofs.fewest))
+    number = len(proofs.fewest)
     trace = traced(method, problem, arm, goals[:number], proofs.previous)
     fewest = proofs.fewest[:number]
     counts = (fewest >= 0) & (trace.errors <= arm.tolerance)

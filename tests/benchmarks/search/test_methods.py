@@ -7,7 +7,7 @@ import pytest
 
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
-from tests.benchmarks.search.methods import METHODS, OPTIMUM, annealed, two_list
+from tests.benchmarks.search.methods import METHODS, OPTIMUM, two_list
 
 TOLERANCE = 0.01
 
@@ -25,7 +25,7 @@ def test_the_proof_agrees_with_trying_every_configuration():
         assert np.linalg.norm(arm.tip(found)[:2, 3] - goal) <= TOLERANCE
 
 
-@pytest.mark.parametrize("method", [*METHODS, annealed("annealing", 0.001)], ids=lambda method: method.name)
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
 def test_a_method_answers_with_a_configuration_and_leaves_the_previous_one(method):
     arm = paper_arm(6)
     problem = method.prepare(arm, map_densities(arm, 0.02, 100_000))

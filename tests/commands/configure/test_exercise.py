@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -35,7 +36,7 @@ class Daemon:
 
     def subscribe(self, key: str, callback: Callable[[dict[str, Any]], None]) -> Any:
         callback({"mode": self.mode, "reason": "why", "commanded": self.commanded})
-        return type("Subscriber", (), {"undeclare": lambda self: None})()
+        return contextlib.nullcontext()
 
     def run(self, payload: dict[str, Any], key: str) -> dict[str, Any]:
         assert key == "jog"

@@ -106,7 +106,7 @@ def test_a_page_listens_at_the_given_port(monkeypatch: pytest.MonkeyPatch) -> No
         pass
     (command,) = commands
     assert command[2:] == [
-        "hyperbit.controller.cli",
+        "hyperbit",
         "panel",
         "--connect",
         "tcp/127.0.0.1:7448",

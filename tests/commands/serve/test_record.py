@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.commands.serve import record_events
+from hyperbit.controller.commands.serve import record
 from hyperbit.controller.commands.serve.record import parse_size
 from tests.commands.conftest import Told
 from tests.keys import DEPLOY
@@ -67,9 +67,9 @@ def test_events_of_another_user_need_sudo(tmp_path: Path, monkeypatch: pytest.Mo
 
     (tmp_path / "hyperbit-1001-planar16-executor-7.0.events").touch()
     (tmp_path / "hyperbit-1001-other-planar16-planner-7.0.events").touch()
-    monkeypatch.setattr(record_events, "SHARED", tmp_path)
-    assert record_events.record_events("planar16", tmp_path)[0] == []
-    monkeypatch.setattr(record_events, "read_generation", deny)
-    saved, missing = record_events.record_events("planar16", tmp_path)
+    monkeypatch.setattr(record, "SHARED", tmp_path)
+    assert record.record_events("planar16", tmp_path)[0] == []
+    monkeypatch.setattr(record, "read_generation", deny)
+    saved, missing = record.record_events("planar16", tmp_path)
     assert saved == []
     assert "the executor runs as another user: use sudo" in missing[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any, cast
@@ -62,7 +61,7 @@ def test_a_bridge_waits_for_the_end_of_the_one_before(router: Router) -> None:
     with Session(router.endpoint, PATIENCE) as session, Session(router.endpoint, PATIENCE) as own:
         other = Node(session, "hyperbit", "/planar16")
         eventually(own.tokens)
-        process: Any = SimpleNamespace(ending=threading.Event(), feed_watchdog=other.close)
+        process: Any = SimpleNamespace(wait=other.close)
         ros2.check_alone(own, "planar16", SETTINGS, cast("Any", process))
         assert own.tokens() == []
 
@@ -74,6 +73,6 @@ def test_a_namesake_of_another_namespace_or_domain_is_no_second_bridge(router: R
     with Session(router.endpoint, PATIENCE) as session, Session(router.endpoint, PATIENCE) as own:
         nodes = [Node(session, "hyperbit", "/other"), Node(session, "hyperbit", "/planar16", domain=7)]
         eventually(lambda: own.tokens(0) and own.tokens(7))
-        process: Any = SimpleNamespace(ending=threading.Event(), feed_watchdog=never)
+        process: Any = SimpleNamespace(wait=never)
         ros2.check_alone(own, "planar16", SETTINGS, process)
         assert len(nodes) == 2

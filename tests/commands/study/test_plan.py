@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 import hyperbit as hb
-from hyperbit.controller.commands.study.plan_results import sentence
+from hyperbit.controller.commands.study.plan_rows import sentence
 from hyperbit.controller.motion.plans import whole
 
 ARM = str(Path(__file__).parents[3] / "deploy" / "planar16.yaml")

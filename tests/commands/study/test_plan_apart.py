@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import hyperbit as hb
-from hyperbit.controller.commands.study import plan_results, plan_study
+from hyperbit.controller.commands.study import plan as plan_module
 
 ARM = """name: short
 tolerance: {position: 0.01}
@@ -37,7 +37,7 @@ def plan(hyperbit, tmp_path, arm):
 
 def interrupted_after(monkeypatch, goals: int) -> None:
     """Ctrl-C comes with the search after some goals."""
-    search, left = plan_study.search_one, [goals]
+    search, left = plan_module.search_one, [goals]
 
     def searched(*given):
         left[0] -= 1
@@ -45,7 +45,7 @@ def interrupted_after(monkeypatch, goals: int) -> None:
             raise KeyboardInterrupt
         return search(*given)
 
-    monkeypatch.setattr(plan_study, "search_one", searched)
+    monkeypatch.setattr(plan_module, "search_one", searched)
 
 
 def test_each_goal_is_searched_from_the_start_or_its_own_configuration(plan, arm, tmp_path):
@@ -145,7 +145,7 @@ def test_a_damaged_line_is_named(plan, tmp_path):
 
 def test_many_results_are_lines_as_they_come_and_few_are_a_table(plan, monkeypatch):
     few = plan("--apart", "--effort", "20")[1]
-    monkeypatch.setattr(plan_study, "MOST_ROWS", 11)
+    monkeypatch.setattr(plan_module, "MOST_ROWS", 11)
     many = plan("--apart", "--effort", "20")[1]
     assert many.splitlines()[0].split() == few.splitlines()[0].split()
     assert len(many.splitlines()) == len(few.splitlines()) == 13
@@ -178,7 +178,7 @@ def test_options_of_many_goals_need_a_file_of_goals(hyperbit, tmp_path, arm, wor
 
 
 def test_a_table_has_all_columns_in_its_header(plan):
-    assert plan_results.MOST_ROWS > 12
+    assert plan_module.MOST_ROWS > 12
     assert plan()[1].splitlines()[0].split() == [
         *("goal", "configuration", "position", "θ", "[rad]", "error", "switches", "ms")
     ]

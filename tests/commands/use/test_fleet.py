@@ -70,8 +70,10 @@ def test_all_arms_are_printed_once_in_a_pipe(plant, hyperbit):
         ("cell1", "a", "here", "9.9"),
     ]
     assert all((arm["alive"], arm["gone_at"], arm["old"], arm["mode"]) == (True, None, False, "ready") for arm in told)
-    code, out, _ = hyperbit("list", "--connect", plant.router.endpoint)
-    assert [line.partition(" ")[0] for line in out.splitlines()] == ["a", "cell1/a"]
+
+
+def test_fleet_follows_or_prints_once(told):
+    assert "give either --follow or --once" in told("fleet", "--follow", "--once", code=2)
 
 
 def test_without_an_arm_fleet_fails(hyperbit, stack):
@@ -147,7 +149,7 @@ def test_stop_all_names_each_arm(plant, hyperbit):
     code, out, err = hyperbit("stop", "--all", "--connect", plant.router.endpoint)
     assert (code, out, err) == (0, "a: stopped\ncell1/a: stopped\n", "")
     assert [arm.requests.count("stop") for arm in plant.arms] == [1, 1]
-    code, out, _ = hyperbit("halt", "--all", "--json", "--connect", plant.router.endpoint)
+    code, out, _ = hyperbit("stop", "--all", "--json", "--connect", plant.router.endpoint)
     assert code == 0
     assert [(arm["namespace"], arm["name"], arm["accepted"]) for arm in map(json.loads, out.splitlines())] == [
         ("", "a", True),
@@ -166,13 +168,7 @@ def test_stop_all_fails_and_names_an_arm_that_does_not_answer(plant, hyperbit, m
 
 
 def test_stop_takes_either_an_arm_or_all(told):
-    for words in (
-        ["stop"],
-        ["stop", "a", "--all"],
-        ["halt"],
-        ["halt", "a", "--all"],
-        ["halt", "a", "--all", "--local"],
-    ):
+    for words in (["stop"], ["stop", "a", "--all"]):
         assert "give either the arm's name" in told(*words, code=2)
 
 

@@ -46,8 +46,8 @@ def test_a_command_without_a_daemon_fails_with_a_message(hyperbit, endpoint, com
     assert "'other'" in err
 
 
-def test_degrade_locks_and_unlocks_actuators(hyperbit, endpoint):
-    words = ("degrade", "planar16", "--connect", endpoint)
+def test_lock_locks_and_unlocks_actuators(hyperbit, endpoint):
+    words = ("lock", "planar16", "--connect", endpoint)
     assert hyperbit(*words, "5.left=contracted", "7.right=contracted") == (
         0,
         "locked: 5.left (contracted)\nlocked: 5.left (contracted), 7.right (contracted)\n",
@@ -62,7 +62,7 @@ def test_degrade_locks_and_unlocks_actuators(hyperbit, endpoint):
 
 
 def test_a_refused_change_ends_with_1_and_earlier_changes_remain(hyperbit, endpoint):
-    words = ("degrade", "planar16", "--connect", endpoint)
+    words = ("lock", "planar16", "--connect", endpoint)
     code, out, err = hyperbit(*words, "5.left=contracted", "5.middle=contracted", "7.right=contracted")
     assert (code, out) == (1, "locked: 5.left (contracted)\n")
     known = "module 5 has 5.left, 5.diagonal, 5.right"
@@ -87,13 +87,13 @@ def test_jog_waits_for_its_result(hyperbit, endpoint):
 
 @pytest.mark.parametrize("change", ["5.left", "5.left=", "5.left=1", "5.left=up", "5.left contracted", "5.\udcff=free"])
 def test_a_malformed_change_is_unusable_input(hyperbit, change):
-    code, out, err = hyperbit("degrade", "planar16", "5.left=free", change)
+    code, out, err = hyperbit("lock", "planar16", "5.left=free", change)
     assert (code, out) == (2, "")
     assert "an actuator, =, and one of contracted, extended, free are needed, as in 5.left=contracted" in err
 
 
-def test_degrade_needs_a_change(hyperbit):
-    assert hyperbit("degrade", "planar16")[0] == 2
+def test_lock_needs_a_change(hyperbit):
+    assert hyperbit("lock", "planar16")[0] == 2
 
 
 def test_obstacles_block_goals_until_they_are_removed(hyperbit, endpoint, tmp_path):
@@ -145,7 +145,7 @@ def test_a_file_without_regions_is_unusable_input(hyperbit, tmp_path):
     assert "no regions: a mapping with `regions` is needed" in err
 
 
-@pytest.mark.parametrize("words", [("degrade", "planar16", "5.left=free"), ("obstacles", "planar16", "--none")])
+@pytest.mark.parametrize("words", [("lock", "planar16", "5.left=free"), ("obstacles", "planar16", "--none")])
 def test_a_missing_daemon_fails_with_a_message(hyperbit, words):
     code, _, err = hyperbit(*words, "--connect", "tcp/127.0.0.1:1")
     assert code == 1
@@ -176,7 +176,7 @@ def test_a_refusal_leads_to_the_next_step(reason, step):
 
 
 def test_a_halt_without_an_executor_leads_to_its_socket(hyperbit, tmp_path):
-    code, _, err = hyperbit("halt", "--local", "--socket", str(tmp_path))
+    code, _, err = hyperbit("halt", "--socket", str(tmp_path))
     assert code == 1
     assert "Next: name the executor's socket" in err
 

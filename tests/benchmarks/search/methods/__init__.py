@@ -7,15 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from hyperbit.controller.bench.methods import (
-    annealing,
-    continuous,
-    k_switch,
-    paper_ipop,
-    paper_pop,
-    two_by_two,
-    two_list,
-)
+from hyperbit.controller.bench.methods import k_switch, paper, two_by_two, two_list
 from hyperbit.controller.search.method import METHODS as PRODUCT_METHODS
 from tests.benchmarks.search.methods import optimum, product
 
@@ -28,19 +20,16 @@ class Method:
         name: in tables and plots.
         prepare: builds the tables.
         solve: solves a goal.
-        most: number of goals for a slow method, the first of a set; None: all.
         mapped: whether the densities are among its tables.
     """
 
     name: str
     prepare: Callable[..., Any]
     solve: Callable[..., Any]
-    most: int | None = None
     mapped: bool = False
 
 
 OURS = "minimum-switch"
-SLOW = 50
 
 OPTIMUM = Method("proven optimum", optimum.prepare, optimum.solve)
 MEETING = Method("meet in the middle", two_list.prepare, two_list.solve, mapped=True)
@@ -51,22 +40,9 @@ METHODS = (
         if name in PRODUCT_METHODS
     ),
     MEETING,
-    Method("POP, as printed", paper_pop.prepare, paper_pop.solve, mapped=True),
-    Method("IPOP, as printed", paper_ipop.prepare, paper_ipop.solve, mapped=True),
-    Method("IPOP, variant: actuators", paper_ipop.prepare, paper_ipop.solve_by_switches, mapped=True),
+    Method("POP, as printed", paper.prepare, paper.solve_pop, mapped=True),
+    Method("IPOP, as printed", paper.prepare, paper.solve_ipop, mapped=True),
     Method("two-by-two", two_by_two.prepare, two_by_two.solve),
     Method("k-switch, k = 3", partial(k_switch.prepare, switches=3), k_switch.solve),
     Method("k-switch, k = 4", partial(k_switch.prepare, switches=4), k_switch.solve),
-    Method("continuous, rounded", continuous.prepare, continuous.solve, most=SLOW),
 )
-
-
-def annealed(name: str, seconds: float, first: bool = False) -> Method:
-    """Returns annealing with a time for each goal [s], or one that ends with the first solution."""
-    return Method(name, partial(annealing.prepare, seconds=seconds, first=first), annealing.solve)
-
-
-def ours(name: str, seconds: float) -> Method:
-    """Returns our own search for fewest switches with a deadline."""
-    prepare = partial(product.prepare, method=OURS, deadline=seconds)
-    return Method(name, prepare, product.solve, mapped=True)

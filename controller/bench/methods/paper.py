@@ -1,7 +1,13 @@
-"""POP as printed: Ebert-Uphoff and Chirikjian 1996, section 3.2.1: at each module the branch of greatest density.
+"""POP and IPOP as printed: Ebert-Uphoff and Chirikjian 1996, sections 3.2.1 and 3.2.2. Only pixels decide.
 
-Only pixels decide, up to the last module. The paper does not specify the case that no branch has a density. Then this
-implementation takes the branch with the nearest pixel that has one, which favours the method over an arbitrary branch.
+POP takes the branch of greatest density at each module. The paper does not specify the case that no branch has a
+density. Then this implementation takes the branch with the nearest pixel that has one, which favours the method over an
+arbitrary branch.
+
+IPOP, similarity to the previous configuration: among the branches whose density exceeds a threshold, one for the whole
+arm, the descent takes the unchanged state of a module, regardless of its actuators. Among changed states it takes the
+densest; the paper does not specify this. The paper's weights by module have no effect, because modules are decided one
+at a time.
 """
 
 from dataclasses import dataclass
@@ -16,30 +22,40 @@ from hyperbit.controller.manipulator.manipulator import Configuration, Manipulat
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.reachability import LEVELS, Levels, levels_of
 
+# Points per unit of area; the paper gives no value. Among 1e5 to 1e9, this value gave the least error and the greatest
+# share within the tolerance on the paper's arm. A tenth of it saves nearly one switch, but misses more goals.
+THRESHOLD = 1e8
+
 
 @dataclass(frozen=True, eq=False)
-class PopProblem:
-    """The tables of an arm."""
+class PaperTables:
+    """The arm, and the densities of its intermediate workspaces."""
 
     arm: Planar
     densities: Densities
 
 
-def prepare(manipulator: Manipulator, densities: Densities) -> PopProblem:
-    """Returns the tables of an arm."""
-    return PopProblem(planar(manipulator), densities)
+def prepare(manipulator: Manipulator, densities: Densities) -> PaperTables:
+    return PaperTables(planar(manipulator), densities)
 
 
-def solve(problem: PopProblem, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+def solve_pop(tables: PaperTables, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
+    """Returns a configuration (B,) for a goal (2,). No density passes the threshold, so costs do not matter."""
+    return descent(tables, goal, tables.arm.costs(previous), np.full(len(previous) + 1, np.inf))
+
+
+def solve_ipop(tables: PaperTables, goal: Array, previous: Configuration, tolerance: float) -> Configuration:
     """Returns a configuration (B,) for a goal (2,)."""
-    nothing_passes = np.full(len(previous) + 1, np.inf)
-    return descent(problem, goal, problem.arm.costs(previous), nothing_passes)
+    states = np.arange(tables.arm.differing.shape[2])
+    changed = np.asarray(states != np.asarray(previous)[:, None], dtype=np.int64)
+    thresholds = np.asarray(np.log(np.maximum(THRESHOLD * tables.densities.pixels**2, 1.0)))
+    return descent(tables, goal, changed, thresholds)
 
 
-def descent(problem: PopProblem, goal: Array, stage_costs: Index, thresholds: Array) -> Configuration:
+def descent(tables: PaperTables, goal: Array, stage_costs: Index, thresholds: Array) -> Configuration:
     """Returns the configuration (B,) of the descent; thresholds apply to ln of a pixel's count, shape (B+1,)."""
-    configuration = np.zeros(len(problem.arm.states), dtype=np.int64)
-    descend(goal, problem.arm, levels_of(problem.densities), stage_costs, thresholds, configuration)
+    configuration = np.zeros(len(tables.arm.states), dtype=np.int64)
+    descend(goal, tables.arm, levels_of(tables.densities), stage_costs, thresholds, configuration)
     return configuration
 
 
@@ -57,19 +73,9 @@ def density(
     return value
 
 
-@njit(
-    types.void(F1, PLANAR, LEVELS, I2, F1, I1),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@njit(types.void(F1, PLANAR, LEVELS, I2, F1, I1), cache=True, nogil=True, error_model="numpy")
 def descend(
-    goal: Array,
-    arm: Planar,
-    levels: Levels,
-    stage_costs: Index,
-    thresholds: Array,
-    configuration: Index,
+    goal: Array, arm: Planar, levels: Levels, stage_costs: Index, thresholds: Array, configuration: Index
 ) -> None:
     """Writes the configuration: the branch of least stage cost above the threshold, otherwise the densest."""
     states, _, down, _ = arm

@@ -1,0 +1,81 @@
+"""A command that runs until a signal: its end, its log, systemd's watchdog, and its wait for others."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from hyperbit.controller.commands.connection import NoSession, open_zenoh, zenoh_config
+
+if TYPE_CHECKING:
+    import zenoh
+
+RETRY = 1.0  # [s] between two attempts to reach others
+log = logging.getLogger(__name__)
+T = TypeVar("T")
+
+
+def ending_event() -> threading.Event:
+    """Returns an event that each signal that ends the process sets."""
+    from hyperbit.controller.host.signals import end_on_signals
+
+    ending = threading.Event()
+    end_on_signals(ending.set)
+    return ending
+
+
+class Process:
+    """A process beside the daemons, which may be a service: `record`, `ros2` and `router`.
+
+    Attributes:
+        ending: set when the process is to end.
+        notifier: sends notifications to systemd.
+
+    Args:
+        arm: name of the arm, which the process's log names; "": no arm's.
+    """
+
+    def __init__(self, arm: str = "") -> None:
+        from hyperbit.controller.host.journal import start_logging
+        from hyperbit.controller.host.notify import Notifier
+
+        start_logging({"HYPERBIT_ARM": arm} if arm else {})
+        self.arm, self.ending, self.notifier = arm, ending_event(), Notifier()
+
+    def feed_watchdog(self) -> None:
+        self.notifier.notify("WATCHDOG=1")
+
+    def wait(self, seconds: float = RETRY) -> bool:
+        """Waits; returns whether the process is to end."""
+        self.feed_watchdog()
+        return self.ending.wait(seconds)
+
+    def retried(self, attempt: Callable[[], T], missing: type[Exception], words: str) -> T | None:
+        """Repeats an attempt while it raises `missing`; `words`: what it waits for, for the log. None: the end came."""
+        warned = False
+        while not self.ending.is_set():
+            try:
+                return attempt()
+            except missing as error:
+                if not warned:
+                    log.warning("%s: %s", words, error)
+                warned = True
+            self.wait()
+        return None
+
+
+@contextlib.contextmanager
+def opened_session(connect: str, zenoh_file: Path | None, process: Process) -> Iterator[zenoh.Session | None]:
+    """Opens a session with a daemon as soon as one is there; yields None if the process is to end before."""
+    config = zenoh_config(zenoh_file, connect=connect)
+    words = f"no daemon at {zenoh_file or connect} yet, waiting for one"
+    session = process.retried(lambda: open_zenoh(config), NoSession, words)
+    if session is None:
+        yield None
+        return
+    with session:
+        yield session

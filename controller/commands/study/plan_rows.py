@@ -1,0 +1,239 @@
+"""The rows of `plan`: its options and goals, and its results as JSON, in a table, and in a file to go on with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.armfile.strict import InputFaults
+from hyperbit.controller.commands.common import (
+    configuration,
+    console,
+    print_json,
+    print_table,
+    results_table,
+    shown,
+)
+from hyperbit.controller.commands.goal_rows import Orientation, goal_rows
+from hyperbit.controller.manipulator import frames
+from hyperbit.controller.manipulator.locked import transferred
+from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.plans.description import describe_solution
+from hyperbit.controller.search.method import Method
+
+if TYPE_CHECKING:  # the search's kernels take a second to import
+    from hyperbit.controller.search.solution import Solution
+
+WORDS = {
+    "study": "another command",
+    "hyperbit": "another version of hyperbit",
+    "arm": "another arm file",
+    "goals": "another file of goals",
+    "options": "other options",
+}
+
+
+class PlanOptions(NamedTuple):
+    """The options of `plan` about goals and search, None where they are not given. Files of results name them."""
+
+    goal: str | None
+    goals: Path | None
+    configuration: str | None
+    previous: str | None
+    tolerance: float | None
+    angle_tolerance: float | None
+    path_tolerance: float | None
+    method: Method | None
+    deadline: float | None
+    effort: float | None
+    apart: bool
+
+
+class WantedGoal(NamedTuple):
+    """A goal, and the configuration from which its search starts, shape (B,); None: the one before."""
+
+    position: list[float]
+    orientation: Orientation
+    previous: Configuration | None = None
+
+    def target(self) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        """Returns the position, or the tip's frame (4, 4) if the goal has an orientation."""
+        if self.orientation is None:
+            return np.array(self.position)
+        if isinstance(self.orientation, float):
+            return frames.planar(self.position[0], self.position[1], self.orientation)
+        return frames.spatial(self.position, self.orientation)
+
+
+class PointSolution(NamedTuple):
+    position: list[float]
+    orientation: Orientation
+    solution: Solution
+    between: bool = False
+    whole: dict[str, Any] | None = None  # of the whole trajectory, for JSON; None: a separate search
+
+
+class Row(NamedTuple):
+    """The solution of one point, as it is printed: for JSON, and as cells of the table."""
+
+    line: dict[str, Any]
+    cells: list[str]
+
+
+def read_goals(arm: Arm, options: PlanOptions) -> Iterator[WantedGoal]:
+    path = options.goals or Path()
+    rows = goal_rows(path, "previous", lambda text, where: unlocked(arm, text, where), arm.manipulator.dimension)
+    for goal in map(WantedGoal._make, rows):
+        if options.path_tolerance is not None and goal.previous is not None:
+            raise InputFaults(path, ["column previous: remove it, each line begins at the end of the previous line"])
+        if options.path_tolerance is not None and goal.orientation is not None:
+            raise InputFaults(path, ["orientations: remove them, lines are followed by position only"])
+        yield goal
+
+
+def unlocked(arm: Arm, text: str, where: str) -> Configuration:
+    """Parses a configuration of the whole arm and returns it as a configuration of `arm.reduced`, shape (B,)."""
+    whole = configuration(arm, text, where)
+    try:
+        return transferred(whole, arm.manipulator, arm.reduced)
+    except ValueError as error:
+        raise InputFaults(Path(where), [f"{text}: as actuators are locked, {error}"]) from None
+
+
+def row_of(arm: Arm, options: PlanOptions, point: PointSolution) -> Row:
+    found, orientation = point.solution, point.orientation
+    line = {
+        "goal": point.position,
+        **describe_solution(arm.manipulator, arm.reduced, found, orientation is not None),
+        "within_tolerance": found.within_tolerance,
+    }
+    if options.path_tolerance is not None:
+        line["between"] = point.between
+    if options.goals is not None and not options.apart:
+        line["trajectory"] = point.whole
+    turned = [] if orientation is None else orientation if isinstance(orientation, list) else [orientation]
+    angle = "" if orientation is None else f", {found.angle:.3f}"
+    cells = [
+        ("  " if point.between else "") + ", ".join(f"{x:g}" for x in [*point.position, *turned]),
+        line["configuration"],
+        shown(line["position"]),
+        shown(line["orientation"]),
+        f"[{'green' if found.within_tolerance else 'red'}]{found.error:.5f}{angle}",
+        str(found.switches),
+        f"{found.seconds * 1e3 if found.effort is None else found.effort:.2f}",
+    ]
+    return Row(line, cells)
+
+
+def print_results(found: Iterable[Row], options: PlanOptions, *, as_json: bool, many: bool = False) -> None:
+    """Prints each result as a line of JSON, or all in a table; `many`: as lines of text as the results come."""
+    if as_json:
+        for row in found:
+            print_json(row.line)
+        return
+    work = "effort" if options.effort is not None else "ms"
+    columns = "goal", "configuration", "position", r"θ \[rad]", "error", "switches", work
+    table, wholes = results_table(*columns), list[dict[str, Any]]()
+    if many:
+        console.print("  ".join(columns))
+    for row in found:
+        whole = row.line.get("trajectory")
+        if wholes and whole is not wholes[-1] and many:
+            console.print(sentence(wholes.pop()))
+        if whole is not None and not (wholes and whole is wholes[-1]):
+            wholes.append(whole)
+        if many:
+            console.print("  ".join(cell or "-" for cell in row.cells))
+        else:
+            table.add_row(*row.cells)
+    if not many:
+        print_table(table)
+    for whole in wholes:
+        console.print(sentence(whole))
+
+
+def sentence(whole: Mapping[str, Any]) -> str:
+    """Returns a sentence on switches and certificate of a whole trajectory."""
+    least = f"at least {whole['lower_bound'] or 0:g}"
+    if whole["cost"] == whole["switches"]:
+        cost, proven = "", {"optimal": "proven to be the fewest", "bound": f"proven: {least}"}
+    else:
+        cost = f" of cost {whole['cost']:.6g}"
+        proven = {"optimal": "proven to cost least", "bound": f"proven: a cost of {least}"}
+    return f"{whole['switches']} switches{cost} in all; {proven.get(whole['certificate'], 'nothing is proven')}"
+
+
+@contextmanager
+def results_file(path: Path, about: Mapping[str, Any], ends: Iterator[int]) -> Iterator[tuple[BinaryIO, int]]:
+    """Opens a file of results to go on with it, or creates it; yields it, and the number of goals that are done.
+
+    The file has a header, and a line for each result. A line that was half written, and the results of a part that was
+    not finished, are cut.
+
+    Args:
+        path: of the file.
+        about: what the results belong to, for the header: study, arm, goals and options.
+        ends: numbers of goals at which a study may go on, rising.
+    """
+    header = {**about, "hyperbit": metadata.version("hyperbit")}
+    try:
+        opened = path.open("r+b" if path.exists() else "w+b")
+    except OSError as error:
+        raise InputFaults(path, [f"cannot be written: {error.strerror}"]) from None
+    with opened as file:
+        first, done = file.readline(), 0
+        if not first.endswith(b"\n") and (json.dumps(header) + "\n").encode().startswith(first):
+            file.seek(0)
+            file.truncate()
+            write_line(file, header)
+        else:
+            check_header(path, first, header)
+            done, size = finished(path, file, len(first), ends)
+            file.seek(size)
+            file.truncate()
+        yield file, done
+
+
+def write_line(file: BinaryIO, line: Mapping[str, Any]) -> None:
+    file.write(json.dumps(line).encode() + b"\n")
+    file.flush()
+
+
+def check_header(path: Path, line: bytes, header: Mapping[str, Any]) -> None:
+    try:
+        found = json.loads(line)
+    except ValueError:
+        found = None
+    if not isinstance(found, dict) or found.keys() != header.keys():
+        raise InputFaults(path, ["it holds no results of a study: give the name of a new file"])
+    other = [words for name, words in WORDS.items() if found[name] != json.loads(json.dumps(header[name]))]
+    if other:
+        raise InputFaults(path, [f"its results belong to {' and '.join(other)}: give the name of a new file"])
+
+
+def finished(path: Path, file: BinaryIO, size: int, ends: Iterator[int]) -> tuple[int, int]:
+    """Returns the number of finished goals, and the size of the file up to them.
+
+    `file` is open after the header of `size` bytes; for `ends` see results_file.
+    """
+    done, whole, goals, end = 0, size, 0, next(ends)
+    for number, line in enumerate(file, 2):
+        if not line.endswith(b"\n"):
+            break
+        try:
+            between = json.loads(line).get("between", False)
+        except (ValueError, AttributeError):
+            raise InputFaults(path, [f"line {number} is damaged: give the name of a new file"]) from None
+        if goals == end and (end := next(ends, 0)) == 0:
+            raise InputFaults(path, [f"line {number}: there are more results than goals"])
+        size, goals = size + len(line), goals + (not between)
+        if goals == end:
+            done, whole = goals, size
+    return done, whole
