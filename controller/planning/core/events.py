@@ -10,36 +10,29 @@ from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
 from hyperbit.controller.planning.core.tasks import Answer, Task
 from hyperbit.controller.program import Down, Fault, Up
 from hyperbit.controller.refusals import codes
-from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
 Payload = Mapping[str, Any]
 
+# --- contents of requests
+
 
 class CancelMessage(NamedTuple):
-    """The payload of `cancel`: id of the goal to cancel; None cancels whatever runs, and bars all earlier requests."""
-
-    goal: str | None = None
+    goal: str | None = None  # None cancels whatever runs, and bars all earlier requests
 
 
 class LockMessage(NamedTuple):
-    """The payload of `degrade`: label of an actuator, and the state to lock it in; None unlocks it."""
-
-    actuator: str
-    state: int | None
+    actuator: str  # label
+    state: int | None  # None unlocks
 
 
 class FaultToPlay(NamedTuple):
-    """The payload of `fault`: a fault to play in simulated boards, such as "silence can0/5"."""
-
-    fault: str
+    fault: str  # such as "silence can0/5"
 
 
 class SentObstacles(NamedTuple):
-    """The payload of `obstacles`: decoded for the workers, and as it came for the description of the arm."""
-
-    obstacles: Any
-    regions: list[Any]
+    obstacles: Any  # decoded for the workers
+    regions: list[Any]  # as they came, for the description of the arm
 
 
 Key = Literal["goal", "jog", "plan", "cancel", "stop", "reset", "degrade", "obstacles", "fault", "arm"]
@@ -47,39 +40,33 @@ Key = Literal["goal", "jog", "plan", "cancel", "stop", "reset", "degrade", "obst
 Message = GoalMessage | Jog | CancelMessage | LockMessage | SentObstacles | FaultToPlay | None
 
 
+# --- events
+
+
 class Arrival(NamedTuple):
     """The arrival of a request, set-point or measured tip at the gateway.
 
-    Requests may reach the core in another order: their numbers decide.
-
-    Attributes:
-        number: from 1, ascending.
-        at: time of arrival [s, the monotonic clock]. What arrives just after the process stood still may have waited
-            since it did.
+    Requests may reach the core in another order: their numbers decide. What arrives just after the process stood still
+    may have waited since it did: `at` is then the beginning of the standstill.
     """
 
-    number: int
-    at: float
+    number: int  # from 1, ascending
+    at: float  # [s, the monotonic clock]
 
 
 class Request(NamedTuple):
     """A request of a client, decoded. It is answered by exactly one `Reply`.
 
     A `stop`, and a `cancel` without an id, was sent to the executor before, as the executor's request of this number.
-
-    Attributes:
-        arrival: its place in the order of arrival, and its time.
-        wall: time of arrival [UNIX s].
     """
 
     arrival: Arrival
     key: Key
     message: Message
-    wall: float
+    wall: float  # time of arrival [UNIX s]
 
     @property
     def number(self) -> int:
-        """Number of the request."""
         return self.arrival.number
 
 
@@ -116,13 +103,13 @@ class FromExecutor(NamedTuple):
 
 
 class LinkDown(NamedTuple):
-    """There is no connection to the executor, and why. The shell repeats it only if the reason changes."""
+    """There is no connection to the executor. The shell repeats it only if the reason changes."""
 
     reason: str
 
 
 class Answered(NamedTuple):
-    """A worker's answer to the task of a number; a task may have several answers, the last one is marked."""
+    """A worker's answer to the task of a number. A task may have several answers."""
 
     task: int
     answer: Answer
@@ -130,13 +117,13 @@ class Answered(NamedTuple):
 
 
 class Published(NamedTuple):
-    """A result was published and has left the process; `result` is the number of its action."""
+    """A result has left the process; `result` is the number of its `PublishResult`."""
 
     result: int
 
 
 class Recorded(NamedTuple):
-    """The ledger has written an entry, or has failed to; `entry` is the number of its action."""
+    """The ledger has written an entry, or has failed to; `entry` is the number of its `Record`."""
 
     entry: int
 
@@ -154,16 +141,15 @@ class Tick(NamedTuple):
 Event = Request | Unsent | Arrived | FromExecutor | LinkDown | Answered | Published | Recorded | Warned | Tick | Quit
 
 
-class Reply(NamedTuple):
-    """The one answer to a request."""
+# --- actions
 
+
+class Reply(NamedTuple):
     number: int
     payload: Payload
 
 
 class Publish(NamedTuple):
-    """A payload for "state", "diagnostics" or "feedback"."""
-
     key: Literal["state", "diagnostics", "feedback"]
     payload: Payload
 
@@ -197,17 +183,13 @@ class PublishResult(NamedTuple):
 
 
 class AcceptanceEntry(NamedTuple):
-    """The acceptance of a goal or jog, for the ledger; `wall` is its time [UNIX s]."""
-
     goal: str
-    wall: float
+    wall: float  # [UNIX s]
     waypoints: int
 
 
 class ResultEntry(NamedTuple):
-    """The result of a goal or jog, for the ledger; `wall` is its time [UNIX s]."""
-
-    wall: float
+    wall: float  # [UNIX s]
     status: str
     code: int
     message: str
@@ -227,9 +209,7 @@ class Record(NamedTuple):
 
 
 class RecordCounts(NamedTuple):
-    """The executor's counts of switches, one for each actuator, for the ledger."""
-
-    counts: tuple[int, ...]
+    counts: tuple[int, ...]  # switches of each actuator
 
 
 class ToExecutor(NamedTuple):
@@ -270,7 +250,7 @@ class Wake(NamedTuple):
 
 
 class Fail(NamedTuple):
-    """The process must end with this message, because a worker does not answer; the service manager starts it again."""
+    """The process must end, because a worker does not answer; the service manager starts it again."""
 
     reason: str
 
@@ -280,8 +260,6 @@ ForLedger = Record | RecordCounts
 ForWorkers = Start | Abandon | Hurry
 Action = ForClients | ForLedger | ForWorkers | ToExecutor | Disconnect | Wake | Notify | Log | Fail
 
-SHUTTING_DOWN = Reason.SHUTTING_DOWN.sentence
-
 
 def done(message: str) -> Payload:
     """Returns the answer to a request that was carried out."""
@@ -289,11 +267,10 @@ def done(message: str) -> Payload:
 
 
 def refused(refusal: Refusal, goal: str | None = None) -> Payload:
-    """Returns the answer to a request that was refused; `goal` is its id, if the refusal does not know it."""
-    name = refusal.goal if goal is None else goal
+    """Returns the answer to a refused request. `goal`: id of the refused goal; needed if the refusal has none."""
     return {
         "accepted": False,
-        "id": name,
+        "id": refusal.goal if goal is None else goal,
         "code": refusal.code,
         "reason": refusal.reason.value,
         "message": str(refusal),

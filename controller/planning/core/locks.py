@@ -26,17 +26,15 @@ class Locks:
 
     The executor owns which actuators are locked. The planner owns the tables, and knows which locks leave each module
     a state.
-
-    Attributes:
-        listed: label and state of each locked actuator.
-        problem: why the tables could not be rebuilt; None if they could.
     """
+
+    listed: tuple[tuple[str, int], ...]  # label and state of each locked actuator
 
     def __init__(self, parts: Parts, tables: Tables) -> None:
         self._view, self._jobs, self._act = parts.view, parts.jobs, parts.act
         self._built, self._building = tables, False
         self._set(tables.locked)
-        self.problem: str | None = None
+        self.problem: str | None = None  # why the tables could not be rebuilt
 
     @property
     def states(self) -> NDArray[np.int8]:
@@ -63,7 +61,6 @@ class Locks:
         return mode, reason
 
     def update(self, state: ArmState) -> None:
-        """Takes the locked actuators of a snapshot."""
         if state.known and not state.snapshot.moving and (locked := state.locked_states) != self._locked:
             self._set(locked)
             self.problem = None
@@ -71,7 +68,6 @@ class Locks:
         self._rebuild()
 
     def retry(self) -> None:
-        """Starts another attempt to rebuild the tables."""
         self.problem = None
         self._rebuild()
 
@@ -100,7 +96,6 @@ class Locks:
         return k
 
     def faults(self) -> Iterator[Fault]:
-        """Yields the faults for `state`: each locked actuator, and tables that could not be rebuilt."""
         for label, state in self.listed:
             yield Fault("degraded", label, lock_warning(label, state))
         if self.problem is not None:
@@ -111,7 +106,6 @@ class Locks:
         return locks_in_words(self.listed)
 
     def _set(self, locked: bytes) -> None:
-        """Sets the locked actuators."""
         self._locked = locked
         labels = self._view.manipulator.actuators
         self.listed = tuple(pair for pair in zip(labels, self.states.tolist(), strict=True) if pair[1] >= 0)

@@ -93,25 +93,16 @@ def result_of(
     """Returns the payload of a result.
 
     The certificate is that of the plan from where the goal began. It stands there only if the arm did exactly the
-    switches that it speaks of; otherwise `certificate` is "unknown".
-
-    Args:
-        manipulator: the whole arm.
-        ended: the executor's message.
-        measured: actuator states, shape (A,).
-        context: of the program.
-        outcome: of the goal.
-        target: from which the errors are given; None: they are not given.
+    switches that it speaks of; otherwise `certificate` is "unknown". Errors are given from `target`, if there is one.
     """
     proof, bias = context.proof, {} if context.bias is None else {"bias": context.bias}
-    shown: Payload = {}
     if context.jogged or not context.position:
         labels = manipulator.actuators
         travels = [
             {"actuator": labels[travel.actuator], "state": STATES[travel.state], "seconds": travel.seconds}
             for travel in ended.travels
         ]
-        shown = {"travels": travels}
+        shown: Payload = {"travels": travels}
     else:
         as_planned = proof if outcome.status == "succeeded" and proof and proof.switches == ended.switches else None
         kind = "unknown" if as_planned is None else as_planned.certificate
