@@ -20,11 +20,11 @@ from hyperbit.controller.gateway.outbox import Outbox, ResultHooks
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.motion.decoding.goal import GoalMessage, parse
+from hyperbit.controller.motion.decoding.requests import DegradeMessage
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.planning.core.events import (
     Arrival,
-    LockMessage,
     Message,
     Payload,
     SetpointArrived,
@@ -74,7 +74,7 @@ class FakePlanner:
                 return json.loads(payload).get("actuators")
             case "degrade" if payload.startswith(b"{"):
                 fields = json.loads(payload)
-                return LockMessage(fields.get("actuator"), fields.get("state"))
+                return DegradeMessage(fields.get("actuator"), fields.get("state"))
             case "cancel":
                 return decode_cancel(payload)
             case "jog" if payload == b'"a defect"':

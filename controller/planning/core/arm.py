@@ -140,11 +140,7 @@ class ArmState:
 
 
 class ExecutorView:
-    """What the executor last said, and whether it is connected.
-
-    Args:
-        travel: longest time of an actuator from end-stop to end-stop [s].
-    """
+    """What the executor last said, and whether it is connected; `travel` is the longest time of an actuator [s]."""
 
     def __init__(self, manipulator: Manipulator, travel: float, pace: Pace) -> None:
         self.manipulator = manipulator

@@ -110,7 +110,9 @@ class Core:
         return actions
 
     def _handle(self, event: events.Event) -> None:
-        self._status.changed |= self._may_change_state(event)
+        prepared = isinstance(event, events.Answered) and self._jobs.prepares(event.task)
+        if not prepared and not isinstance(event, events.Tick | events.SetpointArrived | events.TipArrived):
+            self._status.changed = True  # `state` may have changed
         match event:
             case events.FromExecutor(message):
                 self._silent = 0
@@ -139,16 +141,6 @@ class Core:
                 self._quit()
             case events.Tick():
                 pass
-
-    def _may_change_state(self, event: events.Event) -> bool:
-        """Returns whether `state` may differ after an event. The end of a prepared search changes nothing."""
-        match event:
-            case events.Tick() | events.SetpointArrived() | events.TipArrived():
-                return False
-            case events.Answered(number):
-                return not self._jobs.prepares(number)
-            case _:
-                return True
 
     # --- clients
 

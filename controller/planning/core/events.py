@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
+from hyperbit.controller.motion.decoding.requests import DegradeMessage, FaultMessage
 from hyperbit.controller.planning.core.tasks import Answer, Task
 from hyperbit.controller.program import Down, Fault, Up
 from hyperbit.controller.refusals import codes
@@ -21,15 +22,6 @@ class CancelMessage(NamedTuple):
     goal: str | None = None  # None cancels whatever runs, and bars all earlier requests
 
 
-class LockMessage(NamedTuple):
-    actuator: str  # label
-    state: int | None  # None unlocks
-
-
-class FaultToPlay(NamedTuple):
-    fault: str  # such as "silence can0/5"
-
-
 class SentObstacles(NamedTuple):
     obstacles: Any  # decoded for the workers
     regions: list[Any]  # as they came, for the description of the arm
@@ -37,7 +29,7 @@ class SentObstacles(NamedTuple):
 
 Key = Literal["goal", "jog", "plan", "cancel", "stop", "reset", "degrade", "obstacles", "fault", "arm"]
 # Keys without a content have None.
-Message = GoalMessage | Jog | CancelMessage | LockMessage | SentObstacles | FaultToPlay | None
+Message = GoalMessage | Jog | CancelMessage | DegradeMessage | SentObstacles | FaultMessage | None
 
 
 # --- events
@@ -70,24 +62,18 @@ class Request(NamedTuple):
         return self.arrival.number
 
 
-class Unsent(NamedTuple):
-    """A `stop` or `cancel` could not be sent to the executor; comes after its `Request`."""
-
+class Unsent(NamedTuple):  # of a `stop` or `cancel` to the executor; comes after its `Request`
     number: int
     reason: str
 
 
-class SetpointArrived(NamedTuple):
-    """The latest set-point of one sender, as it came; `sender` is what the sender attaches, "" if nothing."""
-
+class SetpointArrived(NamedTuple):  # the latest one of a sender
     payload: bytes
     arrival: Arrival
-    sender: str = ""
+    sender: str = ""  # what the sender attaches; "" if nothing
 
 
-class TipArrived(NamedTuple):
-    """The latest measured tip of one sender, as it came."""
-
+class TipArrived(NamedTuple):  # the latest measured tip of a sender
     payload: bytes
     arrival: Arrival
     sender: str = ""
@@ -96,42 +82,30 @@ class TipArrived(NamedTuple):
 Arrived = SetpointArrived | TipArrived
 
 
-class FromExecutor(NamedTuple):
-    """A message of the executor. `Welcome` is the first one of a connection."""
-
+class FromExecutor(NamedTuple):  # `Welcome` is the first message of a connection
     message: Up
 
 
-class LinkDown(NamedTuple):
-    """There is no connection to the executor. The shell repeats it only if the reason changes."""
-
+class LinkDown(NamedTuple):  # repeated only if the reason changes
     reason: str
 
 
 class Answered(NamedTuple):
-    """A worker's answer to the task of a number. A task may have several answers."""
-
     task: int
     answer: Answer
-    last: bool
+    last: bool  # whether no other answer to the task follows
 
 
 class Published(NamedTuple):
-    """A result has left the process; `result` is the number of its `PublishResult`."""
-
-    result: int
+    result: int  # number of its `PublishResult`; it has left the process
 
 
 class Recorded(NamedTuple):
-    """The ledger has written an entry, or has failed to; `entry` is the number of its `Record`."""
-
-    entry: int
+    entry: int  # number of its `Record`, which is written, or cannot be written
 
 
 class Warned(NamedTuple):
-    """The active warnings of the shell have changed: clock, network, ledger."""
-
-    warnings: tuple[Fault, ...]
+    warnings: tuple[Fault, ...]  # active ones of the shell: clock, network, ledger
 
 
 class Tick(NamedTuple):
@@ -161,9 +135,7 @@ class Identity(NamedTuple):
     program: int
 
 
-class OpenGoal(NamedTuple):
-    """An accepted goal without a result; `goal` is its id, `wall` the time of the acceptance [UNIX s]."""
-
+class OpenGoal(NamedTuple):  # accepted, without a result
     identity: Identity
     goal: str
     wall: float
@@ -212,46 +184,32 @@ class RecordCounts(NamedTuple):
     counts: tuple[int, ...]  # switches of each actuator
 
 
-class ToExecutor(NamedTuple):
-    """A message for the executor; dropped without a connection."""
-
+class ToExecutor(NamedTuple):  # dropped without a connection
     message: Down
 
 
-class Start(NamedTuple):
-    """A task for a worker; answered by one or several `Answered` of this number."""
-
+class Start(NamedTuple):  # answered by one or several `Answered` of this number
     number: int
     task: Task
 
 
-class Abandon(NamedTuple):
-    """A task is no longer needed: its worker ends it soon. Its last answer comes nevertheless."""
-
+class Abandon(NamedTuple):  # its worker ends the task soon; the last answer comes nevertheless
     number: int
 
 
-class Hurry(NamedTuple):
-    """Other requests wait for a task: its worker ends its search as soon as there is an answer."""
-
+class Hurry(NamedTuple):  # other requests wait: its worker ends the search as soon as there is an answer
     number: int
 
 
-class Disconnect(NamedTuple):
-    """The executor is silent: close the connection, and connect again."""
-
+class Disconnect(NamedTuple):  # the executor is silent: close the connection, and connect again
     reason: str
 
 
 class Wake(NamedTuple):
-    """Post `Tick` at this time [s]; replaces the `Wake` before."""
-
-    at: float
+    at: float  # time of the next `Tick` [s]; replaces the `Wake` before
 
 
-class Fail(NamedTuple):
-    """The process must end, because a worker does not answer; the service manager starts it again."""
-
+class Fail(NamedTuple):  # a worker does not answer: the process must end; the service manager starts it again
     reason: str
 
 

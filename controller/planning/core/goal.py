@@ -19,10 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class Goal:
-    """A goal or jog. `Goals` owns it until the executor has accepted it, then `Programs`.
-
-    A goal is planned while it waits. A program that the executor has declined may make it wait again.
-    """
+    """A goal or jog. It belongs to `Goals` until the executor has accepted it, then to `Programs`."""
 
     request: int
     ticket: Ticket

@@ -78,10 +78,7 @@ class Goals:
         return any(known.id == goal and known.state == "waiting" for known in self._goals)
 
     def advance(self) -> None:
-        """Refuses what may no longer begin, and brings the first request as far as it can go now.
-
-        Call at the end of each step.
-        """
+        """Brings the first request as far as it can go now. Call at the end of each step."""
         self.due = math.inf
         self.refuse_late()
         while True:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from hyperbit.controller.armfile.locks import lock_warning, locks_in_words
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.manipulator.locked import require_states
+from hyperbit.controller.motion.decoding.requests import DegradeMessage
 from hyperbit.controller.planning.core.arm import ArmState
-from hyperbit.controller.planning.core.events import LockMessage
 from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.planning.core.tasks import Answer, BuildTables, Failed, Tables
 from hyperbit.controller.program import Fault, Mode
@@ -71,12 +71,8 @@ class Locks:
         self.problem = None
         self._rebuild()
 
-    def actuator(self, message: LockMessage, state: ArmState) -> int:
-        """Returns the index of the actuator of a request; the executor decides on the rest.
-
-        Raises:
-            Refusal: it is no actuator of this arm, or a lock would leave a module no state.
-        """
+    def actuator(self, message: DegradeMessage, state: ArmState) -> int:
+        """Returns the index of the actuator, or raises Refusal; the executor decides on the rest."""
         labels = self._view.manipulator.actuators
         if message.actuator not in labels:
             raise no_actuator("actuator", message.actuator, labels)

@@ -24,11 +24,7 @@ if TYPE_CHECKING:
 
 
 def make_goal_program(parts: Parts, goal: Goal, planned: Planned, state: ArmState, basis: Basis) -> None:
-    """Makes the program of a planned goal, given the present state and basis.
-
-    Raises:
-        Refusal: the trajectory has ended before it was planned.
-    """
+    """Makes the program of a planned goal; raises Refusal if the trajectory has ended before it was planned."""
     trajectory, moment, strict = planned.trajectory, parts.moment, not basis.scene.free
     late = 0.0 if trajectory.stamp is None else moment.wall - trajectory.stamp - float(trajectory.times[-1])
     if late > 0:
@@ -53,11 +49,7 @@ def make_goal_program(parts: Parts, goal: Goal, planned: Planned, state: ArmStat
 
 
 def jog_stages(state: ArmState, wanted: dict[int, int], pace: Pace) -> States:
-    """Returns the stages (k, A) that switch single actuators, given by index, to new states.
-
-    Raises:
-        Refusal: an actuator is locked.
-    """
+    """Returns the stages (k, A) that switch actuators to new states; raises Refusal if one is locked."""
     labels = state.manipulator.actuators
     for k in wanted:
         if state.locked[k]:

@@ -57,10 +57,7 @@ def last_waypoint_outcome(goal: str, target: GoalTarget, where: Payload) -> Goal
 def why_not_as_planned(planned: PlanProof | None, improved: PlanProof | None, switches: int) -> str:
     """Returns why a goal needed more or fewer switches than its answer said; "" if it needed as many.
 
-    Args:
-        planned: the plan when the goal was accepted; None for a jog.
-        improved: the plan as it was improved; None: nothing is known of it.
-        switches: number of switches that were done.
+    `planned` is the plan when the goal was accepted; None for a jog. Nothing is known of `improved` if that is None.
     """
     if planned is None or planned.switches == switches:
         return ""

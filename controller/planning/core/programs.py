@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from hyperbit.controller.motion.stages.feed import Improved
+from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.arm import ArmState
 from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Publish, Record, Reply, ToExecutor
 from hyperbit.controller.planning.core.goal import Goal
@@ -12,15 +13,6 @@ from hyperbit.controller.planning.core.obstacles import ObstacleOwner
 from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.planning.core.reports import GoalOutcome, collision_outcome
 from hyperbit.controller.planning.core.results import Results
-from hyperbit.controller.planning.core.tasks import (
-    Answer,
-    CheckStages,
-    Deviations,
-    ImprovePlan,
-    Planned,
-    VersionedScene,
-    collision_of,
-)
 from hyperbit.controller.program import Accepted, Begun, Cancel, Ended, Replaced, Settled
 from hyperbit.controller.refusals.codes import PATH_TOLERANCE_VIOLATED
 
@@ -180,22 +172,22 @@ class Programs:
             if waits and goal.state == "running" and goal.outcome is None:
                 self._check(goal, scene, state)
 
-    def _check(self, goal: Goal, scene: VersionedScene, state: ArmState) -> None:
+    def _check(self, goal: Goal, scene: tasks.VersionedScene, state: ArmState) -> None:
         """Starts the check of the next stages of a program, or releases them if there is nothing to collide with."""
         while (unchecked := goal.feed.to_check()) is not None:
             if not scene.free:
                 stages = tuple(map(state.real, unchecked.stages))
-                task = CheckStages(scene, state.real(unchecked.before), stages)
+                task = tasks.CheckStages(scene, state.real(unchecked.before), stages)
                 goal.checking = self._jobs.start(task, partial(self._checked, goal, unchecked.until))
                 return
             goal.feed.note_clear(unchecked.until)
         self._obstacles.note(f"goal {goal.id} goes on, its stages are clear")
         self._feed(goal)
 
-    def _checked(self, goal: Goal, until: int, answer: Answer) -> None:
+    def _checked(self, goal: Goal, until: int, answer: tasks.Answer) -> None:
         """Releases the stages that a check found clear; ends a program that would collide."""
         goal.checking = None
-        if (words := collision_of(answer)) is not None:
+        if (words := tasks.collision_of(answer)) is not None:
             self._obstacles.note(f"goal {goal.id} was aborted: it would collide: {words}")
             self.end(goal, collision_outcome(goal.id, words))
             return
@@ -206,18 +198,18 @@ class Programs:
 
     def _improve(self, goal: Goal) -> None:
         scene, planned, basis = self._obstacles.scene, goal.planned, goal.basis
-        if not isinstance(planned, Planned) or planned.plan is None or basis is None:
+        if not isinstance(planned, tasks.Planned) or planned.plan is None or basis is None:
             return
         if scene is None or scene.generation != goal.feed.checked:
             return
-        task = ImprovePlan(planned.plan, goal.begin + goal.delay, self._improves, basis.tables, scene)
+        task = tasks.ImprovePlan(planned.plan, goal.begin + goal.delay, self._improves, basis.tables, scene)
         goal.deviates = True
         goal.job = self._jobs.start(task, partial(self._improved, goal))
 
-    def _improved(self, goal: Goal, answer: Answer) -> None:
+    def _improved(self, goal: Goal, answer: tasks.Answer) -> None:
         """Takes deviations and better plans."""
         match answer:
-            case Deviations(values):
+            case tasks.Deviations(values):
                 goal.feed.note_deviations(values)
                 goal.deviates = False
             case Improved():

@@ -3,21 +3,11 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
 
 from hyperbit.controller.motion.decoding.goal import GoalMessage
+from hyperbit.controller.motion.decoding.requests import DegradeMessage, FaultMessage
 from hyperbit.controller.planning.core.arm import obstruction
-from hyperbit.controller.planning.core.events import (
-    CancelMessage,
-    FaultToPlay,
-    LockMessage,
-    Payload,
-    Reply,
-    Request,
-    ToExecutor,
-    done,
-    refused,
-)
+from hyperbit.controller.planning.core.events import CancelMessage, Payload, Reply, Request, ToExecutor, done, refused
 from hyperbit.controller.planning.core.goals import EXECUTOR_TIMEOUT, Goals
 from hyperbit.controller.planning.core.locks import Locks
 from hyperbit.controller.planning.core.parts import Parts, Ticket
@@ -34,14 +24,6 @@ LONGEST = 10.0  # [s] for one query, without its time in the queue and its own d
 CANCELED = "canceled; the arm holds"
 
 
-class WaitingReset(NamedTuple):
-    """A reset whose epoch is not known yet; `at` is the time of its arrival at the core [s]."""
-
-    number: int
-    ticket: Ticket
-    at: float
-
-
 class ExecutorRequests:
     """Requests that the executor answers; the request's number is the number of the executor's request.
 
@@ -52,7 +34,7 @@ class ExecutorRequests:
         self._parts, self._view, self._act = parts, parts.view, parts.act
         self._locks, self._goals, self._programs, self._queries = locks, goals, programs, queries
         self._pending: dict[int, float] = {}  # time of each request that is not answered yet [s]
-        self._resets: list[WaitingReset] = []
+        self._resets: dict[int, Ticket] = {}  # those of them whose epoch is not known yet
 
     def receive_request(self, request: Request) -> None:
         """Handles a cancel, stop, reset, lock or fault."""
@@ -65,30 +47,26 @@ class ExecutorRequests:
                 self._pending[number] = self._parts.moment.now
             case "reset", _:
                 self._reset(number)
-            case _, LockMessage() as message:
+            case _, DegradeMessage() as message:
                 self._lock(number, message)
-            case _, FaultToPlay(fault):
+            case _, FaultMessage(fault=fault):
                 if self._parts.simulated:
                     self._send(number, PlayFault(number, fault))
                 else:
                     self._act(Reply(number, refused(Refusal(Reason.NOT_SIMULATED))))
 
     def advance(self) -> None:
-        """Sends the resets whose epoch is known, and refuses those that a stop, cancel or fault came after.
-
-        Call at the end of each step.
-        """
-        waiting, self._resets = self._resets, []
-        for reset in waiting:
-            number, ticket, at = reset
+        """Sends resets whose epoch is known, if no stop, cancel or fault came after. Call at the end of each step."""
+        for number, ticket in list(self._resets.items()):
             if self._parts.admission.barred(ticket):
                 self._finish(number, refused(Refusal(Reason.OVERTAKEN)))
             elif ticket.epoch is not None or not self._view.connected:
                 self._send(number, Reset(number, ticket.epoch or 0))
-            elif self._parts.moment.now > at + EXECUTOR_TIMEOUT:
+            elif self._parts.moment.now > self._pending[number] + EXECUTOR_TIMEOUT:
                 self._finish(number, refused(Refusal(Reason.EXECUTOR_BEHIND)))
             else:
-                self._resets.append(reset)
+                continue
+            del self._resets[number]
 
     def unsent(self, number: int, reason: str) -> None:
         self._finish(number, refused(Refusal(Reason.NO_EXECUTOR, why=reason)))
@@ -105,8 +83,8 @@ class ExecutorRequests:
 
     def overdue(self) -> bool:
         """Returns whether the executor has not answered a request in time."""
-        now, waiting = self._parts.moment.now, {reset.number for reset in self._resets}
-        return any(now > at + EXECUTOR_TIMEOUT for number, at in self._pending.items() if number not in waiting)
+        now = self._parts.moment.now
+        return any(now > at + EXECUTOR_TIMEOUT for number, at in self._pending.items() if number not in self._resets)
 
     def _cancel_goal(self, number: int, goal: str) -> None:
         """Bars all earlier requests of an id: refuses those that wait, and ends its program."""
@@ -127,12 +105,10 @@ class ExecutorRequests:
             self._locks.retry()
         admission = self._parts.admission
         needed = self._view.mode()[0] in ("fault", "stopped")  # otherwise earlier requests may continue
-        reset = WaitingReset(number, admission.arrive(number), self._parts.moment.now)
+        self._resets[number], self._pending[number] = admission.arrive(number), self._parts.moment.now
         (admission.bar if needed else admission.fence)(number)
-        self._pending[number] = self._parts.moment.now
-        self._resets.append(reset)
 
-    def _lock(self, number: int, message: LockMessage) -> None:
+    def _lock(self, number: int, message: DegradeMessage) -> None:
         state = self._view.state
         try:
             if state is None:
@@ -200,11 +176,7 @@ class Queries:
             self._refuse(query, Refusal(Reason.SHUTTING_DOWN))
 
     def _task(self, query: Request) -> DescribePlan:
-        """Returns the task of a query, as soon as the obstacles are built.
-
-        Raises:
-            Refusal: the arm's state is not known, or its tables are being rebuilt.
-        """
+        """Returns the task of a query, as soon as the obstacles are built, or raises Refusal."""
         premises, state, basis = self._premises, self._parts.view.state, self._premises.basis()
         if state is None or basis is None:
             raise no_motion(*premises.locks.mode())

@@ -46,11 +46,7 @@ class Results:
 
     A result is published once. When the executor sends it again, it is only recorded and acknowledged. A result that
     the ledger does not have, though an earlier planner process published it, may not have left that process. It is
-    published again, with the field `repeated`.
-
-    Args:
-        published: results that earlier planner processes published, by program.
-        owed: goals that an earlier planner process accepted, and whose results the ledger does not have.
+    published again, with the field `repeated`. `owed` are goals whose results the ledger does not have.
     """
 
     def __init__(self, parts: Parts, published: Mapping[Identity, ResultEntry], owed: Iterable[OpenGoal]) -> None:
@@ -109,10 +105,7 @@ class Results:
     def lost(
         self, identity: Identity, context: bytes, outcome: GoalOutcome, switches: int, goal: Goal | None = None
     ) -> None:
-        """Ends a program of which the executor tells nothing any more; `switches` are those told last.
-
-        `goal` is None for a program of an earlier planner process.
-        """
+        """Ends a program of which the executor tells nothing any more; `goal`: None if of an earlier process."""
         found, manipulator = decode_context(context) or Context("unknown"), self._view.manipulator
         unknown = bytes((len(manipulator.actuators) + 7) // 8)
         silent = Ended(0, identity.program, context, "aborted", outcome.message, -1, switches, unknown, unknown)
@@ -131,9 +124,7 @@ class Results:
         """Ends what the present executor owes and has neither sent nor runs, once it had the time to send it.
 
         It had a result, which an earlier planner process acknowledged without recording it: the disk was full.
-
-        Args:
-            running: number of the program that the executor runs; -1 if none.
+        `running` is the number of the program that the executor runs; -1 if none.
         """
         if self._owed and self._moment.now > self._met_at + SENT_AGAIN_WITHIN:
             now = Identity(self._view.instance or 0, running)

@@ -88,11 +88,7 @@ class Stream:
             self._last_refusal = str(refusal)
 
     def _assign(self, arrived: SetpointArrived) -> None:
-        """Assigns a set-point to the present stream, or begins a new one.
-
-        Raises:
-            Refusal: the present stream is another sender's.
-        """
+        """Assigns a set-point to the present stream, or begins a new one; refuses one of another sender."""
         now, ticket = self._moment.now, self._ticket_of(arrived)
         if not self._alive(self._heard):
             self._abandon()
@@ -120,11 +116,7 @@ class Stream:
         return ticket
 
     def _measure(self, setpoint: TrackedSetpoint) -> None:
-        """Passes a set-point to the tracker.
-
-        Raises:
-            Refusal: the set-point is stale, from the future or out of order.
-        """
+        """Passes a set-point to the tracker, which refuses one that is stale, from the future or out of order."""
         now = self._moment.now
         if not self._alive(self._fitted):
             self._tracker.forget()

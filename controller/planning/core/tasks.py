@@ -15,17 +15,13 @@ from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, Refused
 
 
-class Tables(NamedTuple):
-    """The solvers of the arm reduced by locked actuators."""
-
+class Tables(NamedTuple):  # solvers of the arm reduced by locked actuators
     generation: int  # grows with each rebuild
     locked: bytes  # locked state of each actuator, 0 or 1, 255 if it is free; A bytes
     solvers: Any = None  # of the workers; opaque
 
 
-class VersionedScene(NamedTuple):
-    """The obstacles, those of the arm's file and those sent."""
-
+class VersionedScene(NamedTuple):  # the obstacles, those of the arm's file and those sent
     generation: int  # grows with each change
     free: bool  # whether there is nothing to collide with
     keep_out: Any = None  # swept checks; opaque
@@ -51,18 +47,14 @@ class Basis(NamedTuple):
 # --- tasks
 
 
-class PlanGoal(NamedTuple):
-    """Plan a goal. Answered by `Planned`, `Refused` or `Failed`."""
-
+class PlanGoal(NamedTuple):  # answered by `Planned`, `Refused` or `Failed`
     message: GoalMessage
     received: float  # time of arrival [UNIX s]
     bias: tuple[float, ...] | None  # tip bias that corrects the goal, dimension numbers; None: no tracker
     basis: Basis
 
 
-class ImprovePlan(NamedTuple):
-    """Improve a running plan. Answered by `Deviations` first, then by several `Improved`, at last by `Done`."""
-
+class ImprovePlan(NamedTuple):  # answered by `Deviations` first, then by several `Improved`, at last by `Done`
     plan: Any
     begin: float  # t = 0 of the trajectory [s, the monotonic clock]
     search: bool  # False: only the deviations are wanted
@@ -70,23 +62,17 @@ class ImprovePlan(NamedTuple):
     scene: VersionedScene
 
 
-class PrepareSearch(NamedTuple):
-    """Prepare the next search while no request waits, and plan `rehearsal` without effect. Answered by `Done`."""
-
+class PrepareSearch(NamedTuple):  # while no request waits; answered by `Done`
     basis: Basis
-    rehearsal: GoalMessage | None = None
+    rehearsal: GoalMessage | None = None  # planned without effect
 
 
-class DescribePlan(NamedTuple):
-    """Plan a goal without running it, within a time [s]. Answered by `Described`, `Refused` or `Failed`."""
-
+class DescribePlan(NamedTuple):  # answered by `Described`, `Refused` or `Failed`
     goal: PlanGoal
-    seconds: float
+    seconds: float  # longest time
 
 
-class FollowSetpoint(NamedTuple):
-    """Search the configuration for a followed set-point. Answered by `Followed` or `Failed`."""
-
+class FollowSetpoint(NamedTuple):  # answered by `Followed` or `Failed`
     basis: Basis
     position: tuple[float, ...]  # of the computed tip, dimension numbers
     tolerance: float  # greatest distance from the set-point; the search uses half of it
@@ -104,23 +90,17 @@ class CheckStages(NamedTuple):
     stages: tuple[bytes, ...]
 
 
-class CheckStanding(NamedTuple):
-    """Check states at rest for a collision. Answered by `Checked` or `Failed`."""
-
+class CheckStanding(NamedTuple):  # answered by `Checked` or `Failed`
     scene: VersionedScene
-    states: bytes
+    states: bytes  # at rest
 
 
-class BuildScene(NamedTuple):
-    """Build the swept checks of the obstacles sent and of the arm's file. Answered by `SceneBuilt` or `Failed`."""
-
+class BuildScene(NamedTuple):  # answered by `SceneBuilt` or `Failed`
     generation: int
-    obstacles: Any
+    obstacles: Any  # that were sent
 
 
-class BuildTables(NamedTuple):
-    """Build the solvers for locked states; takes seconds. Answered by `Tables` or `Failed`."""
-
+class BuildTables(NamedTuple):  # takes seconds; answered by `Tables` or `Failed`
     generation: int
     locked: bytes
 
@@ -148,8 +128,6 @@ class Described(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """The stages to a set-point."""
-
     stages: tuple[bytes, ...]  # packed states after each stage; empty: the arm stays
     note: str  # why it stays, as the end of a sentence that begins "following a setpoint"; "" if all is well
     found: bool  # whether a configuration within the tolerance was found

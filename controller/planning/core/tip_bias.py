@@ -42,11 +42,7 @@ class TipBiasEstimator:
             self._last_refusal = str(refusal)
 
     def _measure(self, payload: bytes) -> bool:
-        """Passes a measured tip to the filter; returns False if it is an outlier.
-
-        Raises:
-            Refusal: the sample is malformed, late, early, of a moving arm, or too far from the computed tip.
-        """
+        """Passes a measured tip to the filter, or refuses it; returns False if it is an outlier."""
         position, stamp = decode(payload, self._manipulator.dimension)
         age = self._moment.wall - stamp
         if age > VALIDITY:
