@@ -22,7 +22,7 @@ from hyperbit.controller.arm.warnings import file_warnings
 from hyperbit.controller.flight_recorder import FlightRecorder, Label
 from hyperbit.controller.gateway.arrivals import RepeatedGoals
 from hyperbit.controller.gateway.claim import Claim
-from hyperbit.controller.gateway.outbox import Outbox, ResultHooks
+from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.journal import fields_of_fault
@@ -92,8 +92,8 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
         closing.callback(book.close)
         published = PublishedResults(published_path(name, socket))
         goals, notifier = RepeatedGoals(), Notifier()
-        hooks = ResultHooks(goals.ended, published.add, inbox.post)
-        outbox = Outbox(session, f"hyperbit/{name}", hooks, daemon.fail, lease(config))
+        prefix = f"hyperbit/{name}"
+        outbox = Outbox(session, prefix, goals.ended, published.add, inbox.post, daemon.fail, lease(config))
         outbox.start()
         closing.callback(outbox.close)
         warnings = Warnings(reachable(session, config), book.faults)

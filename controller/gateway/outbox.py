@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -35,14 +35,6 @@ JSON = zenoh.Encoding.APPLICATION_JSON
 Item = tuple[zenoh.Query | PublishResult | None, str, Payload]
 
 
-class ResultHooks(NamedTuple):
-    """What the outbox calls for each result; no function waits."""
-
-    ended: Callable[[str | None], None]  # takes the id of the goal, before its result is published
-    publishing: Callable[[Identity, Payload], None]  # marks a result durably, before its put
-    published: Callable[[Published], None]  # takes the event for the planner's core, when it has left the process
-
-
 class Outbox:
     """A thread for the Zenoh calls that may wait for a slow peer. No method waits, except `close`.
 
@@ -63,13 +55,15 @@ class Outbox:
         self,
         session: zenoh.Session,
         prefix: str,  # of all keys, "hyperbit/<arm>"
-        hooks: ResultHooks,
+        ended: Callable[[str | None], None],  # takes the id of a goal, before its result is published
+        mark: Callable[[Identity, Payload], None],  # marks a result durably, before its put
+        post: Callable[[Published], None],
         fatal: Callable[[str], None],
         lease: float = LEASE,  # of the session [s]
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._prefix, self._lease, self._clock = prefix, lease, clock
-        self._hooks, self._fatal = hooks, fatal
+        self._ended, self._mark, self._post, self._fatal = ended, mark, post, fatal
         self._last_reading, self._wait_until = clock(), -float("inf")  # last clock reading, end of a wait [s]
         self._reached_from = clock() + RECONNECTED  # time at which clients have reconnected [s]
         # Any thread appends, only the thread of the outbox takes. Both are atomic.
@@ -107,7 +101,7 @@ class Outbox:
         If the process is killed in between, clients may have the result or not. Therefore the next process publishes
         it again, with the field `repeated`.
         """
-        self._hooks.ended(result.payload.get("id"))
+        self._ended(result.payload.get("id"))
         self._put(self._inherited if result.inherited else self._first, (result, "result", result.payload), needed=True)
 
     def recorded(self) -> bool:
@@ -118,7 +112,6 @@ class Outbox:
             return False
 
     def answer(self, query: zenoh.Query, key: str, payload: Payload) -> None:
-        """Answers a query on `key` and ends it."""
         carried_out = key in COMMANDS and payload.get("accepted") is True
         self._put(self._first if carried_out else self._second, (query, key, payload))
 
@@ -184,7 +177,7 @@ class Outbox:
 
     def _post_published(self, now: float) -> None:
         while self._put_results and self._put_results[0][0] <= now:
-            self._hooks.published(Published(self._put_results.popleft()[1]))
+            self._post(Published(self._put_results.popleft()[1]))
 
     def _stood_still(self) -> bool:
         """Returns whether clients may not have reconnected yet after a standstill."""
@@ -201,7 +194,7 @@ class Outbox:
             payload = {**payload, "queues": {**payload.get("queues", {}), "outbox": self.waiting()}}
         data = encoded(payload)
         if isinstance(target, PublishResult):
-            self._hooks.publishing(target.identity, msgspec.json.decode(data))
+            self._mark(target.identity, msgspec.json.decode(data))
         try:
             if target is None or isinstance(target, PublishResult):
                 self._publishers[key].put(data)

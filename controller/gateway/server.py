@@ -92,7 +92,6 @@ class Server:
         self._declared.close()
 
     def _command(self, key: ServedKey, reach: Reach = "named") -> None:
-        """Accepts commands on `key`, by query and by put."""
         way = self._query(key, reach, ordered=True)
         on_put = Callback(partial(way.receive, deliver=self._publish_refusal), indirect=False)
         self._declared.callback(self._session.declare_subscriber(way.name, on_put).undeclare)

@@ -156,7 +156,6 @@ class ExecutorLink:
         return None
 
     def _report(self, reason: str) -> None:
-        """Reports that there is no connection, if that is new."""
         if self._welcomed is not None or reason != self._reason:
             self._received.append(LinkDown(reason))
         self._reason = reason

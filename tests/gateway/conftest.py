@@ -16,7 +16,7 @@ import pytest
 import zenoh
 
 from hyperbit.controller.gateway.arrivals import RepeatedGoals, Reply
-from hyperbit.controller.gateway.outbox import Outbox, ResultHooks
+from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.motion.decoding.goal import GoalMessage, parse
@@ -128,8 +128,8 @@ class Gateway:
         self.rows: dict[str, Payload] = {}
         self.readable = True
         self.session = stack.enter_context(zenoh.open(session.configuration("peer", listen=endpoint)))
-        hooks = ResultHooks(self.goals.ended, lambda *result: None, self.published.append)
-        self.outbox = Outbox(self.session, f"hyperbit/{ARM}", hooks, lambda message: None)
+        hooks = self.goals.ended, lambda *result: None, self.published.append
+        self.outbox = Outbox(self.session, f"hyperbit/{ARM}", *hooks, lambda message: None)
         self.outbox.start()
         stack.callback(self.outbox.close)
         self.server = self.serve()

@@ -205,12 +205,10 @@ class ExecutorView:
         return float(ready)
 
     def measured_in(self, message: Settled | Ended) -> Measured:
-        """Returns the measured states in a message, shape (A,)."""
         return measured_states(message.measured, message.known, len(self.manipulator.actuators))
 
     @property
     def measured(self) -> Measured:
-        """Measured states, shape (A,)."""
         return np.full(len(self.manipulator.actuators), -1, np.int8) if self.state is None else self.state.measured
 
     def mode(self) -> tuple[Mode, str]:

@@ -1,7 +1,5 @@
 """Events and actions of the planner's core, as plain data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 

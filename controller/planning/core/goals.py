@@ -1,7 +1,5 @@
 """Requests for motion: each goal or jog waits, is planned from where the arm is, and is offered to the executor."""
 
-from __future__ import annotations
-
 import logging
 import math
 import traceback
@@ -58,7 +56,6 @@ class Goals:
         return len(self._waiting) + (self._current is not None)
 
     def queue(self, request: Request, ticket: Ticket) -> None:
-        """Queues a goal or jog, or refuses it at once."""
         wanted, name = request.message, f"{self._parts.name}{request.number:x}"
         assert isinstance(wanted, GoalMessage | Jog)
         name = f"jog-{name}" if isinstance(wanted, Jog) else wanted.id or name

@@ -1,7 +1,5 @@
 """The locked actuators, and whether the planner's tables are those for them."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from functools import partial
@@ -107,7 +105,6 @@ class Locks:
         self.listed = tuple(pair for pair in zip(labels, self.states.tolist(), strict=True) if pair[1] >= 0)
 
     def _rebuild(self) -> None:
-        """Starts a rebuild if one is needed and none runs."""
         if self.tables is None and not self._building and self.problem is None:
             self._building = True
             task = BuildTables(self._built.generation + 1, self._locked)

@@ -1,7 +1,5 @@
 """The owner of the obstacles: their generation, the checks among them, and requests that replace them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from functools import partial

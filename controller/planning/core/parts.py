@@ -132,7 +132,6 @@ class Jobs:
         self._jobs: dict[int, Job] = {}
 
     def start(self, task: Task, on_answer: OnAnswer) -> int:
-        """Starts a task; returns its number."""
         self._last += 1
         self._jobs[self._last] = Job(task, on_answer)
         self._act(Start(self._last, task))
@@ -168,7 +167,6 @@ class Jobs:
 
     @property
     def waiting(self) -> int:
-        """Number of tasks under way."""
         return len(self._jobs)
 
 

@@ -1,7 +1,5 @@
 """What plans are made from: arm, tables, obstacles and tip bias."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from hyperbit.controller.planning.core.arm import ExecutorView

@@ -1,7 +1,5 @@
 """Prepares the next search while no request for motion waits."""
 
-from __future__ import annotations
-
 import math
 
 from hyperbit.controller.motion.decoding.goal import GoalMessage

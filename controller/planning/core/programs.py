@@ -1,7 +1,5 @@
 """Programs in flight: offered to the executor, accepted, replaced; their feedback and improvements."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from hyperbit.controller.motion.stages.feed import Improved
@@ -207,7 +205,6 @@ class Programs:
         goal.job = self._jobs.start(task, partial(self._improved, goal))
 
     def _improved(self, goal: Goal, answer: tasks.Answer) -> None:
-        """Takes deviations and better plans."""
         match answer:
             case tasks.Deviations(values):
                 goal.feed.note_deviations(values)
@@ -250,7 +247,6 @@ class Programs:
                 self._act(Publish("feedback", feedback))
 
     def _feed(self, goal: Goal) -> None:
-        """Sends the next part of a running program."""
         if goal.state == "running" and goal.outcome is None and (message := goal.feed.message()) is not None:
             self._act(ToExecutor(message))
 

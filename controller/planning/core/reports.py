@@ -113,7 +113,6 @@ class GoalReport:
 
     @property
     def present(self) -> GoalTarget:
-        """The target at the present point."""
         return self._target(max(self._point, 0))
 
     def begun(self, point: int) -> None:

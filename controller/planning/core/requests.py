@@ -1,7 +1,5 @@
 """Requests that wait for no motion: cancel, stop, reset, locks and faults for the executor, and plans of goals."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from hyperbit.controller.motion.decoding.goal import GoalMessage
@@ -30,14 +28,13 @@ class ExecutorRequests:
     A reset goes to the executor with the epoch of its arrival, so that the executor refuses it after a later stop.
     """
 
-    def __init__(self, parts: Parts, locks: Locks, goals: Goals, programs: Programs, queries: Queries) -> None:
+    def __init__(self, parts: Parts, locks: Locks, goals: Goals, programs: Programs, queries: "Queries") -> None:
         self._parts, self._view, self._act = parts, parts.view, parts.act
         self._locks, self._goals, self._programs, self._queries = locks, goals, programs, queries
         self._pending: dict[int, float] = {}  # time of each request that is not answered yet [s]
         self._resets: dict[int, Ticket] = {}  # those of them whose epoch is not known yet
 
     def receive_request(self, request: Request) -> None:
-        """Handles a cancel, stop, reset, lock or fault."""
         number = request.number
         match request.key, request.message:
             case "cancel", CancelMessage(str(goal)):
@@ -146,7 +143,6 @@ class Queries:
         return len(self._waiting)
 
     def queue(self, query: Request) -> None:
-        """Queues a query, or refuses it at once."""
         full = len(self._waiting) > MOST_WAITING
         self._waiting[query.number] = query
         if full:

@@ -1,7 +1,5 @@
 """Results: each is made, published, recorded and acknowledged, in this order, whichever planner process it began in."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Iterable, Mapping
@@ -62,7 +60,6 @@ class Results:
 
     @property
     def idle(self) -> bool:
-        """Whether all results were published and recorded."""
         return not self._publishing and not self._recording
 
     def next_entry(self) -> int:
@@ -146,7 +143,6 @@ class Results:
     # --- published, recorded, acknowledged
 
     def published(self, number: int) -> None:
-        """Records a result that was published."""
         if (untold := self._publishing.pop(number, None)) is not None:
             self._record(untold)
 

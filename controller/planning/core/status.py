@@ -1,7 +1,5 @@
 """The payloads of `state` and `diagnostics`, when they are published, and what systemd and the log are told."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Iterator

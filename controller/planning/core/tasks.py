@@ -4,8 +4,6 @@ Actuator states travel packed, as in the contract with the executor. `tables`, `
 and used by others. The core stores them, compares their generations, and does not look inside.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from hyperbit.controller.motion.decoding.goal import GoalMessage

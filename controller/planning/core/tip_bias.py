@@ -1,7 +1,5 @@
 """The tip bias, estimated from measured tips."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

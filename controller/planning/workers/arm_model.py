@@ -1,7 +1,7 @@
 """What one worker knows of the arm: its pace, packed states, and the solver that avoids the present obstacles."""
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +30,6 @@ class Abandoned(Exception):
     """A task is no longer needed."""
 
 
-class Solvers(NamedTuple):
-    """Solvers with the same tables, one for each worker that searches; `Tables.solvers`."""
-
-    goals: Solver
-    queries: Solver
-    setpoints: Solver
-
-
 class ArmModel:
     """The arm for one worker. Not thread-safe, because the memory of its solver is not."""
 
@@ -52,7 +44,7 @@ class ArmModel:
         """Returns the solver of the reduced arm that avoids the obstacles of a scene."""
         generations = tables.generation, scene.generation
         if self._solver is None or generations != self._generations:
-            solver: Solver = getattr(tables.solvers, self._worker)
+            solver: Solver = tables.solvers[self._worker]
             if not scene.free:
                 clearance = scene.keep_out.clearance
                 if solver.manipulator is not clearance.manipulator:
@@ -101,11 +93,11 @@ def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], t
     goals = Solver(reduced, densities, weights)
     goals.prepare()
     arm_switches(reduced)  # a goal among obstacles needs them at once
-    return tasks.Tables(task.generation, task.locked, Solvers(goals, goals.another(), goals.another()))
+    solvers = {"goals": goals, "queries": goals.another(), "setpoints": goals.another()}  # all with the same tables
+    return tasks.Tables(task.generation, task.locked, solvers)
 
 
 def build_scene(arm: Arm, task: tasks.BuildScene) -> tasks.SceneBuilt:
-    """Returns the scene of the obstacles of the arm's file and those sent."""
     keep_out = KeepOutSet(arm.clearance(others=task.obstacles), task.obstacles)
     scene = tasks.VersionedScene(task.generation, keep_out.free, keep_out)
     return tasks.SceneBuilt(scene, len(keep_out.clearance.obstacles), len(task.obstacles))

@@ -206,7 +206,6 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
 
 
 def follow(model: ArmModel, task: tasks.FollowSetpoint) -> tasks.Followed:
-    """Returns the stages to a set-point, or why the arm stays."""
     arm_start, tables, scene = task.basis
     solver = model.solver(tables, scene)
     try:

@@ -144,7 +144,7 @@ def test_a_solver_is_kept_until_tables_or_obstacles_change(bench: Bench) -> None
     assert bench.model.solver(bench.tables, scene) is kept
     assert kept.clearance is scene.keep_out.clearance
     assert bench.model.solver(bench.tables, scene._replace(generation=100)) is not kept
-    assert bench.model.solver(bench.tables, bench.free) is bench.tables.solvers.goals
+    assert bench.model.solver(bench.tables, bench.free) is bench.tables.solvers["goals"]
 
 
 def test_a_search_is_prepared_until_it_is_abandoned(bench: Bench) -> None:
