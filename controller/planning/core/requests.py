@@ -58,12 +58,10 @@ class ExecutorRequests:
             if self._parts.admission.barred(ticket):
                 self._finish(number, refused(Refusal(Reason.OVERTAKEN)))
             elif ticket.epoch is not None or not self._view.connected:
+                del self._resets[number]
                 self._send(number, Reset(number, ticket.epoch or 0))
             elif self._parts.moment.now > self._pending[number] + EXECUTOR_TIMEOUT:
                 self._finish(number, refused(Refusal(Reason.EXECUTOR_BEHIND)))
-            else:
-                continue
-            del self._resets[number]
 
     def unsent(self, number: int, reason: str) -> None:
         self._finish(number, refused(Refusal(Reason.NO_EXECUTOR, why=reason)))
@@ -74,7 +72,6 @@ class ExecutorRequests:
 
     def lost(self, reason: str) -> None:
         """Refuses all requests that are not answered: the connection is lost."""
-        self._resets.clear()
         for number in list(self._pending):
             self._finish(number, refused(Refusal(Reason.EXECUTOR_LOST, why=reason)))
 
@@ -125,6 +122,7 @@ class ExecutorRequests:
             self.unsent(number, self._view.problem)
 
     def _finish(self, number: int, payload: Payload) -> None:
+        self._resets.pop(number, None)
         if self._pending.pop(number, None) is not None:
             self._parts.admission.answered(number)
             self._act(Reply(number, payload))
