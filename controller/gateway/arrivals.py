@@ -25,11 +25,9 @@ Reply = Callable[[Payload], None]  # must not wait
 
 
 class Clocks(NamedTuple):
-    """The clocks of the gateway: monotonic [s], UNIX [s], and a function that pauses the thread [s]."""
-
     monotonic: Callable[[], float] = time.monotonic
     wall: Callable[[], float] = time.time
-    pause: Callable[[float], None] = time.sleep
+    pause: Callable[[float], None] = time.sleep  # the thread
 
 
 class Rate:
@@ -39,11 +37,9 @@ class Rate:
         self._clock, self._times = clock, deque[float](maxlen=most)
 
     def add(self) -> None:
-        """Counts an event."""
         self._times.append(self._clock())
 
     def exceeded(self) -> bool:
-        """Returns whether the number was reached within the last second."""
         return len(self._times) == self._times.maxlen and self._clock() - self._times[0] < 1.0
 
     def admits(self) -> bool:
@@ -60,28 +56,23 @@ class FloodBrake:
     In a flood the callback pauses. Zenoh then stops reading the connections of the flood, and the interpreter is free
     for other threads. A goal from another client waits for the 256 messages before it in the callback's queue, about
     60 ms.
-
-    Attributes:
-        refused: counts refused requests.
-        explained: admits refusals that give their reason.
     """
 
     def __init__(
         self, clock: Callable[[], float] = time.monotonic, pause: Callable[[float], None] = time.sleep
     ) -> None:
-        self.refused, self.explained = Rate(MOST_AT_ONCE, clock), Rate(MOST_AT_ONCE, clock)
+        self.refused = Rate(MOST_AT_ONCE, clock)
+        self.explained = Rate(MOST_AT_ONCE, clock)  # admits refusals that give their reason
         self._requests, self._pause = itertools.count(1), pause
 
     def slow_down(self) -> None:
-        """Pauses now and then while too many requests are refused; called after each request."""
+        """Pauses now and then while too many requests are refused. Call it after each request."""
         if self.refused.exceeded() and next(self._requests) % PAUSE_EVERY == 0:
             self._pause(PAUSE)
 
 
 @dataclass(eq=False)
 class ArrivedGoal:
-    """A goal that has arrived."""
-
     keys: list[bytes]  # by which it is recognized
     at: float  # time of its last message [s]
     replies: deque[Reply] = field(default_factory=deque)  # that wait for the answer
@@ -98,12 +89,10 @@ class ArrivedGoal:
         self.reply()
 
     def store_answer(self, answer: Payload) -> None:
-        """Stores the answer, and replies to all that wait."""
         self.answer, self.ended = answer, self.ended or not answer.get("accepted")
         self.reply()
 
     def reply(self) -> None:
-        """Replies to all that wait, if the answer is known."""
         while self.answer is not None and self.replies:
             try:
                 reply = self.replies.popleft()
@@ -113,13 +102,7 @@ class ArrivedGoal:
 
 
 def keys_of(payload: bytes, attached: bytes, *, has_id: bool) -> list[bytes]:
-    """Returns the keys by which a goal is recognized when it comes again.
-
-    Args:
-        payload: of the goal.
-        attached: what the client attached; empty if nothing.
-        has_id: whether the payload has an id.
-    """
+    """Returns the keys by which a goal is recognized when it comes again; `attached` is empty if nothing was."""
     digest = hashlib.blake2b(payload, digest_size=16).digest()
     keys = [b"number" + digest + attached[:64]] if attached else []
     return [*keys, b"payload" + digest] if has_id else keys
@@ -138,12 +121,9 @@ class RepeatedGoals:
         self._known: dict[bytes, ArrivedGoal] = {}
 
     def receive_goal(self, keys: list[bytes], reply: Reply, request: Callable[[Reply], object]) -> None:
-        """Requests a new goal, or repeats the answer to a known one. For any thread.
+        """Calls `request` for a new goal, with what takes its answer, or repeats the answer to a known one.
 
-        Args:
-            keys: of `keys_of`.
-            reply: takes the answer.
-            request: requests a new goal; is given the function that takes its answer.
+        For any thread.
         """
         goal = ArrivedGoal(keys, self._clock())
         goal.await_answer(reply)

@@ -21,22 +21,19 @@ class AlreadyRunning(Exception):
 
 
 class Claimant(msgspec.Struct):
-    """The owner of a claim, as it answers; `serves` is false until it has looked for other claims.
-
-    `simulated`: whether its boards are simulated.
-    """
+    """The owner of a claim, as it answers."""
 
     host: str
     pid: int
-    serves: bool = True
+    serves: bool = True  # false until it has looked for other claims
     simulated: bool = False
 
 
 class Claim:
     """The claim of this process to an arm: the token "hyperbit/<arm>/@claim/<zid>", and who has it as an answer.
 
-    Zenoh does not notify the owner of a liveliness token when another
-    session declares the same one. So each daemon has a token of its own, and looks for the claims of others.
+    Zenoh does not notify the owner of a liveliness token when another session declares the same one. So each daemon has
+    a token of its own, and looks for the claims of others.
 
     Of daemons that start together, the one with the lowest id of its session serves. Each looks for the last time when
     its claim has reached the others. So of two daemons, at least one finds the other.
@@ -53,8 +50,7 @@ class Claim:
     def confirm(self, timeout: float = CLAIM_TIMEOUT) -> None:
         """Returns when this process may serve the arm, GRACE after its claim at the earliest.
 
-        Args:
-            timeout: how long a daemon that does not answer may keep its token [s].
+        A daemon that does not answer may keep its token for `timeout` [s].
 
         Raises:
             AlreadyRunning: another daemon serves the arm, or will.
@@ -69,7 +65,6 @@ class Claim:
         self._claimant.serves = True
 
     def close(self) -> None:
-        """Gives up the claim."""
         for declared in (self._token, self._queryable):
             declared.undeclare()  # type: ignore[no-untyped-call]
 
@@ -78,13 +73,9 @@ class Claim:
             query.reply(query.key_expr, msgspec.json.encode(self._claimant))
 
     def _silent_tokens(self) -> list[str]:
-        """Returns the tokens of other daemons that do not answer. Daemons of earlier versions have only "alive".
-
-        Raises:
-            AlreadyRunning: another daemon serves the arm, or its claim comes first.
-        """
+        """Returns the tokens of daemons that do not answer; raises AlreadyRunning if one serves, or comes first."""
         silent = []
-        for token in [*self._tokens("@claim/*"), *self._tokens("alive")]:
+        for token in [*self._tokens("@claim/*"), *self._tokens("alive")]:  # earlier versions have only "alive"
             if (other := token.rpartition("/")[2]) == self._own:
                 continue
             claimants = self._claimants(f"hyperbit/{self._arm}/arm" if other == "alive" else token)

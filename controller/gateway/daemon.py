@@ -22,7 +22,7 @@ from hyperbit.controller.arm.warnings import file_warnings
 from hyperbit.controller.flight_recorder import FlightRecorder, Label
 from hyperbit.controller.gateway.arrivals import RepeatedGoals
 from hyperbit.controller.gateway.claim import Claim
-from hyperbit.controller.gateway.outbox import Outbox, ResultHooks
+from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.journal import fields_of_fault
@@ -51,14 +51,10 @@ REMEMBERED = 10.0  # [s] for which a warning stays after its cause
 
 
 class Daemon:
-    """A daemon that serves an arm.
-
-    Attributes:
-        failure: why the process must end, so that the service manager starts it again; None while all is well.
-    """
+    """A daemon that serves an arm."""
 
     def __init__(self) -> None:
-        self.failure: str | None = None
+        self.failure: str | None = None  # why the process must end, so that the service manager starts it again
 
     def fail(self, message: str) -> None:
         """Notes that the process must end. For any thread."""
@@ -67,19 +63,10 @@ class Daemon:
 
 
 class ServedArm(NamedTuple):
-    """The arm that a daemon serves.
-
-    Attributes:
-        arm: with wiring.
-        densities: of the arm reduced by locked actuators.
-        digest: SHA-256 of the arm's file, in hexadecimal.
-        simulated: whether the executor simulates the boards.
-    """
-
-    arm: Arm
-    densities: Densities
-    digest: str
-    simulated: bool = False
+    arm: Arm  # with wiring
+    densities: Densities  # of the arm reduced by locked actuators
+    digest: str  # SHA-256 of the arm's file, in hexadecimal
+    simulated: bool = False  # whether the executor simulates the boards
 
 
 @contextlib.contextmanager
@@ -87,13 +74,7 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
     """Serves an arm while the context lasts.
 
     At the end the server closes its keys first, so that no more requests come. Then goals end, and their results and
-    the last state are published. The connection to the executor closes last.
-
-    Args:
-        served: the arm.
-        config: of the Zenoh session.
-        ledger: path of the ledger.
-        socket: path of the executor's socket.
+    the last state are published. The connection to the executor closes last. `socket` is that of the executor.
 
     Raises:
         zenoh.ZError: the session cannot be opened.
@@ -111,8 +92,8 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
         closing.callback(book.close)
         published = PublishedResults(published_path(name, socket))
         goals, notifier = RepeatedGoals(), Notifier()
-        hooks = ResultHooks(goals.ended, published.add, inbox.post)
-        outbox = Outbox(session, f"hyperbit/{name}", hooks, daemon.fail, lease(config))
+        prefix = f"hyperbit/{name}"
+        outbox = Outbox(session, prefix, goals.ended, published.add, inbox.post, daemon.fail, lease(config))
         outbox.start()
         closing.callback(outbox.close)
         warnings = Warnings(reachable(session, config), book.faults)
@@ -147,11 +128,8 @@ def saved_poses(arm: Arm, ledger: Path) -> Poses:
 class Warnings:
     """Detects the causes of warnings. Belongs to one thread.
 
-    Args:
-        reachable: returns whether the session is connected to an endpoint of its configuration.
-        others: returns the active warnings of other parts, such as the ledger.
-        wall: the system's clock, UNIX seconds.
-        clock: a clock that is never set [s].
+    `reachable` returns whether the session is connected to an endpoint of its configuration, `others` the active
+    warnings of other parts, such as the ledger. `wall` is the system's clock, `clock` is never set.
     """
 
     def __init__(
@@ -184,7 +162,6 @@ class Warnings:
         return (*(fault for _, (fault, _) in sorted(self._own.items())), *self._others())
 
     def _warn(self, fault: Fault, now: float) -> None:
-        """Begins a warning, or continues it."""
         if fault.code not in self._own:
             fields = fields_of_fault(fault.code, fault.source)
             log.warning("%s: %s", fault.code, fault.message, extra={"journal": fields})

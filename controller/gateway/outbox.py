@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -35,20 +35,6 @@ JSON = zenoh.Encoding.APPLICATION_JSON
 Item = tuple[zenoh.Query | PublishResult | None, str, Payload]
 
 
-class ResultHooks(NamedTuple):
-    """What the outbox calls for each result; no function waits.
-
-    Attributes:
-        ended: takes the id of the goal, before its result is published.
-        publishing: marks a result durably, before its put; takes what clients receive.
-        published: takes the event for the planner's core, when the result has left the process.
-    """
-
-    ended: Callable[[str | None], None]
-    publishing: Callable[[Identity, Payload], None]
-    published: Callable[[Published], None]
-
-
 class Outbox:
     """A thread for the Zenoh calls that may wait for a slow peer. No method waits, except `close`.
 
@@ -62,26 +48,22 @@ class Outbox:
     at that moment would reach no client. Results, and the messages after them in their lane, therefore wait until
     clients have had time to reconnect. The results of an earlier planner process wait in the same way after the start.
 
-    Args:
-        session: open session.
-        prefix: of all keys, "hyperbit/<arm>".
-        hooks: called for each result.
-        fatal: takes a message when the thread dies.
-        lease: of the session [s].
-        clock: a clock that continues while the process stands still [s].
+    `fatal` takes a message when the thread dies. `clock` continues while the process stands still.
     """
 
     def __init__(
         self,
         session: zenoh.Session,
-        prefix: str,
-        hooks: ResultHooks,
+        prefix: str,  # of all keys, "hyperbit/<arm>"
+        ended: Callable[[str | None], None],  # takes the id of a goal, before its result is published
+        mark: Callable[[Identity, Payload], None],  # marks a result durably, before its put
+        post: Callable[[Published], None],
         fatal: Callable[[str], None],
-        lease: float = LEASE,
+        lease: float = LEASE,  # of the session [s]
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._prefix, self._lease, self._clock = prefix, lease, clock
-        self._hooks, self._fatal = hooks, fatal
+        self._ended, self._mark, self._post, self._fatal = ended, mark, post, fatal
         self._last_reading, self._wait_until = clock(), -float("inf")  # last clock reading, end of a wait [s]
         self._reached_from = clock() + RECONNECTED  # time at which clients have reconnected [s]
         # Any thread appends, only the thread of the outbox takes. Both are atomic.
@@ -119,7 +101,7 @@ class Outbox:
         If the process is killed in between, clients may have the result or not. Therefore the next process publishes
         it again, with the field `repeated`.
         """
-        self._hooks.ended(result.payload.get("id"))
+        self._ended(result.payload.get("id"))
         self._put(self._inherited if result.inherited else self._first, (result, "result", result.payload), needed=True)
 
     def recorded(self) -> bool:
@@ -130,16 +112,13 @@ class Outbox:
             return False
 
     def answer(self, query: zenoh.Query, key: str, payload: Payload) -> None:
-        """Answers a query on `key` and ends it."""
         carried_out = key in COMMANDS and payload.get("accepted") is True
         self._put(self._first if carried_out else self._second, (query, key, payload))
 
     def waiting(self) -> int:
-        """Returns the number of messages that wait."""
         return len(self._first) + len(self._second) + len(self._inherited)
 
     def close(self, timeout: float = 2.0) -> None:
-        """Sends the rest, for at most `timeout` seconds."""
         self._closing = True
         self._wake_up()
         if self._thread.ident is not None:
@@ -185,7 +164,6 @@ class Outbox:
         return max(min(self._put_results[0][0] - self._clock(), POLL), 0.0) if self._put_results else POLL
 
     def _next(self) -> Item | None:
-        """Returns the next message that may be sent; None if there is none."""
         results_wait = self._stood_still() and not self._closing
         inherited_wait = results_wait or (self._clock() < self._reached_from and not self._closing)
         if self._inherited and not inherited_wait:
@@ -198,9 +176,8 @@ class Outbox:
         return self._second.popleft() if self._second else None
 
     def _post_published(self, now: float) -> None:
-        """Posts `Published` for each result that has left the process."""
         while self._put_results and self._put_results[0][0] <= now:
-            self._hooks.published(Published(self._put_results.popleft()[1]))
+            self._post(Published(self._put_results.popleft()[1]))
 
     def _stood_still(self) -> bool:
         """Returns whether clients may not have reconnected yet after a standstill."""
@@ -217,7 +194,7 @@ class Outbox:
             payload = {**payload, "queues": {**payload.get("queues", {}), "outbox": self.waiting()}}
         data = encoded(payload)
         if isinstance(target, PublishResult):
-            self._hooks.publishing(target.identity, msgspec.json.decode(data))
+            self._mark(target.identity, msgspec.json.decode(data))
         try:
             if target is None or isinstance(target, PublishResult):
                 self._publishers[key].put(data)
@@ -232,23 +209,17 @@ class Outbox:
 
 
 def encoded(payload: Payload) -> bytes:
-    """Returns a payload as JSON, numbers that are not finite as null; a substitute for a payload without JSON form."""
+    """Returns a payload as JSON, numbers that are not finite as null; of a payload without JSON form id and status."""
     try:
         return msgspec.json.encode(payload, enc_hook=plain)
     except Exception:
         log.exception("a payload cannot be encoded as JSON: %r", payload)
-        return msgspec.json.encode(without_json(payload))
+        fields = {name: value for name in ("id", "status") if isinstance(value := payload.get(name), str)}
+        fields = {name: value.encode(errors="backslashreplace").decode() for name, value in fields.items()}
+        return msgspec.json.encode({**refused(Refusal(Reason.INTERNAL_ERROR)), **fields})
 
 
 def plain(value: object) -> Any:
-    """Converts NumPy's numbers and arrays to Python's."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} cannot be encoded as JSON")
-
-
-def without_json(payload: Payload) -> Payload:
-    """Returns a replacement for a payload that cannot be encoded; it has the goal and status of a result."""
-    fields = {name: value for name in ("id", "status") if isinstance(value := payload.get(name), str)}
-    fields = {name: value.encode(errors="backslashreplace").decode() for name, value in fields.items()}
-    return {**refused(Refusal(Reason.INTERNAL_ERROR)), **fields}

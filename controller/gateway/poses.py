@@ -27,16 +27,10 @@ SavedGoal = dict[str, Any]  # the payload of a goal without id and stamp
 
 
 class PosesMessage(Struct, forbid_unknown_fields=True, frozen=True):
-    """The payload of `poses`: one pose to save or to remove.
+    """The payload of `poses`: one pose to save or to remove."""
 
-    Attributes:
-        save: name of the pose that is saved; a pose of this name is replaced.
-        goal: its goal, needed with `save`.
-        remove: name of the pose that is removed.
-    """
-
-    save: Name | None = None
-    goal: SavedGoal | None = None
+    save: Name | None = None  # a pose of this name is replaced
+    goal: SavedGoal | None = None  # needed with `save`
     remove: Name | None = None
 
 
@@ -44,11 +38,7 @@ class Poses:
     """The named poses of one arm. For any thread.
 
     A change is written to the file before it is answered. A file that cannot be read is kept and reported, and no
-    pose is saved then.
-
-    Args:
-        path: of the file.
-        home: the configuration of "home", unless an operator saves another one.
+    pose is saved then. `home` is the configuration of "home", unless an operator saves another one.
     """
 
     def __init__(self, path: Path, home: str) -> None:
@@ -71,11 +61,7 @@ class Poses:
         return [{"name": name, "goal": goal} for name, goal in every.items()]
 
     def change(self, message: PosesMessage) -> Payload:
-        """Saves or removes a pose; returns the answer.
-
-        Raises:
-            Refusal: there is no such pose, there are too many, or the file cannot be written.
-        """
+        """Saves or removes a pose; returns the answer, or raises Refusal."""
         with self._lock:
             saved = dict(self._saved)
             if message.save is not None and message.goal is not None:
@@ -92,11 +78,7 @@ class Poses:
         return done(words)
 
     def _write(self, saved: dict[str, SavedGoal]) -> None:
-        """Replaces the file; a crash leaves the old one or the new one.
-
-        Raises:
-            Refusal: the file cannot be written.
-        """
+        """Replaces the file, or raises Refusal; a crash leaves the old one or the new one."""
         if self._problem is not None:
             raise Refusal(Reason.POSES_UNWRITTEN, why=self._problem)
         content = msgspec.json.format(msgspec.json.encode(saved), indent=1)

@@ -19,17 +19,8 @@ from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses, decode_poses
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Undecodable
 from hyperbit.controller.motion.decoding.setpoint import parse
-from hyperbit.controller.planning.core.events import (
-    Arrival,
-    CancelMessage,
-    Key,
-    Message,
-    Payload,
-    SetpointArrived,
-    TipArrived,
-    done,
-    refused,
-)
+from hyperbit.controller.planning.core import events
+from hyperbit.controller.planning.core.events import Payload, done, refused
 from hyperbit.controller.planning.loop import Receive
 from hyperbit.controller.planning.planner import Planner
 from hyperbit.controller.refusals.reasons import Reason
@@ -49,26 +40,17 @@ MOST_TEXT = 500  # characters of a payload that is no JSON, in a note
 # Who receives a request: the arm that is named in full, also each arm that a wildcard matches, or whoever is meant by
 # an expression that may not even name the key, as `hyperbit/**`.
 Reach = Literal["named", "each arm", "all"]
-ServedKey = Key | Literal["poses", "result"]
+ServedKey = events.Key | Literal["poses", "result"]
 
 
 class GatewayParts(NamedTuple):
-    """What answers the requests of one arm.
-
-    Attributes:
-        planner: receives most requests.
-        outbox: sends the answers.
-        goals: recognizes repeated goals.
-        poses: the saved poses.
-        find: returns the ledger's row of a goal, None if there is none; raises sqlite3.Error.
-        clocks: of requests and floods.
-    """
+    """What answers the requests of one arm."""
 
     planner: Planner
     outbox: Outbox
     goals: RepeatedGoals
     poses: Poses
-    find: Callable[[str], Payload | None]
+    find: Callable[[str], Payload | None]  # returns the ledger's row of a goal, if there is one; raises sqlite3.Error
     clocks: Clocks = Clocks()
 
 
@@ -79,11 +61,6 @@ class Server:
     that a wildcard matches, as in `hyperbit/*/stop`. Queries that change nothing accept any wildcard.
 
     Commands are received in Zenoh's own thread, because threads for each key would change their order.
-
-    Args:
-        session: open session.
-        arm: name of the arm.
-        parts: what answers the requests.
     """
 
     def __init__(self, session: zenoh.Session, arm: str, parts: GatewayParts) -> None:
@@ -105,9 +82,9 @@ class Server:
         self._query("arm")
         self._query("result")
         mailboxes = planner.loop.mailboxes
-        mailboxes.set(SetpointArrived, self._mailbox("setpoint", SetpointArrived))
+        mailboxes.set(events.SetpointArrived, self._mailbox("setpoint", events.SetpointArrived))
         if planner.decoder.tracker:
-            mailboxes.set(TipArrived, self._mailbox("measured_tip", TipArrived))
+            mailboxes.set(events.TipArrived, self._mailbox("measured_tip", events.TipArrived))
         self._declared.callback(session.liveliness().declare_token(f"{self._prefix}/alive").undeclare)
 
     def close(self) -> None:
@@ -115,7 +92,6 @@ class Server:
         self._declared.close()
 
     def _command(self, key: ServedKey, reach: Reach = "named") -> None:
-        """Accepts commands on `key`, by query and by put."""
         way = self._query(key, reach, ordered=True)
         on_put = Callback(partial(way.receive, deliver=self._publish_refusal), indirect=False)
         self._declared.callback(self._session.declare_subscriber(way.name, on_put).undeclare)
@@ -128,13 +104,10 @@ class Server:
         self._declared.callback(self._session.declare_queryable(way.name, on_query).undeclare)
         return way
 
-    def _mailbox(self, key: str, kind: type[SetpointArrived] | type[TipArrived]) -> Receive:
-        """Returns a function that returns the latest sample of each sender once, put on `key` itself.
-
-        A put by a wildcard displaces no sample that names the key.
-        """
+    def _mailbox(self, key: str, kind: type[events.Arrived]) -> Receive:
+        """Returns a function that returns the latest sample of each sender once. A put must name the key in full."""
         name, loop = f"{self._prefix}/{key}", self._parts.planner.loop
-        latest: dict[str, SetpointArrived | TipArrived] = {}
+        latest: dict[str, events.Arrived] = {}
 
         def put(sample: zenoh.Sample) -> None:
             if str(sample.key_expr) != name:
@@ -147,7 +120,7 @@ class Server:
                 arrival = arrival._replace(number=waiting.arrival.number)
             latest[sender] = kind(content(sample.payload), arrival, sender)
 
-        def receive() -> list[SetpointArrived | TipArrived]:
+        def receive() -> list[events.Arrived]:
             waiting = [latest.pop(sender, None) for sender in list(latest)]
             return sorted(filter(None, waiting), key=lambda arrived: arrived.arrival.number)
 
@@ -166,17 +139,13 @@ class Server:
 
 
 class ResultQuery(msgspec.Struct, forbid_unknown_fields=True):
-    """Payload of a query on `result`: the goal's id."""
-
-    id: Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
+    id: Annotated[str, msgspec.Meta(min_length=1, max_length=128)]  # of the goal
 
 
 @dataclass(eq=False, frozen=True)
 class Received:
-    """A request as it came."""
-
     name: str  # its key expression
-    arrival: Arrival
+    arrival: events.Arrival
     payload: bytes
     number: bytes  # that the client attached; empty if none
     deliver: Reply  # sends the answer
@@ -184,34 +153,20 @@ class Received:
 
 
 class Way:
-    """The way of requests on one key to the planner, and of their answers back. For any thread.
-
-    Each request is answered once.
-
-    Attributes:
-        name: the key in full, "hyperbit/<arm>/<key>".
-
-    Args:
-        prefix: of all keys, "hyperbit/<arm>".
-        key: of the requests.
-        reach: who receives a request.
-        parts: what answers it.
-    """
+    """The way of requests on one key to the planner, and of their answers back, each once. For any thread."""
 
     def __init__(self, prefix: str, key: ServedKey, reach: Reach, parts: GatewayParts) -> None:
-        self.name, self._reach = f"{prefix}/{key}", reach
-        self._key = cast(Key, key)  # `PosesWay` and `ResultWay` have another key, and give the planner nothing
+        self.name, self._reach = f"{prefix}/{key}", reach  # name: the key in full
+        self._key = cast(events.Key, key)  # `PosesWay` and `ResultWay` have another key, and give the planner nothing
         self._planner, self._outbox, self._goals, self._poses, self._find, self._clocks = parts
         clock, _, pause = parts.clocks
         self._brake, self._notes = FloodBrake(clock, pause), Rate(MOST_NOTES, clock)
         self._unanswered = set[Received]()  # a request is removed once, atomically
 
     def on_query(self, query: zenoh.Query) -> None:
-        """Receives a query; its answer ends it."""
         self.receive(query, partial(self._outbox.answer, query, self._key))
 
     def receive(self, it: zenoh.Query | zenoh.Sample, deliver: Reply) -> None:
-        """Receives a request; `deliver` sends its answer."""
         place = self._planner.loop.arrive()
         payload, attachment, stamp = content(it.payload), content(it.attachment), self._clocks.wall()
         received = Received(str(it.key_expr), place, payload, attachment, deliver, stamp)
@@ -231,7 +186,7 @@ class Way:
         if self._reach != "each arm" and len(self._unanswered) > MOST_UNANSWERED:
             raise Refusal(Reason.BUSY, most=MOST_UNANSWERED, what=f"requests on {self._key}")
         message = self._decode(received.payload)
-        if isinstance(message, CancelMessage) and message.goal is not None:
+        if isinstance(message, events.CancelMessage) and message.goal is not None:
             self._check_named(received.name, named=True)
         reply = partial(self._answer, received)
         if self._key == "goal" and isinstance(message, GoalMessage):
@@ -241,7 +196,7 @@ class Way:
         else:
             self._planner.loop.request(received.arrival, self._key, message, reply)
 
-    def _decode(self, payload: bytes) -> Message:
+    def _decode(self, payload: bytes) -> events.Message:
         """Returns the content of a request, or raises Refusal; in a flood without a reason that takes long."""
         try:
             return self._planner.decoder.decode(self._key, payload)
@@ -317,7 +272,6 @@ class ResultWay(Way):
 
 
 def content(payload: zenoh.ZBytes | None) -> bytes:
-    """Returns the bytes of a payload."""
     return b"" if payload is None else payload.to_bytes()
 
 

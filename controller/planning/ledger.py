@@ -40,18 +40,8 @@ class Ledger:
     or alone after `write_every`. If the file cannot be written, `fault` says why, and the data is written later. A
     damaged file is renamed; a new file begins with the present counts, but without the goals.
 
-    Attributes:
-        owed: the newest thousand goals that had no result when the ledger was opened, the oldest first.
-        known: number of switches of each actuator so far.
-        fault: why the file cannot be written now; None if it can.
-        damage: what happened to a damaged file; None if no file was damaged.
-
-    Args:
-        path: of the file; it and its folder are made if they are missing.
-        actuators: labels, in the order of the state vectors.
-        recorded: takes the number of each record, in the ledger's thread, when it is written or cannot be written.
-        fatal: takes a message when the ledger's thread dies, in this thread.
-        write_every: time between two transactions without a record [s].
+    In the ledger's thread, `recorded` takes the number of each record when it is written or cannot be written, and
+    `fatal` takes a message when the thread dies.
 
     Raises:
         LedgerInUse: another process writes this ledger.
@@ -59,17 +49,18 @@ class Ledger:
 
     def __init__(
         self,
-        path: Path,
-        actuators: Sequence[str],
+        path: Path,  # it and its folder are made if they are missing
+        actuators: Sequence[str],  # labels, in the order of the state vectors
         recorded: Callable[[int], None] = lambda _: None,
         fatal: Callable[[str], None] = lambda _: None,
-        write_every: float = WRITE_EVERY,
+        write_every: float = WRITE_EVERY,  # [s] between two transactions without a record
     ) -> None:
         self._path, self._lock_file = path, locked_file(path)
-        self.fault: str | None = None
-        self.damage: str | None = None
+        self.fault: str | None = None  # why the file cannot be written now
+        self.damage: str | None = None  # what happened to a damaged file
         counts = counted(path)
-        self.known, self.owed = tuple(counts.get(label, 0) for label in actuators), owed(path)
+        self.known = tuple(counts.get(label, 0) for label in actuators)  # number of switches of each actuator so far
+        self.owed = owed(path)  # goals that had no result when the ledger was opened
         self._recorded, self._fatal, self._write_every = recorded, fatal, write_every
         self._file = LedgerFile(path, actuators)
         self._queue: SimpleQueue[Record | None] = SimpleQueue()  # None: the end
@@ -127,7 +118,6 @@ class Ledger:
         return [first, *(self._queue.get() for _ in range(self._queue.qsize()))]
 
     def _write(self, records: Iterable[Record]) -> bool:
-        """Writes records and counts; returns whether that succeeded."""
         for _ in range(2):  # the second time into a new file, if the old one is damaged
             try:
                 self._file.write(records, self.known)
@@ -154,9 +144,6 @@ def locked_file(ledger: Path) -> IO[bytes] | None:
     """Returns the file "<ledger>.lock", locked until it is closed or the process ends; None if it cannot be made.
 
     The ledger itself cannot carry the lock: closing another file descriptor of it would drop SQLite's own locks.
-
-    Raises:
-        LedgerInUse: another process has the lock.
     """
     path = ledger.with_name(f"{ledger.name}.lock")
     try:
@@ -177,16 +164,7 @@ def locked_file(ledger: Path) -> IO[bytes] | None:
 
 
 class Mark(NamedTuple):
-    """A published result, one JSON array in a line.
-
-    Attributes:
-        instance: of the executor.
-        program: number of the program.
-        status: of the result.
-        code: of the result.
-        message: of the result.
-        switches: of all actuators.
-    """
+    """A published result, one JSON array in a line."""
 
     instance: int
     program: int
@@ -206,10 +184,8 @@ class PublishedResults:
     repeated. The file needs no fsync: it survives the death of the process, and a reboot deletes the executor's results
     as well.
 
-    The file has at most twice MOST_MARKS lines. Lines that are torn, or are no marks, are ignored.
-
-    Args:
-        path: of the file, in a folder in memory, which must exist.
+    The file has at most twice MOST_MARKS lines. Lines that are torn, or are no marks, are ignored. Its folder is in
+    memory, and must exist.
     """
 
     def __init__(self, path: Path) -> None:
@@ -231,21 +207,14 @@ class PublishedResults:
         mark = Mark(*identity, payload.get("status", ""), payload.get("code", 0), words, payload.get("switches", 0))
         self._marks[identity] = mark
         if len(self._marks) > 2 * MOST_MARKS:
-            self._replace(list(self._marks.values())[-MOST_MARKS:])
+            self._marks = dict(list(self._marks.items())[-MOST_MARKS:])
+            new = self._path.with_name(f"{self._path.name}.new")
+            self._write(new, os.O_TRUNC, b"".join(map(encoded, self._marks.values())), self._path)
         else:
             self._write(self._path, os.O_APPEND, b"\n" * self._torn + encoded(mark))
 
-    def _replace(self, marks: list[Mark]) -> None:
-        """Replaces the file."""
-        self._marks = {Identity(*mark[:2]): mark for mark in marks}
-        new = self._path.with_name(f"{self._path.name}.new")
-        self._write(new, os.O_TRUNC, b"".join(map(encoded, marks)), self._path)
-
     def _write(self, path: Path, flag: int, data: bytes, target: Path | None = None) -> None:
-        """Writes data at once, and renames the file to `target`.
-
-        The file is opened each time: systemd may have deleted the folder with an executor, and made it again.
-        """
+        """Writes data. The file is opened each time: systemd may have deleted the folder, and made it again."""
         try:
             file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | flag, 0o600)
             try:
@@ -269,7 +238,6 @@ def published_path(arm: str, socket: Path) -> Path:
 
 
 def encoded(mark: Mark) -> bytes:
-    """Returns the line of a mark."""
     return msgspec.json.encode(mark) + b"\n"
 
 

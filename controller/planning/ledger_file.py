@@ -60,12 +60,9 @@ class LedgerFile:
         self._written: dict[str, int] = {}  # counts written by this connection
 
     def write(self, records: Iterable[Record], counts: Sequence[int]) -> None:
-        """Writes records and absolute counts in one transaction.
+        """Writes records and absolute counts in one transaction, or raises.
 
         An acceptance that the file has, and a result of a goal that has ended, change nothing.
-
-        Raises:
-            Exception: from SQLite or the file system; nothing was written.
         """
         connection, records = self._opened(), tuple(records)
         new = [
@@ -86,7 +83,6 @@ class LedgerFile:
         self._written |= dict(new)
 
     def close(self) -> None:
-        """Closes the connection."""
         if self._connection is not None:
             self._connection.close()
             self._connection = None
@@ -139,13 +135,11 @@ class Damaged(Exception):
 
 
 def damaged(error: Exception) -> bool:
-    """Returns whether an error means that the file is damaged."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
     return isinstance(error, Damaged) or code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
 def default_path(arm: str, *, simulated: bool = False) -> Path:
-    """Returns the path of an arm's ledger, in `state_folder`."""
     return state_folder(simulated=simulated) / f"{arm}.sqlite"
 
 
@@ -175,11 +169,7 @@ def owed(path: Path) -> tuple[OpenGoal, ...]:
 
 
 def read(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
-    """Returns the number of switches of each actuator, and the latest thousand goals, newest first.
-
-    Raises:
-        sqlite3.Error: the file is missing, or is no ledger.
-    """
+    """Returns the switches of each actuator, and the latest thousand goals, newest first; may raise sqlite3.Error."""
     with closing(readable(path)) as connection:
         connection.row_factory = sqlite3.Row
         switches = {row["actuator"]: row["count"] for row in connection.execute("SELECT * FROM switches")}
@@ -188,11 +178,7 @@ def read(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
 
 
 def find(path: Path, goal: str) -> dict[str, Any] | None:
-    """Returns the row of the newest goal with this id; None if there is none. A row without `ended` has no result yet.
-
-    Raises:
-        sqlite3.Error: the file is missing, or is no ledger.
-    """
+    """Returns the row of the newest goal with this id, without `ended` if it runs; may raise sqlite3.Error."""
     with closing(readable(path)) as connection:
         connection.row_factory = sqlite3.Row
         row = connection.execute("SELECT * FROM goals WHERE id = ? ORDER BY number DESC", (plain(goal),)).fetchone()
@@ -200,7 +186,6 @@ def find(path: Path, goal: str) -> dict[str, Any] | None:
 
 
 def readable(path: Path) -> sqlite3.Connection:
-    """Opens a ledger for reading only."""
     return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
 
 

@@ -30,16 +30,10 @@ class Connection:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
 
     def send(self, data: bytes) -> None:
-        """Sends one packet, which is atomic. For any thread.
-
-        Raises:
-            BlockingIOError: the socket is full.
-            OSError: the connection has ended.
-        """
+        """Sends one packet, which is atomic. For any thread. Raises BlockingIOError if the socket is full."""
         self.socket.send(data, socket.MSG_NOSIGNAL)
 
     def shut(self) -> None:
-        """Ends the connection at once."""
         with contextlib.suppress(OSError):
             self.socket.shutdown(socket.SHUT_RDWR)
 
@@ -51,16 +45,8 @@ class Connection:
 class ExecutorLink:
     """The connection to one executor. Belongs to the loop's thread; only `send_now` is for any thread.
 
-    Attributes:
-        retry_at: time of the next attempt to connect, while there is no connection [s].
-
-    Args:
-        path: of the socket.
-        arm: name of the arm.
-        digest: SHA-256 of the arm's file, in hexadecimal.
-        clock: of the loop [s].
-        simulated: whether the executor must simulate its boards; else it must not. The ledger counts switches of
-            either simulated or real boards.
+    `digest` is the SHA-256 of the arm's file, in hexadecimal. If `simulated`, the executor must simulate its boards,
+    otherwise it must not: the ledger counts switches of either simulated or real boards.
     """
 
     def __init__(
@@ -72,7 +58,7 @@ class ExecutorLink:
         *,
         simulated: bool = False,
     ) -> None:
-        self.retry_at = 0.0
+        self.retry_at = 0.0  # time of the next attempt to connect, while there is no connection [s]
         self._path, self._arm, self._digest, self._clock = path, arm, digest, clock
         self._simulated = simulated
         self._connection: Connection | None = None
@@ -145,7 +131,7 @@ class ExecutorLink:
         return received
 
     def _accept(self, data: bytes) -> str | None:
-        """Accepts a packet; returns why the connection must end."""
+        """Accepts a packet; returns why the connection must end, if it must."""
         if not data:
             return "the executor closed the connection"
         try:
@@ -170,7 +156,6 @@ class ExecutorLink:
         return None
 
     def _report(self, reason: str) -> None:
-        """Reports that there is no connection, if that is new."""
         if self._welcomed is not None or reason != self._reason:
             self._received.append(LinkDown(reason))
         self._reason = reason
@@ -198,10 +183,9 @@ class ExecutorLink:
             self._queue.popleft()
 
     def send_now(self, message: Down) -> str | None:
-        """Sends a message before all queued ones. For any thread; waits up to SEND_TIMEOUT for a full socket.
+        """Sends a message before all queued ones; returns why it was not sent, None if it was.
 
-        Returns:
-            why the message was not sent, None if it was.
+        For any thread; waits up to SEND_TIMEOUT for a full socket.
         """
         connection = self._welcomed
         if connection is None:
@@ -226,12 +210,10 @@ class Inbox:
     """A queue of events. One thread reads it, and waits for it and for the link together.
 
     A post wakes a sleeping thread within about 50 us. A `SimpleQueue` needs 10 us less, but cannot wait for a socket.
-
-    Attributes:
-        events: oldest first; only the reading thread removes them. Who appends here calls `wake` after that.
     """
 
     def __init__(self) -> None:
+        # Oldest first; only the reading thread removes events. Who appends here calls `wake` after that.
         self.events: deque[Event] = deque()
         self._asleep = False  # whether the reading thread must be woken
         self._wakeups = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)

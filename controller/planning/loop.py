@@ -40,33 +40,21 @@ OnReply = Callable[[events.Payload], None]
 class Out(Protocol):
     """Publishes payloads; no method waits."""
 
-    def publish(self, key: Literal["state", "diagnostics", "feedback"], payload: events.Payload) -> None:
-        """Publishes a payload."""
+    def publish(self, key: Literal["state", "diagnostics", "feedback"], payload: events.Payload) -> None: ...
 
-    def publish_result(self, result: events.PublishResult) -> None:
-        """Publishes a result, notes it, and posts `Published`."""
+    def publish_result(self, result: events.PublishResult) -> None: ...  # notes it, and posts `Published`
 
 
 class Services(NamedTuple):
-    """What the planner needs from its process.
+    """What the planner needs from its process."""
 
-    Attributes:
-        inbox: of the loop; the others post their events there.
-        ledger: of goals and switches.
-        published: marks of published results.
-        out: sends publications.
-        notifier: notifies systemd.
-        warnings: returns the active warnings of the clock, the network and the ledger.
-        fatal: ends the process with a message.
-    """
-
-    inbox: Inbox
+    inbox: Inbox  # event queue; ledger, outbox and workers post to it
     ledger: Ledger
     published: PublishedResults
     out: Out
     notifier: Notifier
-    warnings: Callable[[], tuple[Fault, ...]]
-    fatal: Callable[[str], None]
+    warnings: Callable[[], tuple[Fault, ...]]  # active ones of the clock, the network and the ledger
+    fatal: Callable[[str], None]  # ends the process with a message
 
 
 class PlannerFailed(Exception):
@@ -77,19 +65,8 @@ class Loop:
     """Runs the core. For any thread.
 
     An exception of the core ends the process, because its state may be wrong then. An exception in carrying out an
-    action is logged, and the next action follows.
-
-    Attributes:
-        mailboxes: that the loop reads.
-        ended: whether the core has ended and the executor has got all messages, or the loop does not run.
-
-    Args:
-        core: of the planner.
-        link: to the executor; closed with this object. All but `send_now` is for the loop's thread only.
-        workers: carry out the tasks.
-        services: carry out the other actions.
-        recorder: takes each event, its times, and the actions, None after an exception; None: nobody records.
-        clocks: monotonic [s] and UNIX [s].
+    action is logged, and the next action follows. The recorder takes each event, its times, and the actions, None after
+    an exception. The link is closed with this object.
     """
 
     def __init__(
@@ -101,6 +78,7 @@ class Loop:
         recorder: FlightRecorder | None = None,
         clocks: tuple[Callable[[], float], Callable[[], float]] = (time.monotonic, time.time),
     ) -> None:
+        # Whether the core has ended and the executor has got all messages, or the loop does not run.
         self.ended = threading.Event()
         self.ended.set()
         self._core, self._inbox, self._link = core, services.inbox, link
@@ -117,7 +95,6 @@ class Loop:
         self._thread = threading.Thread(target=self._run, name="planner", daemon=True)
 
     def start(self) -> None:
-        """Starts the thread, which connects to the executor."""
         self.ended.clear()
         self._thread.start()
 
@@ -204,7 +181,6 @@ class Loop:
             self.ended.set()
 
     def _handle_posted(self) -> None:
-        """Handles the events posted so far."""
         for _ in range(len(self._inbox.events)):
             event = self._inbox.events.popleft()
             if isinstance(event, events.Request):  # set-points that wait may have arrived before
@@ -219,7 +195,6 @@ class Loop:
         return self._inbox.wait(0.0 if self._link.pending else max(due - self._clock(), 0.0), self._link)
 
     def _handle_times(self) -> None:
-        """Handles what is due."""
         now = self._clock()
         if now >= self._wake:
             self._wake = math.inf
@@ -239,8 +214,8 @@ class Loop:
 
     # --- the core
 
-    def _step_all(self, events: Iterable[events.Event]) -> None:
-        for event in events:
+    def _step_all(self, all_events: Iterable[events.Event]) -> None:
+        for event in all_events:
             self._step(event)
 
     def _step(self, event: events.Event) -> None:

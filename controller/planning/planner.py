@@ -28,23 +28,14 @@ from hyperbit.controller.workspace.densities import Densities
 
 
 class Planner:
-    """The planner as the gateway uses it; made by `planning`. For any thread.
-
-    Attributes:
-        loop: receives requests.
-        decoder: of requests.
-    """
+    """The planner as the gateway uses it; made by `planning`. For any thread."""
 
     def __init__(self, arm: Arm, densities: Densities, loop: Loop) -> None:
         self.loop, self.decoder = loop, RequestDecoder(arm)
         self._arm, self._densities, self._description = arm, densities, description(arm)
 
     def description(self, wanted: Collection[str] = ()) -> events.Payload:
-        """Returns the parts of the payload of `arm` that do not change.
-
-        Args:
-            wanted: parts to include besides: "drawing", "file", "density".
-        """
+        """Returns the parts of the payload of `arm` that do not change, with those `wanted`: drawing, file, density."""
         made: dict[str, Callable[[], events.Payload | None]] = {
             "drawing": lambda: drawing(self._arm),
             "file": lambda: file(self._arm),
@@ -65,13 +56,8 @@ def planning(
 ) -> Iterator[Planner]:
     """A planner with its core and workers; at the end goals end, and all are closed.
 
-    Args:
-        arm: with wiring.
-        densities: of the arm reduced by locked actuators.
-        link: to the executor.
-        services: of the process.
-        recorder: takes each step.
-        simulated: whether the executor simulates the boards.
+    `arm` has its wiring, `densities` are of the arm reduced by locked actuators. If `simulated`, the executor simulates
+    the boards.
     """
     known = services.ledger.known
     weights = arm.weights(dict(zip(arm.manipulator.actuators, known, strict=True)))
@@ -98,15 +84,11 @@ class _NamedGoal(msgspec.Struct):
 
 
 class RequestDecoder:
-    """Decodes the requests for one arm. For any thread.
-
-    Attributes:
-        tracker: whether measured tips are accepted.
-    """
+    """Decodes the requests for one arm. For any thread."""
 
     def __init__(self, arm: Arm) -> None:
         manipulator, tracker = arm.manipulator, arm.settings.tracker
-        self.tracker = tracker is not None
+        self.tracker = tracker is not None  # whether measured tips are accepted
         self._actuators, self._dimension = manipulator.actuators, manipulator.dimension
         self._base = manipulator.base[: manipulator.dimension, 3].tolist()
         self._farthest = manipulator.length + (tracker.clamp if tracker else 0.0)  # of a tip from the base
@@ -126,13 +108,12 @@ class RequestDecoder:
             case "cancel":
                 return decode_cancel(payload)
             case "degrade":
-                lock = decode_degrade(payload)
-                return events.LockMessage(lock.actuator, lock.state)
+                return decode_degrade(payload)
             case "obstacles":
                 obstacles = decode_obstacles(payload, self._dimension)
                 return events.SentObstacles(obstacles, json.loads(payload)["regions"])
             case "fault":
-                return events.FaultToPlay(decode_fault(payload).fault)
+                return decode_fault(payload)
             case "stop" | "reset" | "arm":
                 return None
 
@@ -144,12 +125,9 @@ class RequestDecoder:
 
 
 def decode_cancel(payload: bytes) -> events.CancelMessage:
-    """Returns the content of a `cancel`: the goal that {"id": ...} names.
+    """Returns the content of a `cancel`: the goal that {"id": ...} names; raises Refusal if that is no id.
 
     A payload without an `id` cancels whatever runs, because such a cancel must not fail for its form.
-
-    Raises:
-        Refusal: the `id` cannot be that of a goal.
     """
     try:
         return events.CancelMessage(msgspec.json.decode(payload, type=_NamedGoal).id)

@@ -16,15 +16,15 @@ import pytest
 import zenoh
 
 from hyperbit.controller.gateway.arrivals import RepeatedGoals, Reply
-from hyperbit.controller.gateway.outbox import Outbox, ResultHooks
+from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.motion.decoding.goal import GoalMessage, parse
+from hyperbit.controller.motion.decoding.requests import DegradeMessage
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.planning.core.events import (
     Arrival,
-    LockMessage,
     Message,
     Payload,
     SetpointArrived,
@@ -74,7 +74,7 @@ class FakePlanner:
                 return json.loads(payload).get("actuators")
             case "degrade" if payload.startswith(b"{"):
                 fields = json.loads(payload)
-                return LockMessage(fields.get("actuator"), fields.get("state"))
+                return DegradeMessage(fields.get("actuator"), fields.get("state"))
             case "cancel":
                 return decode_cancel(payload)
             case "jog" if payload == b'"a defect"':
@@ -128,8 +128,8 @@ class Gateway:
         self.rows: dict[str, Payload] = {}
         self.readable = True
         self.session = stack.enter_context(zenoh.open(session.configuration("peer", listen=endpoint)))
-        hooks = ResultHooks(self.goals.ended, lambda *result: None, self.published.append)
-        self.outbox = Outbox(self.session, f"hyperbit/{ARM}", hooks, lambda message: None)
+        hooks = self.goals.ended, lambda *result: None, self.published.append
+        self.outbox = Outbox(self.session, f"hyperbit/{ARM}", *hooks, lambda message: None)
         self.outbox.start()
         stack.callback(self.outbox.close)
         self.server = self.serve()

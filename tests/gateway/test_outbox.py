@@ -14,7 +14,6 @@ from hyperbit.controller.gateway.outbox import (
     RECONNECTED,
     SENT_WITHIN,
     Outbox,
-    ResultHooks,
     encoded,
 )
 from hyperbit.controller.planning.core.events import Identity, Published, PublishResult
@@ -71,8 +70,7 @@ class Results:
         self.tell((identity, payload["status"]))
 
     def outbox(self, **named: Any) -> Outbox:
-        hooks = ResultHooks(self.tell, self.note, self.tell)
-        outbox = Outbox(self.session, "p", hooks, self.fatal.append, **named)  # type: ignore[arg-type]
+        outbox = Outbox(self.session, "p", self.tell, self.note, self.tell, self.fatal.append, **named)  # type: ignore[arg-type]
         outbox.start()
         return outbox
 
@@ -136,8 +134,8 @@ def test_a_result_counts_as_published_when_it_has_left_the_process(session: Fake
 
 def test_the_thread_looks_again_when_a_result_has_left_the_process(session: FakeSession, results: Results) -> None:
     now = 0.0
-    hooks = ResultHooks(results.tell, results.note, results.tell)
-    outbox = Outbox(session, "p", hooks, results.fatal.append, clock=lambda: now)  # type: ignore[arg-type]
+    hooks = results.tell, results.note, results.tell
+    outbox = Outbox(session, "p", *hooks, results.fatal.append, clock=lambda: now)  # type: ignore[arg-type]
     outbox.publish_result(result("a"))
     assert [outbox.step(), outbox.step()] == [0.0, SENT_WITHIN]
     now = SENT_WITHIN
@@ -149,8 +147,8 @@ def test_a_standstill_is_told_with_its_length(
     session: FakeSession, results: Results, caplog: pytest.LogCaptureFixture
 ) -> None:
     now = 100.0
-    hooks = ResultHooks(results.tell, results.note, results.tell)
-    outbox = Outbox(session, "p", hooks, results.fatal.append, lease=2.0, clock=lambda: now)  # type: ignore[arg-type]
+    hooks = results.tell, results.note, results.tell
+    outbox = Outbox(session, "p", *hooks, results.fatal.append, lease=2.0, clock=lambda: now)  # type: ignore[arg-type]
     now += 1.5
     outbox.step()
     outbox.step()

@@ -11,7 +11,6 @@ import pytest
 
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.planning.core.events import (
-    SHUTTING_DOWN,
     Abandon,
     AcceptanceEntry,
     Answered,
@@ -43,6 +42,7 @@ from hyperbit.controller.planning.core.tasks import BuildTables, Done, Failed
 from hyperbit.controller.planning.link import ExecutorLink, Inbox
 from hyperbit.controller.planning.loop import LOOK_EVERY, STREAM_ENDS, STREAM_EVERY, WARNINGS_EVERY, Loop
 from hyperbit.controller.program import Answer, Fault, Hello, Snapshot, Stop
+from hyperbit.controller.refusals.reasons import Reason
 from tests.planning.rig.executor import DIGEST, ScriptedExecutor
 from tests.planning.rig.loop_parts import Remembering, ScriptedCore
 from tests.waiting import PATIENCE
@@ -314,7 +314,7 @@ def test_closing_refuses_what_was_not_answered(bench: Bench) -> None:
     bench.ask(answered.append)
     bench.loop.close()
     bench.loop.close()
-    assert [payload["message"] for payload in answered] == [SHUTTING_DOWN]
+    assert [payload["message"] for payload in answered] == [Reason.SHUTTING_DOWN.sentence]
 
 
 # --- threads

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN, GoalMessage, Jog
-from hyperbit.controller.planning.core.events import CancelMessage, FaultToPlay, Key, LockMessage, SentObstacles
+from hyperbit.controller.motion.decoding.requests import DegradeMessage, FaultMessage
+from hyperbit.controller.planning.core.events import CancelMessage, Key, SentObstacles
 from hyperbit.controller.planning.planner import RequestDecoder
 from hyperbit.controller.refusals.codes import GOAL_TOLERANCE_VIOLATED, INVALID_GOAL
 from hyperbit.controller.refusals.refusal import Refusal
@@ -55,8 +56,8 @@ def test_a_position_of_another_dimension_is_left_to_the_schedule(decoder: Reques
 
 def test_other_contents(decoder: RequestDecoder) -> None:
     assert decoder.decode("jog", payload({"actuators": {"1.right": "extended"}})) == Jog({2: 1}, BEGIN_WITHIN)
-    assert decoder.decode("degrade", payload({"actuator": "1.left", "state": None})) == LockMessage("1.left", None)
-    assert decoder.decode("fault", payload({"fault": "silence can0/5"})) == FaultToPlay("silence can0/5")
+    assert decoder.decode("degrade", payload({"actuator": "1.left", "state": None})) == DegradeMessage("1.left", None)
+    assert decoder.decode("fault", payload({"fault": "silence can0/5"})) == FaultMessage("silence can0/5")
     sent = decoder.decode("obstacles", payload(OBSTACLES))
     assert isinstance(sent, SentObstacles)
     assert sent.regions == OBSTACLES["regions"]

@@ -65,9 +65,9 @@ _recorded = Programs.recorded
 _init_results = Results.__init__
 _ended = Results.ended
 _tell = Results._tell
-_goal_program = offers.goal_program
+_make_goal_program = offers.make_goal_program
 _receive_request = ExecutorRequests.receive_request
-_in_flight = offers._in_flight
+_make_program = offers._make_program
 _publish_result = Outbox.publish_result
 _answered_job = Jobs.answered
 _send = SimulatedLink.send
@@ -78,10 +78,10 @@ _measure = GoalTracker.measure
 
 
 def _answer_twice(self: Programs, entry: int) -> None:
-    reply = self._replies.get(entry)
+    goal = self._unrecorded.get(entry)
     _recorded(self, entry)
-    if reply is not None:
-        self._act(Reply(*reply))
+    if goal is not None:
+        self._act(Reply(goal.request, goal.answer))
 
 
 def _forget_published(self: Results, *arguments: Any) -> None:
@@ -94,21 +94,21 @@ def _trust_marks(self: Results, *arguments: Any) -> None:
     _init_results(self, parts, published, ())
 
 
-def _acknowledge_first(self: Results, message: Any, known: Any) -> None:
+def _acknowledge_first(self: Results, message: Any, goal: Any) -> None:
     self._act(ToExecutor(Acknowledge(message.result)))
-    _ended(self, message, known)
+    _ended(self, message, goal)
 
 
-def _tell_more_switches(self: Results, untold: Any, *known: Any, inherited: bool) -> None:
+def _tell_more_switches(self: Results, untold: Any, goal: Any) -> None:
     payload = dict(untold.payload)
     payload["switches"] += payload["switches"] > 0
     untold.payload = payload
-    _tell(self, untold, *known, inherited=inherited)
+    _tell(self, untold, goal)
 
 
-def _claim_optimum(parts: Any, motion: Any, planned: Any, *now: Any) -> Any:
+def _claim_optimum(parts: Any, goal: Any, planned: Any, *now: Any) -> None:
     proof = planned.proof._replace(bound=planned.proof.cost, certificate="optimal")
-    return _goal_program(parts, motion, planned._replace(proof=proof), *now)
+    _make_goal_program(parts, goal, planned._replace(proof=proof), *now)
 
 
 def _reset_after_stop(self: ExecutorRequests, request: Request) -> None:
@@ -118,10 +118,9 @@ def _reset_after_stop(self: ExecutorRequests, request: Request) -> None:
         self._act(ToExecutor(Reset(10**6, 0 if state is None else state.snapshot.epoch + 1)))
 
 
-def _take_present_epoch(parts: Any, *arguments: Any) -> Any:
-    run = _in_flight(parts, *arguments)
-    run.program = msgspec.structs.replace(run.program, epoch=parts.view.state.snapshot.epoch)
-    return run
+def _take_present_epoch(parts: Any, goal: Any, *arguments: Any, **named: Any) -> None:
+    _make_program(parts, goal, *arguments, **named)
+    goal.program = msgspec.structs.replace(goal.program, epoch=parts.view.state.snapshot.epoch)
 
 
 def _lose_every_third(self: Queries, request: int, payload: object) -> None:
@@ -129,7 +128,7 @@ def _lose_every_third(self: Queries, request: int, payload: object) -> None:
         self._parts.act(Reply(request, payload))  # type: ignore[arg-type]
 
 
-def _say_nothing(self: Results, untold: Any, *known: Any, inherited: bool) -> None:
+def _say_nothing(self: Results, untold: Any, goal: Any) -> None:
     self._owed.pop(untold.identity, None)
 
 
@@ -185,11 +184,11 @@ DEFECTS: dict[str, list[Patch]] = {
     "goals that an executor took with it have no result": [(Results, "met", lambda self, instance: None)],
     "results are acknowledged before they are published": [(Results, "ended", _acknowledge_first)],
     "results count too many switches": [(Results, "_tell", _tell_more_switches)],
-    "each plan counts as optimal": [(goals, "goal_program", _claim_optimum)],
+    "each plan counts as optimal": [(goals, "make_goal_program", _claim_optimum)],
     "programs are not parked": [(Feed, "park", lambda self, generation: setattr(self, "checked", generation))],
     "a stop bars no goals": [
         (Admission, "barred", lambda self, ticket, goal=None: False),
-        (offers, "_in_flight", _take_present_epoch),
+        (offers, "_make_program", _take_present_epoch),
     ],
     "the planner resets a stopped arm": [(ExecutorRequests, "receive_request", _reset_after_stop)],
     "states that are no configuration are not told": [(ArmState, "unknown_state", None)],  # type: ignore[list-item]

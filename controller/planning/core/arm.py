@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hyperbit.controller.motion.stages.program import pack_states, unpack_states
 from hyperbit.controller.planning.core.events import Payload
 from hyperbit.controller.planning.core.tasks import ArmStart
-from hyperbit.controller.program import Diagnostics, Mode, PlayableFaults, Settled, Snapshot, Welcome
+from hyperbit.controller.program import Diagnostics, Ended, Mode, Settled, Snapshot, Welcome
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
@@ -40,7 +40,7 @@ def packed(states: NDArray[np.generic]) -> bytes:
 
 
 class ArmState:
-    """The arm at one snapshot. Immutable; its arrays are computed at first use."""
+    """The arm at one snapshot. Immutable; its arrays, of shape (A,), are computed at first use."""
 
     def __init__(self, manipulator: Manipulator, snapshot: Snapshot) -> None:
         self.manipulator, self.snapshot = manipulator, snapshot
@@ -54,27 +54,30 @@ class ArmState:
 
     @cached_property
     def outputs(self) -> States:
-        """The boards' outputs, as last switched, shape (A,)."""
+        """The boards' outputs, as last switched."""
         return self.unpacked(self.snapshot.outputs)
 
     @cached_property
     def measured(self) -> Measured:
-        """Measured states, shape (A,); -1 where they are not known."""
         return measured_states(self.snapshot.measured, self.snapshot.known, len(self.manipulator.actuators))
 
     @cached_property
     def sensed(self) -> NDArray[np.bool_]:
-        """Which actuators have an end-stop, shape (A,)."""
+        """Which actuators have an end-stop."""
         return self.unpacked(self.snapshot.sensed).astype(np.bool_)
 
     @cached_property
     def locked(self) -> NDArray[np.bool_]:
-        """Which actuators are locked, shape (A,)."""
         return self.unpacked(self.snapshot.locked).astype(np.bool_)
 
     @cached_property
+    def homing(self) -> NDArray[np.bool_]:
+        """Which actuators have an unknown state until they are homed."""
+        return self.unpacked(self.snapshot.homing or self._none).astype(np.bool_)
+
+    @cached_property
     def commanded(self) -> States:
-        """The states from which stages begin, shape (A,): the outputs; for a locked actuator its locked state.
+        """The states from which stages begin: the outputs; for a locked actuator its locked state.
 
         While actuators travel, the arm is in these states at the end of the running stage.
         """
@@ -82,7 +85,7 @@ class ArmState:
 
     @cached_property
     def states(self) -> States:
-        """The states to plan from, shape (A,).
+        """The states to plan from.
 
         At rest these are the measured states, because an actuator may not have followed its output. While actuators
         travel, they are the commanded states.
@@ -93,7 +96,6 @@ class ArmState:
 
     @cached_property
     def start(self) -> ArmStart:
-        """Where a plan starts that is made now."""
         return ArmStart(self.snapshot.outputs, packed(self.commanded), packed(self.states), self.snapshot.locked)
 
     @property
@@ -102,14 +104,9 @@ class ArmState:
 
     @cached_property
     def unread(self) -> list[str]:
-        """Labels of the actuators that were switched, and of which neither an end-stop nor a read has told yet."""
+        """Labels of the actuators that were switched, and that neither an end-stop nor a read has told of yet."""
         mask = self.unpacked(self.snapshot.unread or self._none)
         return [self.manipulator.actuators[k] for k in np.flatnonzero(mask)]
-
-    @cached_property
-    def homing(self) -> NDArray[np.bool_]:
-        """Which actuators have an unknown state until they are homed, shape (A,)."""
-        return self.unpacked(self.snapshot.homing or self._none).astype(np.bool_)
 
     @cached_property
     def known(self) -> bool:
@@ -148,77 +145,41 @@ class ArmState:
         return packed(np.where(self.locked, self.commanded, self.unpacked(states)))
 
     def unpacked(self, states: bytes) -> States:
-        """Returns packed states as an array, shape (A,)."""
         return unpack_states(states, len(self.manipulator.actuators))
 
 
-class RestClock:
-    """When each actuator switched last, according to the snapshots.
-
-    Args:
-        travel: longest time of an actuator from end-stop to end-stop [s].
-    """
-
-    def __init__(self, actuators: int, travel: float, pace: Pace) -> None:
-        self._switched_at = np.full(actuators, -np.inf)
-        self._travel, self._pace = travel, pace
-
-    def note(self, before: ArmState | None, state: ArmState) -> None:
-        """Notes which actuators switched between two snapshots."""
-        if before is not None and before.snapshot.outputs != state.snapshot.outputs:
-            changed = before.outputs != state.outputs
-            self._switched_at = np.where(changed, state.snapshot.at, self._switched_at)
-
-    def ready(self, state: ArmState, stage: bytes, strict: bool) -> float:
-        """Returns the earliest time of a packed stage [s]: the last one has ended, and its actuators have rested."""
-        waits, ready = self._pace.inrush is not None or strict, -np.inf
-        if not waits and not self._pace.rest > 0:
-            return ready
-        differ, switched_at = state.commanded != state.unpacked(state.real(stage)), self._switched_at
-        if differ.any() and waits:
-            ready = switched_at.max() + self._travel
-        if differ.any() and self._pace.rest > 0:
-            ready = max(ready, switched_at[differ].max() + self._travel + self._pace.rest)
-        return float(ready)
-
-
 class ExecutorView:
-    """What the executor last said, and whether it is connected.
-
-    Attributes:
-        state: the arm at the latest snapshot; None if there is none.
-        diagnostics: the latest; None while not connected.
-        instance: of the latest executor; None before the first connection.
-        problem: why there is no connection.
-        counted: switches of all actuators when the first executor was met; None before.
-        simulation: the executor's simulated boards, for the payload of `arm`; None: the boards are real, or there is no
-            connection.
-    """
+    """What the executor last said, and whether it is connected; `travel` is the longest time of an actuator [s]."""
 
     def __init__(self, manipulator: Manipulator, travel: float, pace: Pace) -> None:
         self.manipulator = manipulator
-        self.state: ArmState | None = None
-        self.diagnostics: Diagnostics | None = None
-        self.instance: int | None = None
-        self.connected, self.problem = False, "waiting for the executor"
-        self.rest = RestClock(len(manipulator.actuators), travel, pace)
-        self.counted: int | None = None
-        self.simulation: Payload | None = None
+        self.state: ArmState | None = None  # at the latest snapshot
+        self.diagnostics: Diagnostics | None = None  # the latest; None while not connected
+        self.instance: int | None = None  # of the latest executor; None before the first connection
+        self.connected, self.problem = False, "waiting for the executor"  # why there is no connection
+        self.counted: int | None = None  # switches of all actuators when the first executor was met
+        self.simulation: Payload | None = None  # of simulated boards, for `arm`; None: real boards, or no connection
+        self._travel, self._pace = travel, pace
+        self._switched_at = np.full(len(manipulator.actuators), -np.inf)  # according to the snapshots
         self._was_connected = False
         self._sentence, self._shown_for = "", ""
 
     def receive_welcome(self, message: Welcome, known: tuple[int, ...]) -> None:
         """Takes the greeting of an executor; `known` are the ledger's counts of switches."""
         self.instance, self.connected = message.instance, True
-        self.problem = "waiting for the executor's first snapshot"
-        self.simulation = None if message.simulation is None else described(message.simulation)
+        self.problem, self.simulation = "waiting for the executor's first snapshot", None
+        if (boards := message.simulation) is not None:
+            faults = [{name: getattr(verb, name) for name in verb.__struct_fields__} for verb in boards.faults]
+            names = {kind: list(getattr(boards, kind)) for kind in ("boards", "buses", "interlocks")}
+            self.simulation = {"faults": faults, **names}
         if self.counted is None:
             self.counted = sum(map(max, known, message.counts)) if message.counts else sum(known)
 
     def receive_snapshot(self, snapshot: Snapshot) -> ArmState:
-        """Stores a snapshot, and returns it as ArmState."""
-        state = ArmState(self.manipulator, snapshot) if self.state is None else self.state.at(snapshot)
-        self.rest.note(self.state, state)
+        before = self.state
+        state = ArmState(self.manipulator, snapshot) if before is None else before.at(snapshot)
+        if before is not None and before.snapshot.outputs != snapshot.outputs:
+            self._switched_at = np.where(before.outputs != state.outputs, snapshot.at, self._switched_at)
         self.state, self._was_connected = state, True
         if snapshot.mode == "ready":
             self._shown_for = self._shown_for or snapshot.reason
@@ -228,7 +189,6 @@ class ExecutorView:
         return state
 
     def lost(self, reason: str) -> None:
-        """Notes that there is no connection."""
         self.connected, self.problem = False, reason
         self.state = self.diagnostics = self.simulation = None
         self._sentence = ""
@@ -241,13 +201,23 @@ class ExecutorView:
         if self.state is not None and self.state.snapshot.mode in _AFTER_PROGRAMS:
             self._sentence, self._shown_for = sentence, ""
 
-    def measured_in(self, message: Settled) -> Measured:
-        """Returns the measured states in a message, shape (A,); -1 where they are not known."""
+    def ready_at(self, state: ArmState, stage: bytes, strict: bool) -> float:
+        """Returns the earliest time of a packed stage [s]: the last one has ended, and its actuators have rested."""
+        waits, ready = self._pace.inrush is not None or strict, -np.inf
+        if not waits and not self._pace.rest > 0:
+            return ready
+        differ = state.commanded != state.unpacked(state.real(stage))
+        if differ.any() and waits:
+            ready = self._switched_at.max() + self._travel
+        if differ.any() and self._pace.rest > 0:
+            ready = max(ready, self._switched_at[differ].max() + self._travel + self._pace.rest)
+        return float(ready)
+
+    def measured_in(self, message: Settled | Ended) -> Measured:
         return measured_states(message.measured, message.known, len(self.manipulator.actuators))
 
     @property
     def measured(self) -> Measured:
-        """Measured states, shape (A,); -1 where they are not known."""
         return np.full(len(self.manipulator.actuators), -1, np.int8) if self.state is None else self.state.measured
 
     def mode(self) -> tuple[Mode, str]:
@@ -256,13 +226,6 @@ class ExecutorView:
             return "fault" if self._was_connected else "starting", self.problem
         snapshot = self.state.snapshot
         return snapshot.mode, self._sentence if snapshot.mode == "ready" and self._sentence else snapshot.reason
-
-
-def described(simulation: PlayableFaults) -> Payload:
-    """Returns simulated boards as the field `simulation` of `arm`."""
-    faults = [{name: getattr(verb, name) for name in verb.__struct_fields__} for verb in simulation.faults]
-    names = {kind: list(getattr(simulation, kind)) for kind in ("boards", "buses", "interlocks")}
-    return {"faults": faults, **names}
 
 
 def obstruction(state: ArmState, mode: Mode, reason: str) -> Refusal | None:

@@ -18,13 +18,15 @@ from hyperbit.controller.planning.core.goals import Goals
 from hyperbit.controller.planning.core.locks import Locks
 from hyperbit.controller.planning.core.obstacles import ObstacleOwner
 from hyperbit.controller.planning.core.parts import Parts
-from hyperbit.controller.planning.core.programs import InFlight, Programs
+from hyperbit.controller.planning.core.premises import Premises
+from hyperbit.controller.planning.core.programs import Programs
 from hyperbit.controller.planning.core.reports import GoalOutcome
 from hyperbit.controller.planning.core.requests import ExecutorRequests, Queries
 from hyperbit.controller.planning.core.results import Results
 from hyperbit.controller.planning.core.status import Status
-from hyperbit.controller.planning.core.stream import Stream, TipBiasEstimator
+from hyperbit.controller.planning.core.stream import Stream
 from hyperbit.controller.planning.core.tasks import ImprovePlan, Planned, Tables, VersionedScene
+from hyperbit.controller.planning.core.tip_bias import TipBiasEstimator
 from hyperbit.controller.refusals.codes import PATH_TOLERANCE_VIOLATED
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
@@ -35,66 +37,46 @@ if TYPE_CHECKING:
     from hyperbit.controller.motion.stages.pacing import Pace
 
 # Fields that the core does not look inside: the flight recorder leaves them out.
-OPAQUE: dict[type, str] = {
-    Tables: "solvers",
-    VersionedScene: "keep_out",
-    ImprovePlan: "plan",
-    Planned: "plan",
-    InFlight: "plan",
-}
+OPAQUE: dict[type, str] = {Tables: "solvers", VersionedScene: "keep_out", ImprovePlan: "plan", Planned: "plan"}
 CALM = 0.003  # [s] after an action that is not a report, before the next report
 LAST_RESULTS_WITHIN = 1.0  # [s] at the end for the executor to end the running goal
 
 
 class Beginning(NamedTuple):
-    """What the core knows at its start.
+    """What the core knows at its start."""
 
-    Attributes:
-        name: of this process, distinct from those of all others; a part of ids.
-        tables: for the locks of the arm's file.
-        scene: the obstacles of the arm's file.
-        obstacles: their number.
-        counts: switches of each actuator, of the ledger.
-        published: results that earlier planner processes published, by program.
-        owed: goals that they accepted, and whose results the ledger does not have.
-        simulated: whether this process serves an executor with simulated boards; it connects to no other.
-    """
-
-    name: str
-    tables: Tables
-    scene: VersionedScene
-    obstacles: int
-    counts: tuple[int, ...]
+    name: str  # of this process, distinct from those of all others; a part of ids
+    tables: Tables  # for the locks of the arm's file
+    scene: VersionedScene  # the obstacles of the arm's file
+    obstacles: int  # their number
+    counts: tuple[int, ...]  # switches of each actuator, of the ledger
+    # Results that earlier planner processes published, and goals that they accepted without a result in the ledger.
     published: Mapping[events.Identity, events.ResultEntry] = MappingProxyType({})
     owed: Iterable[events.OpenGoal] = ()
-    simulated: bool = False
+    simulated: bool = False  # whether this process serves an executor with simulated boards; it connects to no other
 
 
 class Core:
-    """Plans goals, and has the executor run them.
-
-    Attributes:
-        ended: whether the process may end, after a `Quit`.
-    """
+    """Plans goals, and has the executor run them."""
 
     def __init__(self, arm: Arm, pace: Pace, beginning: Beginning) -> None:
-        manipulator, searches = arm.manipulator, arm.settings.method == MINIMUM_SWITCH
-        self.ended = False
+        manipulator, searches, tracker = arm.manipulator, arm.settings.method == MINIMUM_SWITCH, arm.settings.tracker
+        self.ended = False  # whether the process may end, after a `Quit`
         self._actions: list[events.Action] = []
         self._counts = beginning.counts
         view = ExecutorView(manipulator, arm.travel_time, pace)
-        self._parts = parts = Parts(view, pace, beginning.name, self._act, simulated=beginning.simulated)
+        self._parts = parts = Parts(view, pace, beginning.name, self._act, beginning.simulated)
         self._view, self._admission, self._jobs, self._moment = view, parts.admission, parts.jobs, parts.moment
-        self._locks = parts.locks = Locks(parts, beginning.tables)
-        self._obstacles = parts.obstacles = ObstacleOwner(parts, beginning.scene, beginning.obstacles)
-        self._results = parts.results = Results(parts, beginning.published, beginning.owed)
-        self._programs = parts.programs = Programs(parts, searches)
-        tracker = arm.settings.tracker
-        parts.tip_bias = None if tracker is None else TipBiasEstimator(parts, tracker)
-        self._goals, self._queries = Goals(parts, searches), Queries(parts)
-        self._requests = ExecutorRequests(parts, self._goals, self._queries)
-        self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts)
-        self._status = Status(parts, self._stream, self._goals, self._queries)
+        self._locks = locks = Locks(parts, beginning.tables)
+        self._obstacles = ObstacleOwner(parts, beginning.scene, beginning.obstacles)
+        self._tip_bias = None if tracker is None else TipBiasEstimator(parts, locks, tracker)
+        premises = Premises(view, locks, self._obstacles, self._tip_bias)
+        self._results = Results(parts, beginning.published, beginning.owed)
+        self._programs = programs = Programs(parts, self._obstacles, self._results, searches)
+        self._goals, self._queries = Goals(parts, premises, programs, searches), Queries(parts, premises)
+        self._requests = ExecutorRequests(parts, locks, self._goals, programs, self._queries)
+        self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts, premises, programs)
+        self._status = Status(parts, premises, programs, self._goals, self._queries, self._stream)
         self._report_at = self._alive_at = 0.0  # times of the next report and keep-alive [s]
         self._most_silent = round(2.0 * arm.settings.planner_timeout / program.ALIVE_EVERY)
         self._silent = 0  # keep-alives since the executor's last message
@@ -103,10 +85,7 @@ class Core:
     def step(self, event: events.Event, now: float, wall: float) -> list[events.Action]:
         """Handles an event; returns the actions, in order.
 
-        Args:
-            event: of a client, the executor, a worker or the shell.
-            now: CLOCK_MONOTONIC, or any clock that never goes back [s].
-            wall: UNIX time [s].
+        `now` is of CLOCK_MONOTONIC, or of any clock that never goes back [s]; `wall` is UNIX time [s].
         """
         self._moment.now, self._moment.wall = now, wall
         self._handle(event)
@@ -131,7 +110,9 @@ class Core:
         return actions
 
     def _handle(self, event: events.Event) -> None:
-        self._status.changed |= self._may_change_state(event)
+        prepared = isinstance(event, events.Answered) and self._jobs.prepares(event.task)
+        if not prepared and not isinstance(event, events.Tick | events.SetpointArrived | events.TipArrived):
+            self._status.changed = True  # `state` may have changed
         match event:
             case events.FromExecutor(message):
                 self._silent = 0
@@ -143,8 +124,8 @@ class Core:
             case events.SetpointArrived():
                 self._stream.receive_setpoint(event)
             case events.TipArrived(payload):
-                if self._parts.tip_bias is not None:
-                    self._parts.tip_bias.receive_tip(payload)
+                if self._tip_bias is not None:
+                    self._tip_bias.receive_tip(payload)
             case events.Published(number):
                 self._results.published(number)
             case events.Recorded(entry):
@@ -155,21 +136,11 @@ class Core:
             case events.Unsent(number, reason):
                 self._requests.unsent(number, reason)
             case events.Warned(warnings):
-                self._status.warned(warnings)
+                self._status.warnings = warnings
             case Quit():
                 self._quit()
             case events.Tick():
                 pass
-
-    def _may_change_state(self, event: events.Event) -> bool:
-        """Returns whether `state` may differ after an event. The end of a prepared search changes nothing."""
-        match event:
-            case events.Tick() | events.SetpointArrived() | events.TipArrived():
-                return False
-            case events.Answered(number):
-                return not self._jobs.prepares(number)
-            case _:
-                return True
 
     # --- clients
 
@@ -178,9 +149,9 @@ class Core:
         try:
             match request.key:
                 case "goal" | "jog":
-                    self._goals.queue_motion(request, self._admission.arrive(request.number))
+                    self._goals.queue(request, self._admission.arrive(request.number))
                 case "plan":
-                    self._queries.queue_query(request)
+                    self._queries.queue(request)
                 case "obstacles":
                     assert isinstance(request.message, events.SentObstacles)
                     if self._obstacles.change(request.number, request.message):
@@ -203,7 +174,7 @@ class Core:
             "sent_obstacles": self._obstacles.regions,
             "simulated": self._parts.simulated,
             "simulation": self._view.simulation,
-            "running": None if running is None else {"goal": running.report.id, "waypoints": running.report.waypoints},
+            "running": None if running is None else {"goal": running.id, "waypoints": running.report.waypoints},
         }
 
     # --- the executor
@@ -278,7 +249,7 @@ class Core:
         self._queries.end_queries()
         self._stream.park()
         if (running := self._programs.current) is not None:
-            self._programs.end(running, GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, events.SHUTTING_DOWN))
+            self._programs.end(running, GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, Reason.SHUTTING_DOWN.sentence))
 
     def _end_if_over(self) -> None:
         over = self._programs.idle and self._results.idle and not self._goals.waiting

@@ -1,106 +1,77 @@
 """Events and actions of the planner's core, as plain data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
+from hyperbit.controller.motion.decoding.requests import DegradeMessage, FaultMessage
 from hyperbit.controller.planning.core.tasks import Answer, Task
 from hyperbit.controller.program import Down, Fault, Up
 from hyperbit.controller.refusals import codes
-from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
 Payload = Mapping[str, Any]
 
+# --- contents of requests
+
 
 class CancelMessage(NamedTuple):
-    """The payload of `cancel`: id of the goal to cancel; None cancels whatever runs, and bars all earlier requests."""
-
-    goal: str | None = None
-
-
-class LockMessage(NamedTuple):
-    """The payload of `degrade`: label of an actuator, and the state to lock it in; None unlocks it."""
-
-    actuator: str
-    state: int | None
-
-
-class FaultToPlay(NamedTuple):
-    """The payload of `fault`: a fault to play in simulated boards, such as "silence can0/5"."""
-
-    fault: str
+    goal: str | None = None  # None cancels whatever runs, and bars all earlier requests
 
 
 class SentObstacles(NamedTuple):
-    """The payload of `obstacles`: decoded for the workers, and as it came for the description of the arm."""
-
-    obstacles: Any
-    regions: list[Any]
+    obstacles: Any  # decoded for the workers
+    regions: list[Any]  # as they came, for the description of the arm
 
 
 Key = Literal["goal", "jog", "plan", "cancel", "stop", "reset", "degrade", "obstacles", "fault", "arm"]
 # Keys without a content have None.
-Message = GoalMessage | Jog | CancelMessage | LockMessage | SentObstacles | FaultToPlay | None
+Message = GoalMessage | Jog | CancelMessage | DegradeMessage | SentObstacles | FaultMessage | None
+
+
+# --- events
 
 
 class Arrival(NamedTuple):
     """The arrival of a request, set-point or measured tip at the gateway.
 
-    Requests may reach the core in another order: their numbers decide.
-
-    Attributes:
-        number: from 1, ascending.
-        at: time of arrival [s, the monotonic clock]. What arrives just after the process stood still may have waited
-            since it did.
+    Requests may reach the core in another order: their numbers decide. What arrives just after the process stood still
+    may have waited since it did: `at` is then the beginning of the standstill.
     """
 
-    number: int
-    at: float
+    number: int  # from 1, ascending
+    at: float  # [s, the monotonic clock]
 
 
 class Request(NamedTuple):
     """A request of a client, decoded. It is answered by exactly one `Reply`.
 
     A `stop`, and a `cancel` without an id, was sent to the executor before, as the executor's request of this number.
-
-    Attributes:
-        arrival: its place in the order of arrival, and its time.
-        wall: time of arrival [UNIX s].
     """
 
     arrival: Arrival
     key: Key
     message: Message
-    wall: float
+    wall: float  # time of arrival [UNIX s]
 
     @property
     def number(self) -> int:
-        """Number of the request."""
         return self.arrival.number
 
 
-class Unsent(NamedTuple):
-    """A `stop` or `cancel` could not be sent to the executor; comes after its `Request`."""
-
+class Unsent(NamedTuple):  # of a `stop` or `cancel` to the executor; comes after its `Request`
     number: int
     reason: str
 
 
-class SetpointArrived(NamedTuple):
-    """The latest set-point of one sender, as it came; `sender` is what the sender attaches, "" if nothing."""
-
+class SetpointArrived(NamedTuple):  # the latest one of a sender
     payload: bytes
     arrival: Arrival
-    sender: str = ""
+    sender: str = ""  # what the sender attaches; "" if nothing
 
 
-class TipArrived(NamedTuple):
-    """The latest measured tip of one sender, as it came."""
-
+class TipArrived(NamedTuple):  # the latest measured tip of a sender
     payload: bytes
     arrival: Arrival
     sender: str = ""
@@ -109,42 +80,30 @@ class TipArrived(NamedTuple):
 Arrived = SetpointArrived | TipArrived
 
 
-class FromExecutor(NamedTuple):
-    """A message of the executor. `Welcome` is the first one of a connection."""
-
+class FromExecutor(NamedTuple):  # `Welcome` is the first message of a connection
     message: Up
 
 
-class LinkDown(NamedTuple):
-    """There is no connection to the executor, and why. The shell repeats it only if the reason changes."""
-
+class LinkDown(NamedTuple):  # repeated only if the reason changes
     reason: str
 
 
 class Answered(NamedTuple):
-    """A worker's answer to the task of a number; a task may have several answers, the last one is marked."""
-
     task: int
     answer: Answer
-    last: bool
+    last: bool  # whether no other answer to the task follows
 
 
 class Published(NamedTuple):
-    """A result was published and has left the process; `result` is the number of its action."""
-
-    result: int
+    result: int  # number of its `PublishResult`; it has left the process
 
 
 class Recorded(NamedTuple):
-    """The ledger has written an entry, or has failed to; `entry` is the number of its action."""
-
-    entry: int
+    entry: int  # number of its `Record`, which is written, or cannot be written
 
 
 class Warned(NamedTuple):
-    """The active warnings of the shell have changed: clock, network, ledger."""
-
-    warnings: tuple[Fault, ...]
+    warnings: tuple[Fault, ...]  # active ones of the shell: clock, network, ledger
 
 
 class Tick(NamedTuple):
@@ -154,16 +113,15 @@ class Tick(NamedTuple):
 Event = Request | Unsent | Arrived | FromExecutor | LinkDown | Answered | Published | Recorded | Warned | Tick | Quit
 
 
-class Reply(NamedTuple):
-    """The one answer to a request."""
+# --- actions
 
+
+class Reply(NamedTuple):
     number: int
     payload: Payload
 
 
 class Publish(NamedTuple):
-    """A payload for "state", "diagnostics" or "feedback"."""
-
     key: Literal["state", "diagnostics", "feedback"]
     payload: Payload
 
@@ -175,9 +133,7 @@ class Identity(NamedTuple):
     program: int
 
 
-class OpenGoal(NamedTuple):
-    """An accepted goal without a result; `goal` is its id, `wall` the time of the acceptance [UNIX s]."""
-
+class OpenGoal(NamedTuple):  # accepted, without a result
     identity: Identity
     goal: str
     wall: float
@@ -197,17 +153,13 @@ class PublishResult(NamedTuple):
 
 
 class AcceptanceEntry(NamedTuple):
-    """The acceptance of a goal or jog, for the ledger; `wall` is its time [UNIX s]."""
-
     goal: str
-    wall: float
+    wall: float  # [UNIX s]
     waypoints: int
 
 
 class ResultEntry(NamedTuple):
-    """The result of a goal or jog, for the ledger; `wall` is its time [UNIX s]."""
-
-    wall: float
+    wall: float  # [UNIX s]
     status: str
     code: int
     message: str
@@ -227,51 +179,35 @@ class Record(NamedTuple):
 
 
 class RecordCounts(NamedTuple):
-    """The executor's counts of switches, one for each actuator, for the ledger."""
-
-    counts: tuple[int, ...]
+    counts: tuple[int, ...]  # switches of each actuator
 
 
-class ToExecutor(NamedTuple):
-    """A message for the executor; dropped without a connection."""
-
+class ToExecutor(NamedTuple):  # dropped without a connection
     message: Down
 
 
-class Start(NamedTuple):
-    """A task for a worker; answered by one or several `Answered` of this number."""
-
+class Start(NamedTuple):  # answered by one or several `Answered` of this number
     number: int
     task: Task
 
 
-class Abandon(NamedTuple):
-    """A task is no longer needed: its worker ends it soon. Its last answer comes nevertheless."""
-
+class Abandon(NamedTuple):  # its worker ends the task soon; the last answer comes nevertheless
     number: int
 
 
-class Hurry(NamedTuple):
-    """Other requests wait for a task: its worker ends its search as soon as there is an answer."""
-
+class Hurry(NamedTuple):  # other requests wait: its worker ends the search as soon as there is an answer
     number: int
 
 
-class Disconnect(NamedTuple):
-    """The executor is silent: close the connection, and connect again."""
-
+class Disconnect(NamedTuple):  # the executor is silent: close the connection, and connect again
     reason: str
 
 
 class Wake(NamedTuple):
-    """Post `Tick` at this time [s]; replaces the `Wake` before."""
-
-    at: float
+    at: float  # time of the next `Tick` [s]; replaces the `Wake` before
 
 
-class Fail(NamedTuple):
-    """The process must end with this message, because a worker does not answer; the service manager starts it again."""
-
+class Fail(NamedTuple):  # a worker does not answer: the process must end; the service manager starts it again
     reason: str
 
 
@@ -280,8 +216,6 @@ ForLedger = Record | RecordCounts
 ForWorkers = Start | Abandon | Hurry
 Action = ForClients | ForLedger | ForWorkers | ToExecutor | Disconnect | Wake | Notify | Log | Fail
 
-SHUTTING_DOWN = Reason.SHUTTING_DOWN.sentence
-
 
 def done(message: str) -> Payload:
     """Returns the answer to a request that was carried out."""
@@ -289,11 +223,10 @@ def done(message: str) -> Payload:
 
 
 def refused(refusal: Refusal, goal: str | None = None) -> Payload:
-    """Returns the answer to a request that was refused; `goal` is its id, if the refusal does not know it."""
-    name = refusal.goal if goal is None else goal
+    """Returns the answer to a refused request. `goal`: id of the refused goal; needed if the refusal has none."""
     return {
         "accepted": False,
-        "id": name,
+        "id": refusal.goal if goal is None else goal,
         "code": refusal.code,
         "reason": refusal.reason.value,
         "message": str(refusal),

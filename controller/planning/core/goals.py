@@ -1,7 +1,5 @@
 """Requests for motion: each goal or jog waits, is planned from where the arm is, and is offered to the executor."""
 
-from __future__ import annotations
-
 import logging
 import math
 import traceback
@@ -17,9 +15,12 @@ from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.arm import ArmState, obstruction, packed
 from hyperbit.controller.planning.core.events import Reply, Request, refused
-from hyperbit.controller.planning.core.offers import Motion, goal_program, jog_program, jog_stages, unsure_of
+from hyperbit.controller.planning.core.goal import Goal
+from hyperbit.controller.planning.core.offers import jog_stages, make_goal_program, make_jog_program, unsure_of
 from hyperbit.controller.planning.core.parts import Parts, Ticket
+from hyperbit.controller.planning.core.premises import Premises
 from hyperbit.controller.planning.core.preparation import Preparation
+from hyperbit.controller.planning.core.programs import Programs
 from hyperbit.controller.program import Accepted, Declined
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, no_motion
@@ -37,19 +38,16 @@ class Goals:
     A goal is planned from where the arm is, or from where its running stage ends. If the arm, the obstacles or the
     locks change before the program is sent, the goal is planned anew at once. A request that was not accepted by its
     time is refused, wherever it is.
-
-    Attributes:
-        due: when `advance` must be called again, without another event [s].
     """
 
-    def __init__(self, parts: Parts, prepares: bool) -> None:
+    def __init__(self, parts: Parts, premises: Premises, programs: Programs, prepares: bool) -> None:
         self.quitting = False
-        self._parts, self._view, self._moment, self._act = parts, parts.view, parts.moment, parts.act
-        self._locks, self._obstacles, self._programs = parts.locks, parts.obstacles, parts.programs
-        self._preparation = Preparation(parts, prepares)
-        self._waiting = deque[Motion]()
-        self._current: Motion | None = None
-        self.due = math.inf
+        self._parts, self._view, self._moment, self._jobs = parts, parts.view, parts.moment, parts.jobs
+        self._premises, self._locks, self._programs = premises, premises.locks, programs
+        self._preparation = Preparation(parts, premises, programs, prepares)
+        self._waiting = deque[Goal]()
+        self._current: Goal | None = None
+        self.due = math.inf  # when `advance` must be called again, without another event [s]
         self._second, self._lines = 0, 0
 
     @property
@@ -57,31 +55,27 @@ class Goals:
         """Number of requests that wait, the one that is planned included."""
         return len(self._waiting) + (self._current is not None)
 
-    def queue_motion(self, request: Request, ticket: Ticket) -> None:
-        """Queues a goal or jog, or refuses it at once."""
+    def queue(self, request: Request, ticket: Ticket) -> None:
         wanted, name = request.message, f"{self._parts.name}{request.number:x}"
         assert isinstance(wanted, GoalMessage | Jog)
         name = f"jog-{name}" if isinstance(wanted, Jog) else wanted.id or name
         begin_by = request.arrival.at + wanted.patience
-        motion = Motion(request.number, ticket, wanted, name, request.wall, begin_by, self._moment.now)
+        goal = Goal(request.number, ticket, wanted, name, request.wall, begin_by, self._moment.now)
         if len(self._waiting) >= MOST_WAITING:
-            self._refuse(motion, Refusal(Reason.BUSY, most=MOST_WAITING, what="goals"))
+            self._refuse(goal, Refusal(Reason.BUSY, most=MOST_WAITING, what="goals"))
         else:
-            self._waiting.append(motion)
+            self._waiting.append(goal)
             if self._current is not None:
-                self._parts.jobs.hurry(self._current.job)
+                self._jobs.hurry(self._current.job)
             self._preparation.end()
             self._programs.pause_improvement()
 
     def waits_for_turn(self, goal: str) -> bool:
         """Returns whether a goal of this id was not offered to the executor yet."""
-        return any(motion.id == goal and motion.program is None for motion in self._motions)
+        return any(known.id == goal and known.state == "waiting" for known in self._goals)
 
     def advance(self) -> None:
-        """Refuses what may no longer begin, and brings the first request as far as it can go now.
-
-        Call at the end of each step.
-        """
+        """Brings the first request as far as it can go now. Call at the end of each step."""
         self.due = math.inf
         self.refuse_late()
         while True:
@@ -96,109 +90,101 @@ class Goals:
 
     def refuse_late(self) -> None:
         """Refuses the requests that may no longer begin, but for one that the executor has."""
-        for motion in self._motions:
-            if motion.program is None:
-                self._attempt(motion, self._check)
+        for goal in self._goals:
+            if goal.state == "waiting":
+                self._attempt(goal, self._check)
 
     @property
-    def _motions(self) -> list[Motion]:
+    def _goals(self) -> list[Goal]:
         return [*filter(None, [self._current]), *self._waiting]
 
-    def _attempt(self, motion: Motion, advance: Callable[[Motion], None]) -> bool:
+    def _attempt(self, goal: Goal, advance: Callable[[Goal], None]) -> bool:
         """Advances a request; returns False if that has ended it, with the refusal that was raised."""
         try:
-            advance(motion)
+            advance(goal)
             return True
         except Refusal as refusal:
-            self._end(motion, refusal)
+            self._end(goal, refusal)
         except Exception:
-            self._act(Log(logging.ERROR, f"{motion.id} failed\n{traceback.format_exc()}"))
-            self._end(motion, Refusal(Reason.INTERNAL_ERROR))
+            self._parts.act(Log(logging.ERROR, f"{goal.id} failed\n{traceback.format_exc()}"))
+            self._end(goal, Refusal(Reason.INTERNAL_ERROR))
         return False
 
     # --- the executor
 
+    def _offered(self, number: int | None = None) -> Goal | None:
+        """Returns the request whose program waits for the executor's answer, if the program has this number."""
+        goal = self._current
+        if goal is None or goal.state != "offered" or number not in (None, goal.program.program):
+            return None
+        return goal
+
     def accepted(self, message: Accepted) -> None:
         """Hands a request over whose program the executor has accepted."""
-        motion = self._current
+        if (goal := self._offered(message.program)) is not None:
+            self._parts.admission.end_streams(goal.ticket)
+            self._drop(goal)
         self._programs.accepted(message)
-        if motion is not None and motion.program == message.program:
-            self._parts.admission.end_streams(motion.ticket)
-            self._drop(motion)
 
     def declined(self, message: Declined) -> None:
         """Offers a program again from where the arm has moved to, or refuses the request."""
         self._programs.withdraw(message.program)
-        motion = self._current
-        if motion is None or motion.program != message.program:
+        if (goal := self._offered(message.program)) is None:
             return
-        motion.program = None
+        goal.state = "waiting"
         if message.refused.reason in MOVED:
-            motion.planned, motion.why = None, Refusal(Reason.ARM_MOVED)
-            motion.waits, motion.since = self._view.state, self._moment.now
+            goal.planned, goal.why = None, Refusal(Reason.ARM_MOVED)
+            goal.waits, goal.since = self._view.state, self._moment.now
         else:
-            self._end(motion, message.refused.refusal)
+            self._end(goal, message.refused.refusal)
 
     def lost(self, reason: str) -> None:
         """Refuses the request whose program the executor has not answered, because the connection is lost."""
-        motion = self._current
-        if motion is not None and motion.program is not None:
-            self._end(motion, Refusal(Reason.EXECUTOR_LOST, why=reason))
+        if (goal := self._offered()) is not None:
+            self._end(goal, Refusal(Reason.EXECUTOR_LOST, why=reason))
 
-    # --- one request
+    # --- one request; each of these functions raises Refusal if the request cannot be carried out
 
-    def _check(self, motion: Motion) -> None:
-        """Checks that a request may still begin.
-
-        Raises:
-            Refusal: it is barred, or its time is over.
-        """
+    def _check(self, goal: Goal) -> None:
+        """Checks that a request may still begin: it is not barred, and its time is not over."""
         if self.quitting:
             raise Refusal(Reason.SHUTTING_DOWN)
-        if self._parts.admission.barred(motion.ticket, motion.id):
+        if self._parts.admission.barred(goal.ticket, goal.id):
             raise Refusal(Reason.OVERTAKEN)
-        if self._moment.now >= motion.begin_by:
+        if self._moment.now >= goal.begin_by:
             mode, reason = self._locks.mode()
-            if motion.why is None and mode not in ("ready", "executing"):
+            if goal.why is None and mode not in ("ready", "executing"):
                 raise no_motion(mode, reason)
-            raise motion.why or Refusal(Reason.TOO_LATE_TO_BEGIN)
-        self.due = min(self.due, motion.begin_by)
+            raise goal.why or Refusal(Reason.TOO_LATE_TO_BEGIN)
+        self.due = min(self.due, goal.begin_by)
 
-    def _proceed(self, motion: Motion) -> None:
-        """Plans a request, offers it, or lets it wait.
-
-        Raises:
-            Refusal: the request cannot be carried out.
-        """
-        if motion.program is not None:
-            if self._waits(motion, EXECUTOR_TIMEOUT):
+    def _proceed(self, goal: Goal) -> None:
+        """Plans a request, offers it, or lets it wait."""
+        if goal.state == "offered":
+            if self._waits(goal, EXECUTOR_TIMEOUT):
                 return
-            self._programs.give_up(motion.program)
+            self._programs.give_up(goal.program.program)
             raise Refusal(Reason.EXECUTOR_SILENT, seconds=EXECUTOR_TIMEOUT)
-        if motion.waits is not None and motion.waits is self._view.state and self._waits(motion, NEWER_WITHIN):
+        if goal.waits is not None and goal.waits is self._view.state and self._waits(goal, NEWER_WITHIN):
             return
-        motion.waits = None
-        if motion.ticket.epoch is None:
-            if self._waits(motion, EXECUTOR_TIMEOUT):
+        goal.waits = None
+        if goal.ticket.epoch is None:
+            if self._waits(goal, EXECUTOR_TIMEOUT):
                 return
             raise Refusal(Reason.EXECUTOR_BEHIND)
         basis = self._basis()
-        if motion.job is not None and motion.basis != basis:
-            self._parts.jobs.abandon(motion.job)
-            motion.job, motion.why = None, self._stale(motion, basis)
-        if basis is None or motion.job is not None:
+        if goal.job is not None and goal.basis != basis:
+            self._jobs.abandon(goal.job)
+            goal.job, goal.why = None, self._stale(goal, basis)
+        if basis is None or goal.job is not None:
             return
-        if motion.planned is not None and motion.basis == basis:
-            self._offer(motion, basis)
+        if goal.planned is not None and goal.basis == basis:
+            self._offer(goal, basis)
         else:
-            self._plan(motion, basis)
+            self._plan(goal, basis)
 
     def _basis(self) -> tasks.Basis | None:
-        """Returns what a plan made now holds for; None while tables or obstacles are built.
-
-        Raises:
-            Refusal: the arm takes no motion.
-        """
+        """Returns what a plan made now holds for; None while tables or obstacles are built."""
         mode, reason = self._locks.mode()
         if self._locks.rebuilding:
             return None
@@ -206,111 +192,105 @@ class Goals:
             raise no_motion(mode, reason)
         if self._locks.tables is None:
             raise Refusal(Reason.LOCKS_CHANGING)
-        return self._parts.basis()
+        return self._premises.basis()
 
-    def _stale(self, motion: Motion, basis: tasks.Basis | None) -> Refusal:
+    def _stale(self, goal: Goal, basis: tasks.Basis | None) -> Refusal:
         """Returns why a plan is made anew."""
-        assert motion.basis is not None
-        if self._locks.rebuilding or (basis is not None and basis.tables != motion.basis.tables):
+        assert goal.basis is not None
+        if self._locks.rebuilding or (basis is not None and basis.tables != goal.basis.tables):
             return Refusal(Reason.LOCKS_CHANGING)
-        if basis is None or basis.scene != motion.basis.scene:
+        if basis is None or basis.scene != goal.basis.scene:
             return Refusal(Reason.OBSTACLES_CHANGING)
         return Refusal(Reason.ARM_MOVED)
 
-    def _waits(self, motion: Motion, longest: float) -> bool:
+    def _waits(self, goal: Goal, longest: float) -> bool:
         """Returns whether a request may wait longer; if so, notes until when [s]."""
-        self.due = min(self.due, motion.since + longest)
-        return self._moment.now < motion.since + longest
+        self.due = min(self.due, goal.since + longest)
+        return self._moment.now < goal.since + longest
 
-    def _plan(self, motion: Motion, basis: tasks.Basis) -> None:
-        """Starts to plan a request from the arm's present state.
-
-        Raises:
-            Refusal: the request cannot be carried out, or the time for its planning is over.
-        """
-        state, wanted, now = self._view.state, motion.wanted, self._moment.now
+    def _plan(self, goal: Goal, basis: tasks.Basis) -> None:
+        """Starts to plan a request from the arm's present state, unless the time for its planning is over."""
+        state, wanted, now = self._view.state, goal.wanted, self._moment.now
         assert state is not None
-        if motion.basis is not None and motion.planned is not None:
-            motion.why = self._stale(motion, basis)
-        motion.basis, motion.planned, motion.since = basis, None, now
+        if goal.basis is not None and goal.planned is not None:
+            goal.why = self._stale(goal, basis)
+        goal.basis, goal.planned, goal.since = basis, None, now
         if isinstance(wanted, Jog):
-            self._plan_jog(motion, wanted, state, basis)
+            self._plan_jog(goal, wanted, state, basis)
             return
         if (refusal := obstruction(state, *self._locks.mode())) is not None:
             raise refusal
         if wanted.deadline is not None:
-            motion.plan_by = now + wanted.deadline if motion.plan_by is None else motion.plan_by
-            if now >= motion.plan_by:
-                raise motion.why or Refusal(Reason.TOO_LATE_TO_BEGIN)
-            wanted = msgspec.structs.replace(wanted, deadline=motion.plan_by - now)
-        task = tasks.PlanGoal(wanted, motion.received, self._parts.correction(), basis)
-        motion.job = self._parts.jobs.start(task, partial(self._answered, motion))
+            goal.plan_by = now + wanted.deadline if goal.plan_by is None else goal.plan_by
+            if now >= goal.plan_by:
+                raise goal.why or Refusal(Reason.TOO_LATE_TO_BEGIN)
+            wanted = msgspec.structs.replace(wanted, deadline=goal.plan_by - now)
+        task = tasks.PlanGoal(wanted, goal.received, self._premises.correction(), basis)
+        goal.job = self._jobs.start(task, partial(self._answered, goal))
         if self._waiting:
-            self._parts.jobs.hurry(motion.job)
+            self._jobs.hurry(goal.job)
 
-    def _plan_jog(self, motion: Motion, jog: Jog, state: ArmState, basis: tasks.Basis) -> None:
-        motion.planned = jog_stages(state, jog.states, self._parts.pace)
+    def _plan_jog(self, goal: Goal, jog: Jog, state: ArmState, basis: tasks.Basis) -> None:
+        goal.planned = jog_stages(state, jog.states, self._parts.pace)
         if basis.scene.free or unsure_of(state) is not None:
-            self._offer(motion, basis)
+            self._offer(goal, basis)
             return
-        task = tasks.CheckStages(basis.scene, basis.start.commanded, tuple(map(packed, motion.planned)))
-        motion.job = self._parts.jobs.start(task, partial(self._answered, motion))
+        task = tasks.CheckStages(basis.scene, basis.start.commanded, tuple(map(packed, goal.planned)))
+        goal.job = self._jobs.start(task, partial(self._answered, goal))
 
-    def _answered(self, motion: Motion, answer: tasks.Answer) -> None:
+    def _answered(self, goal: Goal, answer: tasks.Answer) -> None:
         """Takes the plan of a goal, or the check of a jog."""
-        motion.job = None
+        goal.job = None
         match answer:
             case tasks.Planned():
-                motion.planned = answer
+                goal.planned = answer
             case tasks.Checked(None):
                 pass
             case tasks.Checked(str(collision)):
-                self._end(motion, Refusal(Reason.START_COLLIDES, collision=collision))
+                self._end(goal, Refusal(Reason.START_COLLIDES, collision=collision))
             case _:
-                self._end(motion, tasks.refusal_of(answer))
+                self._end(goal, tasks.refusal_of(answer))
 
-    # --- the program and the answer
-
-    def _offer(self, motion: Motion, basis: tasks.Basis) -> None:
-        """Sends the program of a planned request.
-
-        Raises:
-            Refusal: the goal is late, or a goal of its id is running.
-        """
-        planned, wanted, running, state = motion.planned, motion.wanted, self._programs.current, self._view.state
+    def _offer(self, goal: Goal, basis: tasks.Basis) -> None:
+        """Sends the program of a planned request."""
+        planned, wanted, running, state = goal.planned, goal.wanted, self._programs.current, self._view.state
         assert state is not None
-        if isinstance(planned, tasks.Planned):
-            if running is not None and running.report.id == motion.id:
-                raise Refusal(Reason.ALREADY_RUNNING, goal=motion.id)
-            program = goal_program(self._parts, motion, planned, state, basis)
+        assert planned is not None
+        if isinstance(wanted, Jog):
+            assert not isinstance(planned, tasks.Planned)
+            make_jog_program(self._parts, goal, wanted.states, planned, state, basis)
         else:
-            assert planned is not None
-            assert isinstance(wanted, Jog)
-            program = jog_program(self._parts, motion, wanted.states, planned, state, basis)
-        motion.program, motion.since = program.program.program, self._moment.now
-        self._programs.send_program(program)
+            assert isinstance(planned, tasks.Planned)
+            if running is not None and running.id == goal.id:
+                raise Refusal(Reason.ALREADY_RUNNING, goal=goal.id)
+            make_goal_program(self._parts, goal, planned, state, basis)
+        goal.since = self._moment.now
+        self._programs.offer(goal)
 
-    def _end(self, motion: Motion, refusal: Refusal) -> None:
-        self._drop(motion)
-        self._refuse(motion, refusal)
+    # --- the end of waiting
 
-    def _drop(self, motion: Motion) -> None:
+    def _end(self, goal: Goal, refusal: Refusal) -> None:
+        self._drop(goal)
+        self._refuse(goal, refusal)
+
+    def _drop(self, goal: Goal) -> None:
         """Removes a request that is answered, or answered elsewhere from now on."""
-        self._parts.jobs.abandon(motion.job)
-        motion.job = motion.program = None
-        if motion is self._current:
+        self._jobs.abandon(goal.job)
+        goal.job = None
+        if goal is self._current:
             self._current = None
-            self._preparation.begin(motion.wanted if isinstance(motion.wanted, GoalMessage) else None)
+            self._preparation.begin(goal.wanted if isinstance(goal.wanted, GoalMessage) else None)
         else:
-            self._waiting.remove(motion)
+            self._waiting.remove(goal)
 
-    def _refuse(self, motion: Motion, refusal: Refusal) -> None:
+    def _refuse(self, goal: Goal, refusal: Refusal) -> None:
         """Answers a request; logs at most MOST_LINES refusals a second."""
-        self._act(Reply(motion.request, refused(refusal, motion.id)))
+        act = self._parts.act
+        act(Reply(goal.request, refused(refusal, goal.id)))
         second = int(self._moment.now)
         self._lines, self._second = 1 if second != self._second else self._lines + 1, second
         if self._lines <= MOST_LINES:
-            fields = fields_of_refusal(motion.id, refusal.reason.value, refusal.code)
-            self._act(Log(logging.INFO, f"{motion.id} refused: {refusal}", fields))
+            fields = fields_of_refusal(goal.id, refusal.reason.value, refusal.code)
+            act(Log(logging.INFO, f"{goal.id} refused: {refusal}", fields))
         elif self._lines == MOST_LINES + 1:
-            self._act(Log(logging.INFO, f"more than {MOST_LINES} requests are refused in this second"))
+            act(Log(logging.INFO, f"more than {MOST_LINES} requests are refused in this second"))

@@ -1,7 +1,5 @@
 """The locked actuators, and whether the planner's tables are those for them."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from functools import partial
@@ -12,8 +10,8 @@ from numpy.typing import NDArray
 from hyperbit.controller.armfile.locks import lock_warning, locks_in_words
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.manipulator.locked import require_states
+from hyperbit.controller.motion.decoding.requests import DegradeMessage
 from hyperbit.controller.planning.core.arm import ArmState
-from hyperbit.controller.planning.core.events import LockMessage
 from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.planning.core.tasks import Answer, BuildTables, Failed, Tables
 from hyperbit.controller.program import Fault, Mode
@@ -26,17 +24,15 @@ class Locks:
 
     The executor owns which actuators are locked. The planner owns the tables, and knows which locks leave each module
     a state.
-
-    Attributes:
-        listed: label and state of each locked actuator.
-        problem: why the tables could not be rebuilt; None if they could.
     """
+
+    listed: tuple[tuple[str, int], ...]  # label and state of each locked actuator
 
     def __init__(self, parts: Parts, tables: Tables) -> None:
         self._view, self._jobs, self._act = parts.view, parts.jobs, parts.act
         self._built, self._building = tables, False
         self._set(tables.locked)
-        self.problem: str | None = None
+        self.problem: str | None = None  # why the tables could not be rebuilt
 
     @property
     def states(self) -> NDArray[np.int8]:
@@ -63,7 +59,6 @@ class Locks:
         return mode, reason
 
     def update(self, state: ArmState) -> None:
-        """Takes the locked actuators of a snapshot."""
         if state.known and not state.snapshot.moving and (locked := state.locked_states) != self._locked:
             self._set(locked)
             self.problem = None
@@ -71,16 +66,11 @@ class Locks:
         self._rebuild()
 
     def retry(self) -> None:
-        """Starts another attempt to rebuild the tables."""
         self.problem = None
         self._rebuild()
 
-    def actuator(self, message: LockMessage, state: ArmState) -> int:
-        """Returns the index of the actuator of a request; the executor decides on the rest.
-
-        Raises:
-            Refusal: it is no actuator of this arm, or a lock would leave a module no state.
-        """
+    def actuator(self, message: DegradeMessage, state: ArmState) -> int:
+        """Returns the index of the actuator, or raises Refusal; the executor decides on the rest."""
         labels = self._view.manipulator.actuators
         if message.actuator not in labels:
             raise no_actuator("actuator", message.actuator, labels)
@@ -100,7 +90,6 @@ class Locks:
         return k
 
     def faults(self) -> Iterator[Fault]:
-        """Yields the faults for `state`: each locked actuator, and tables that could not be rebuilt."""
         for label, state in self.listed:
             yield Fault("degraded", label, lock_warning(label, state))
         if self.problem is not None:
@@ -111,13 +100,11 @@ class Locks:
         return locks_in_words(self.listed)
 
     def _set(self, locked: bytes) -> None:
-        """Sets the locked actuators."""
         self._locked = locked
         labels = self._view.manipulator.actuators
         self.listed = tuple(pair for pair in zip(labels, self.states.tolist(), strict=True) if pair[1] >= 0)
 
     def _rebuild(self) -> None:
-        """Starts a rebuild if one is needed and none runs."""
         if self.tables is None and not self._building and self.problem is None:
             self._building = True
             task = BuildTables(self._built.generation + 1, self._locked)

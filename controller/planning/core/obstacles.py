@@ -1,7 +1,5 @@
 """The owner of the obstacles: their generation, the checks among them, and requests that replace them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from functools import partial
@@ -23,16 +21,11 @@ LONGEST = 5.0  # [s] for which the answer to new obstacles waits for the checks 
 
 @dataclass(eq=False)
 class Change:
-    """A request for other obstacles that is not answered yet.
-
-    Attributes:
-        at: time of arrival [s].
-        effects: what the obstacles did to running goals, as sentences.
-    """
+    """A request for other obstacles that is not answered yet."""
 
     request: int
-    at: float
-    effects: list[str] = field(default_factory=list)
+    at: float  # time of arrival [s]
+    effects: list[str] = field(default_factory=list)  # on running goals, as sentences
 
 
 class ObstacleOwner:
@@ -40,15 +33,11 @@ class ObstacleOwner:
 
     A new generation counts from its request on. Until its scene is built, and all that is in flight was checked among
     it, no stage begins that was not.
-
-    Attributes:
-        generation: grows with each change.
-        standing: the collision of the arm at rest, in words; None: with nothing.
     """
 
     def __init__(self, parts: Parts, scene: VersionedScene, total: int) -> None:
-        self.generation = scene.generation
-        self.standing: str | None = None
+        self.generation = scene.generation  # grows with each change
+        self.standing: str | None = None  # the collision of the arm at rest, in words
         self._view, self._jobs, self._moment, self._act = parts.view, parts.jobs, parts.moment, parts.act
         self._sent: SentObstacles | None = None  # the obstacles of this generation
         self._built = SceneBuilt(scene, total, 0)  # the last scene
@@ -117,7 +106,6 @@ class ObstacleOwner:
             self.ask(question)
 
     def _refuse(self, refusal: Refusal) -> None:
-        """Refuses all requests that are not answered."""
         changes, self._changes = self._changes, []
         for change in changes:
             self._act(Reply(change.request, refused(refusal)))
@@ -168,7 +156,6 @@ class ObstacleOwner:
 
 
 def same_content(first: Any, second: Any) -> bool:
-    """Returns whether two sets of obstacles have the same content."""
     arrays = ("kinds", "axes", "centres", "sizes")
     return bool(first.names == second.names) and all(
         np.array_equal(getattr(first, name), getattr(second, name)) for name in arrays

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,8 +11,8 @@ from hyperbit.controller.motion.stages.feed import Feed, PlannedPoint, PlanProof
 from hyperbit.controller.motion.stages.program import delay_of, in_groups
 from hyperbit.controller.planning.core.arm import ArmState, States, packed
 from hyperbit.controller.planning.core.events import done
-from hyperbit.controller.planning.core.parts import Parts, Ticket
-from hyperbit.controller.planning.core.programs import InFlight
+from hyperbit.controller.planning.core.goal import Goal
+from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.planning.core.reports import GoalReport, JogReport, Report
 from hyperbit.controller.planning.core.tasks import Basis, Planned
 from hyperbit.controller.program import Program
@@ -21,70 +20,11 @@ from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
 if TYPE_CHECKING:
-    from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
     from hyperbit.controller.motion.stages.pacing import Pace
 
 
-@dataclass(eq=False)
-class Motion:
-    """A goal or jog that has not begun.
-
-    Attributes:
-        wanted: goal, or new states of single actuators by index.
-        received: time of arrival [UNIX s].
-        begin_by: time by which the executor must accept it [s].
-        since: when the present wait began [s].
-        job: number of the task that plans or checks it; None: no task.
-        basis: what the plan holds for.
-        planned: the plan of a goal, or the stages (k, A) of a jog; None: there is none for the present basis.
-        program: number of its program, if that waits for the executor's answer.
-        waits: the snapshot after which it is offered again; None: it does not wait for one.
-        plan_by: end of its planning, by its own deadline [s]; None: planning has not begun, or has no deadline.
-        why: why it was planned or offered again, and would be refused then; None: it was not.
-    """
-
-    request: int
-    ticket: Ticket
-    wanted: GoalMessage | Jog
-    id: str
-    received: float
-    begin_by: float
-    since: float
-    job: int | None = None
-    basis: Basis | None = None
-    planned: Planned | States | None = None
-    program: int | None = None
-    waits: ArmState | None = None
-    plan_by: float | None = None
-    why: Refusal | None = None
-
-
-class Draft(NamedTuple):
-    """What a program is made from.
-
-    Attributes:
-        words: of the answer.
-        strict: whether no stage may be skipped.
-        begin: zero of time [s]; 0 means now.
-        homed: packed mask of the actuators of unknown state that are homed; empty: all.
-    """
-
-    route: Route
-    report: Report
-    name: str
-    words: str
-    strict: bool
-    begin: float = 0.0
-    proof: PlanProof | None = None
-    homed: bytes = b""
-
-
-def goal_program(parts: Parts, motion: Motion, planned: Planned, state: ArmState, basis: Basis) -> InFlight:
-    """Returns the program of a planned goal, given the present state and basis.
-
-    Raises:
-        Refusal: the trajectory has ended before it was planned.
-    """
+def make_goal_program(parts: Parts, goal: Goal, planned: Planned, state: ArmState, basis: Basis) -> None:
+    """Makes the program of a planned goal; raises Refusal if the trajectory has ended before it was planned."""
     trajectory, moment, strict = planned.trajectory, parts.moment, not basis.scene.free
     late = 0.0 if trajectory.stamp is None else moment.wall - trajectory.stamp - float(trajectory.times[-1])
     if late > 0:
@@ -93,29 +33,23 @@ def goal_program(parts: Parts, motion: Motion, planned: Planned, state: ArmState
     if trajectory.stamp is not None:
         begin = trajectory.stamp + moment.now - moment.wall
     else:
-        waits = max(parts.view.rest.ready(state, first[0], strict) - moment.now, 0.0)
+        waits = max(parts.view.ready_at(state, first[0], strict) - moment.now, 0.0)
         delay = delay_of(trajectory, parts.pace.lead * len(first) + waits)
     between = np.ones(len(planned.points), np.bool_)
     between[trajectory.waypoints] = False
     times, most = trajectory.times.tolist(), parts.pace.inrush or len(parts.view.manipulator.actuators)
     route = Route(state.snapshot.outputs, planned.points, times, between.tolist(), parts.pace.lead, delay, most)
-    report = GoalReport(parts.view.manipulator, motion.id, trajectory)
     waypoints, switches = len(trajectory.waypoints), planned.proof.switches
     points = f"{waypoints} {'waypoint' if waypoints == 1 else 'waypoints'}"
     words = f"accepted, {points}, {switches} {'switch' if switches == 1 else 'switches'} planned"
-    words += _unchecked(state, basis, of=" of the homing")
-    draft = Draft(route, report, f"goal {motion.id}", words, strict, begin, planned.proof)
-    program = _in_flight(parts, motion, draft, basis)
-    program.plan, program.tables, program.delay = planned.plan, basis.tables, delay
-    return program
+    words += _not_checked(state, basis, of=" of the homing")
+    report = GoalReport(parts.view.manipulator, goal.id, trajectory)
+    goal.delay = delay
+    _make_program(parts, goal, basis, route, report, f"goal {goal.id}", words, strict, begin, planned.proof)
 
 
 def jog_stages(state: ArmState, wanted: dict[int, int], pace: Pace) -> States:
-    """Returns the stages (k, A) that switch single actuators, given by index, to new states.
-
-    Raises:
-        Refusal: an actuator is locked.
-    """
+    """Returns the stages (k, A) that switch actuators to new states; raises Refusal if one is locked."""
     labels = state.manipulator.actuators
     for k in wanted:
         if state.locked[k]:
@@ -135,40 +69,51 @@ def unsure_of(state: ArmState) -> str | None:
     return None
 
 
-def jog_program(
-    parts: Parts, motion: Motion, wanted: dict[int, int], stages: States, state: ArmState, basis: Basis
-) -> InFlight:
-    """Returns the program that switches single actuators in stages (k, A), given the present state and basis."""
+def make_jog_program(
+    parts: Parts, goal: Goal, wanted: dict[int, int], stages: States, state: ArmState, basis: Basis
+) -> None:
+    """Makes the program that switches single actuators in stages (k, A), given the present state and basis."""
     labels, lead = state.manipulator.actuators, parts.pace.lead
     point = PlannedPoint(0, tuple(state.pack(stages)), None, 0)
     times, most = (lead * len(point.stages),), parts.pace.inrush or len(labels)
     route = Route(state.snapshot.outputs, (point,), times, (False,), lead, 0.0, most)
-    known = unsure_of(state) is None
     switches = np.count_nonzero(state.commanded != stages[-1])
     named = ", ".join(f"{labels[k]} {STATES[to]}" for k, to in wanted.items())
     words = f"accepted, {switches} {'switch' if switches == 1 else 'switches'}: {named}"
-    words = f"{words}{_unchecked(state, basis)}"[:1_000]
+    words = f"{words}{_not_checked(state, basis)}"[:1_000]
     homed = packed(np.isin(np.arange(len(labels)), list(wanted)))
-    report, strict = JogReport(motion.id, wanted), known and not basis.scene.free
-    program = _in_flight(parts, motion, Draft(route, report, f"jog {motion.id}", words, strict, homed=homed), basis)
-    program.unchecked = not known
-    return program
+    goal.unchecked = unsure_of(state) is not None
+    report, strict = JogReport(goal.id, wanted), not goal.unchecked and not basis.scene.free
+    _make_program(parts, goal, basis, route, report, f"jog {goal.id}", words, strict, homed=homed)
 
 
-def _unchecked(state: ArmState, basis: Basis, of: str = "") -> str:
+def _not_checked(state: ArmState, basis: Basis, of: str = "") -> str:
     """Returns the end of an answer: among obstacles, motions from an unknown position are not checked."""
     unsure = unsure_of(state)
     return "" if unsure is None or basis.scene.free else f"; collisions{of} were not checked, because {unsure}"
 
 
-def _in_flight(parts: Parts, motion: Motion, draft: Draft, basis: Basis) -> InFlight:
-    """Returns the program, and what belongs to it while it is in flight."""
-    number, manipulator = parts.next_number(), parts.view.manipulator
-    route, report, name, words, strict, begin, proof, homed = draft
-    feed = Feed(manipulator, number, route, strict, basis.scene.generation, proof)
-    epoch, context = motion.ticket.epoch or 0, report.context(parts.moment.wall, proof)
-    first = feed.first
-    program = Program(
-        number, epoch, route.start, begin, first, feed.complete, strict, name, context, homed, motion.begin_by
+def _make_program(
+    parts: Parts,
+    goal: Goal,
+    basis: Basis,
+    route: Route,
+    report: Report,
+    name: str,
+    words: str,
+    strict: bool,
+    begin: float = 0.0,
+    proof: PlanProof | None = None,
+    homed: bytes = b"",
+) -> None:
+    """Sets the program of a goal, and what belongs to it while it is in flight.
+
+    `words` are of the answer. If `strict`, no stage may be skipped. `begin` is the zero of time [s]; 0 means now.
+    `homed` is the packed mask of the actuators of unknown state that are homed; empty: all.
+    """
+    number, epoch, context = parts.next_number(), goal.ticket.epoch or 0, report.context(parts.moment.wall, proof)
+    goal.report, goal.answer = report, {**done(words), "id": goal.id}
+    goal.feed = feed = Feed(parts.view.manipulator, number, route, strict, basis.scene.generation, proof)
+    goal.program = Program(
+        number, epoch, route.start, begin, feed.first, feed.complete, strict, name, context, homed, goal.begin_by
     )
-    return InFlight(program, motion.request, report, feed, {**done(words), "id": motion.id})

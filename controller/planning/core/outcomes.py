@@ -57,10 +57,7 @@ def last_waypoint_outcome(goal: str, target: GoalTarget, where: Payload) -> Goal
 def why_not_as_planned(planned: PlanProof | None, improved: PlanProof | None, switches: int) -> str:
     """Returns why a goal needed more or fewer switches than its answer said; "" if it needed as many.
 
-    Args:
-        planned: the plan when the goal was accepted; None for a jog.
-        improved: the plan as it was improved; None: nothing is known of it.
-        switches: number of switches that were done.
+    `planned` is the plan when the goal was accepted; None for a jog. Nothing is known of `improved` if that is None.
     """
     if planned is None or planned.switches == switches:
         return ""
@@ -93,25 +90,16 @@ def result_of(
     """Returns the payload of a result.
 
     The certificate is that of the plan from where the goal began. It stands there only if the arm did exactly the
-    switches that it speaks of; otherwise `certificate` is "unknown".
-
-    Args:
-        manipulator: the whole arm.
-        ended: the executor's message.
-        measured: actuator states, shape (A,).
-        context: of the program.
-        outcome: of the goal.
-        target: from which the errors are given; None: they are not given.
+    switches that it speaks of; otherwise `certificate` is "unknown". Errors are given from `target`, if there is one.
     """
     proof, bias = context.proof, {} if context.bias is None else {"bias": context.bias}
-    shown: Payload = {}
     if context.jogged or not context.position:
         labels = manipulator.actuators
         travels = [
             {"actuator": labels[travel.actuator], "state": STATES[travel.state], "seconds": travel.seconds}
             for travel in ended.travels
         ]
-        shown = {"travels": travels}
+        shown: Payload = {"travels": travels}
     else:
         as_planned = proof if outcome.status == "succeeded" and proof and proof.switches == ended.switches else None
         kind = "unknown" if as_planned is None else as_planned.certificate

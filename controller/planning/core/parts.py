@@ -9,20 +9,15 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hyperbit.controller.planning.core.events import Abandon, Action, Fail, Hurry, Start
-from hyperbit.controller.planning.core.tasks import Answer, Basis, PrepareSearch, Task
+from hyperbit.controller.planning.core.tasks import Answer, PrepareSearch, Task
 
 if TYPE_CHECKING:
     from hyperbit.controller.motion.stages.pacing import Pace
     from hyperbit.controller.planning.core.arm import ExecutorView
-    from hyperbit.controller.planning.core.locks import Locks
-    from hyperbit.controller.planning.core.obstacles import ObstacleOwner
-    from hyperbit.controller.planning.core.programs import Programs
-    from hyperbit.controller.planning.core.results import Results
-    from hyperbit.controller.planning.core.stream import TipBiasEstimator
 
 HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
 MOST_UNRESOLVED = 256  # tickets without an epoch; without an executor each stream of set-points leaves one
@@ -32,17 +27,11 @@ OnAnswer = Callable[[Answer], None]
 
 @dataclass(eq=False)
 class Ticket:
-    """The place of a request in the order of arrival.
-
-    Attributes:
-        number: of its arrival.
-        epoch: of the executor at arrival; None while it is not known.
-        waits_for: the executor's requests that were unanswered at arrival, and may begin a new epoch.
-    """
+    """The place of a request in the order of arrival."""
 
     number: int
-    epoch: int | None
-    waits_for: frozenset[int]
+    epoch: int | None  # of the executor at arrival; None while it is not known
+    waits_for: frozenset[int]  # the executor's requests that were unanswered at arrival, and may begin a new epoch
 
 
 class Admission:
@@ -61,7 +50,6 @@ class Admission:
         self._unresolved: deque[Ticket] = deque(maxlen=MOST_UNRESOLVED)
 
     def arrive(self, number: int) -> Ticket:
-        """Returns the ticket of a request that has arrived as this number."""
         self._latest = max(self._latest, number)
         ticket = Ticket(number, self._epoch if self._current and not self._pending else None, self._pending)
         if ticket.epoch is None:
@@ -98,7 +86,6 @@ class Admission:
             self._current = False
 
     def snapshot(self, epoch: int) -> None:
-        """Notes the epoch of a snapshot."""
         self._epoch, self._current = epoch, True
         for ticket in [ticket for ticket in self._unresolved if not ticket.waits_for & self._pending]:
             ticket.epoch = epoch
@@ -132,10 +119,8 @@ class Moment:
 
 @dataclass(eq=False)
 class Job:
-    """A task that a worker has."""
-
     task: Task
-    on_answer: OnAnswer | None
+    on_answer: OnAnswer | None  # None: the task is abandoned
     abandoned_at: float | None = None
 
 
@@ -147,7 +132,6 @@ class Jobs:
         self._jobs: dict[int, Job] = {}
 
     def start(self, task: Task, on_answer: OnAnswer) -> int:
-        """Starts a task; returns its number."""
         self._last += 1
         self._jobs[self._last] = Job(task, on_answer)
         self._act(Start(self._last, task))
@@ -165,7 +149,6 @@ class Jobs:
             self._act(Hurry(number))
 
     def answered(self, number: int, answer: Answer, last: bool) -> None:
-        """Passes an answer on."""
         job = self._jobs.pop(number, None) if last else self._jobs.get(number)
         if job is not None and job.on_answer is not None:
             job.on_answer(answer)
@@ -184,52 +167,22 @@ class Jobs:
 
     @property
     def waiting(self) -> int:
-        """Number of tasks under way."""
         return len(self._jobs)
 
 
-@dataclass(eq=False)
 class Parts:
-    """The parts of the core; each owns its facts, the others ask.
+    """What all other parts of the core share."""
 
-    The core sets the last five once, in this order. Each may ask those before it.
-
-    Attributes:
-        pace: of the arm's transitions.
-        name: of this process, distinct from those of all others; a part of ids.
-        last_number: of a program or stream of set-points.
-        simulated: whether the boards of the arm are simulated.
-        tip_bias: None: the arm has no tracker.
-    """
-
-    view: ExecutorView
-    pace: Pace
-    name: str
-    act: Callable[[Action], None]
-    moment: Moment = field(default_factory=Moment)
-    admission: Admission = field(default_factory=Admission)
-    last_number: int = 0
-    simulated: bool = False
-    jobs: Jobs = field(init=False)
-    locks: Locks = field(init=False)
-    obstacles: ObstacleOwner = field(init=False)
-    results: Results = field(init=False)
-    programs: Programs = field(init=False)
-    tip_bias: TipBiasEstimator | None = None
-
-    def __post_init__(self) -> None:
-        self.jobs = Jobs(self.moment, self.act)
-
-    def correction(self) -> tuple[float, ...] | None:
-        """Returns the present tip bias as `dimension` numbers; None: no tracker."""
-        return None if self.tip_bias is None else tuple(self.tip_bias.bias().tolist())
-
-    def basis(self) -> Basis | None:
-        """Returns what a plan made now holds for; None while the arm, its tables or the obstacles are not known."""
-        state, tables, scene = self.view.state, self.locks.tables, self.obstacles.scene
-        return None if state is None or tables is None or scene is None else Basis(state.start, tables, scene)
+    def __init__(
+        self, view: ExecutorView, pace: Pace, name: str, act: Callable[[Action], None], simulated: bool = False
+    ) -> None:
+        self.view, self.pace, self.act = view, pace, act
+        self.name = name  # of this process, distinct from those of all others; a part of ids
+        self.simulated = simulated  # whether the boards of the arm are simulated
+        self.moment, self.admission = Moment(), Admission()
+        self.jobs = Jobs(self.moment, act)
+        self.last_number = 0  # of a program or stream of set-points
 
     def next_number(self) -> int:
-        """Returns the number of a new program or stream of set-points."""
         self.last_number += 1
         return self.last_number

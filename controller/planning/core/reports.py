@@ -24,31 +24,20 @@ MOST_BYTES = 8_192  # limit of the executor's contract
 
 
 class Context(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What the result of a goal or jog needs.
-
-    Attributes:
-        waypoints: number of waypoints.
-        last_mark: mark of the last waypoint, which the next five attributes describe as in `GoalTarget`.
-        position: empty for a jog, which has no target.
-        rotation: nine numbers, row by row; empty: any orientation serves.
-        bias: tip bias by which the goal was corrected; None: no tracker.
-        sent: time at which the program was made [UNIX s].
-        proof: switches, cost, bound and certificate of the plan; None for a jog.
-        jogged: new state of each actuator of a jog, by index.
-    """
+    """What the result of a goal or jog needs; it comes back with the result."""
 
     id: str
-    waypoints: int = 1
-    last_mark: int = 0
-    position: list[float] = []
+    waypoints: int = 1  # their number
+    last_mark: int = 0  # mark of the last waypoint, which the next five attributes describe as in `GoalTarget`
+    position: list[float] = []  # empty for a jog, which has no target
     tolerance: float = 0.0
-    rotation: list[float] = []
+    rotation: list[float] = []  # nine numbers, row by row; empty: any orientation serves
     angle_tolerance: float = 0.0
     configuration: str | None = None
-    bias: list[float] | None = None
-    sent: float = 0.0
-    proof: PlanProof | None = None
-    jogged: dict[int, int] = {}
+    bias: list[float] | None = None  # tip bias by which the goal was corrected; None: no tracker
+    sent: float = 0.0  # time at which the program was made [UNIX s]
+    proof: PlanProof | None = None  # of the plan; None for a jog
+    jogged: dict[int, int] = {}  # new state of each actuator of a jog, by index
 
     @property
     def target(self) -> GoalTarget | None:
@@ -82,26 +71,23 @@ def decode_context(data: bytes) -> Context | None:
 
 
 class GoalOutcome(NamedTuple):
-    """The end of a goal: status, code and message of its result, and a sentence on what the arm does then."""
+    """The end of a goal: status, code and message of its result."""
 
     status: str
     code: int
     message: str
-    sentence: str = ""
+    sentence: str = ""  # on what the arm does then
 
 
 class GoalReport:
-    """The reports on a goal of `count` waypoints."""
-
     def __init__(self, manipulator: Manipulator, goal: str, trajectory: Trajectory) -> None:
-        self.id, self.trajectory, self.count = goal, trajectory, len(trajectory.waypoints)
+        self.id, self.trajectory, self.count = goal, trajectory, len(trajectory.waypoints)  # count: of waypoints
         self._manipulator = manipulator
         self._point = -1
         self._stages = 0  # since the waypoint before
         self._deviation: float | None = 0.0  # greatest one since the waypoint before; None: not known
 
     def context(self, sent: float, proof: PlanProof | None) -> bytes:
-        """Returns the context that comes back with the result."""
         last, bias = len(self.trajectory.times) - 1, self.trajectory.bias
         target = self._target(last)
         rotation = [] if target.rotation is None else target.rotation.ravel().tolist()
@@ -127,7 +113,6 @@ class GoalReport:
 
     @property
     def present(self) -> GoalTarget:
-        """The target at the present point."""
         return self._target(max(self._point, 0))
 
     def begun(self, point: int) -> None:
@@ -145,7 +130,7 @@ class GoalReport:
         feedback = {
             "id": self.id,
             "waypoint": trajectory.last(point),
-            "waypoints": len(trajectory.waypoints),
+            "waypoints": self.count,
             "switches": message.switches,
             "stages": self._stages,
             "excursion": self._deviation,
@@ -178,14 +163,10 @@ class GoalReport:
             position = position + trajectory.bias
         frame = np.eye(4)
         frame[:3, :3] = trajectory.rotations[point]
-        turned = trajectory.turns[point] < np.inf
-        return {
-            "position": position.tolist(),
-            "orientation": pose(self._manipulator, frame)["orientation"] if turned else None,
-        }
+        orientation = pose(self._manipulator, frame)["orientation"] if trajectory.turns[point] < np.inf else None
+        return {"position": position.tolist(), "orientation": orientation}
 
     def _target(self, point: int) -> GoalTarget:
-        """Returns the target at a point of the trajectory."""
         trajectory, manipulator = self.trajectory, self._manipulator
         turns, fixed = float(trajectory.turns[point]), trajectory.fixed.get(point)
         return GoalTarget(
@@ -198,7 +179,7 @@ class GoalReport:
 
 
 class JogReport:
-    """The reports on a jog, which has new states of actuators, by index, and no feedback."""
+    """The report on a jog, which has new states of actuators, by index, no path and no feedback."""
 
     waypoint = target = present = None
     count = 1
@@ -208,19 +189,16 @@ class JogReport:
         self.id, self._jogged = name, jogged
 
     def context(self, sent: float, proof: PlanProof | None) -> bytes:
-        """Returns the context that comes back with the result."""
         return encode_context(Context(self.id, sent=sent, proof=proof, jogged=self._jogged))
 
     def begun(self, point: int) -> None:
-        """Does nothing."""
+        pass
 
-    def settled(self, message: Settled, measured: Measured, deviation: float | None) -> Payload | None:
-        """Returns no feedback."""
-        return None
+    def settled(self, message: Settled, measured: Measured, deviation: float | None) -> None:
+        pass
 
-    def left_path(self, point: int, measured: Measured) -> GoalOutcome | None:
-        """Returns no outcome: a jog has no path."""
-        return None
+    def left_path(self, point: int, measured: Measured) -> None:
+        pass
 
 
 Report = GoalReport | JogReport

@@ -1,25 +1,16 @@
 """Requests that wait for no motion: cancel, stop, reset, locks and faults for the executor, and plans of goals."""
 
-from __future__ import annotations
-
 from functools import partial
-from typing import NamedTuple
 
 from hyperbit.controller.motion.decoding.goal import GoalMessage
+from hyperbit.controller.motion.decoding.requests import DegradeMessage, FaultMessage
 from hyperbit.controller.planning.core.arm import obstruction
-from hyperbit.controller.planning.core.events import (
-    CancelMessage,
-    FaultToPlay,
-    LockMessage,
-    Payload,
-    Reply,
-    Request,
-    ToExecutor,
-    done,
-    refused,
-)
+from hyperbit.controller.planning.core.events import CancelMessage, Payload, Reply, Request, ToExecutor, done, refused
 from hyperbit.controller.planning.core.goals import EXECUTOR_TIMEOUT, Goals
+from hyperbit.controller.planning.core.locks import Locks
 from hyperbit.controller.planning.core.parts import Parts, Ticket
+from hyperbit.controller.planning.core.premises import Premises
+from hyperbit.controller.planning.core.programs import Programs
 from hyperbit.controller.planning.core.tasks import Answer, Described, DescribePlan, PlanGoal, refusal_of
 from hyperbit.controller.program import Answer as ExecutorAnswer
 from hyperbit.controller.program import Cancel, Down, Lock, PlayFault, Reset
@@ -31,86 +22,68 @@ LONGEST = 10.0  # [s] for one query, without its time in the queue and its own d
 CANCELED = "canceled; the arm holds"
 
 
-class WaitingReset(NamedTuple):
-    """A reset whose epoch is not known yet; `at` is the time of its arrival at the core [s]."""
-
-    number: int
-    ticket: Ticket
-    at: float
-
-
 class ExecutorRequests:
     """Requests that the executor answers; the request's number is the number of the executor's request.
 
     A reset goes to the executor with the epoch of its arrival, so that the executor refuses it after a later stop.
     """
 
-    def __init__(self, parts: Parts, goals: Goals, queries: Queries) -> None:
+    def __init__(self, parts: Parts, locks: Locks, goals: Goals, programs: Programs, queries: "Queries") -> None:
         self._parts, self._view, self._act = parts, parts.view, parts.act
-        self._locks, self._goals, self._programs = parts.locks, goals, parts.programs
-        self._queries = queries
+        self._locks, self._goals, self._programs, self._queries = locks, goals, programs, queries
         self._pending: dict[int, float] = {}  # time of each request that is not answered yet [s]
-        self._resets: list[WaitingReset] = []
+        self._resets: dict[int, Ticket] = {}  # those of them whose epoch is not known yet
 
     def receive_request(self, request: Request) -> None:
-        """Handles a cancel, stop, reset, lock or fault."""
+        number = request.number
         match request.key, request.message:
             case "cancel", CancelMessage(str(goal)):
-                self._cancel_goal(request.number, goal)
+                self._cancel_goal(number, goal)
             case "cancel" | "stop", _:  # the gateway has sent it
-                self._parts.admission.bar(request.number)
-                self._pending[request.number] = self._parts.moment.now
+                self._parts.admission.bar(number)
+                self._pending[number] = self._parts.moment.now
             case "reset", _:
-                self._reset(request.number)
-            case _, LockMessage() as message:
-                self._lock(request.number, message)
-            case _, FaultToPlay(fault):
+                self._reset(number)
+            case _, DegradeMessage() as message:
+                self._lock(number, message)
+            case _, FaultMessage(fault=fault):
                 if self._parts.simulated:
-                    self._send(request.number, PlayFault(request.number, fault))
+                    self._send(number, PlayFault(number, fault))
                 else:
-                    self._act(Reply(request.number, refused(Refusal(Reason.NOT_SIMULATED))))
+                    self._act(Reply(number, refused(Refusal(Reason.NOT_SIMULATED))))
 
     def advance(self) -> None:
-        """Sends the resets whose epoch is known, and refuses those that a stop, cancel or fault came after.
-
-        Call at the end of each step.
-        """
-        waiting, self._resets = self._resets, []
-        for reset in waiting:
-            number, ticket, at = reset
+        """Sends resets whose epoch is known, if no stop, cancel or fault came after. Call at the end of each step."""
+        for number, ticket in list(self._resets.items()):
             if self._parts.admission.barred(ticket):
                 self._finish(number, refused(Refusal(Reason.OVERTAKEN)))
             elif ticket.epoch is not None or not self._view.connected:
+                del self._resets[number]
                 self._send(number, Reset(number, ticket.epoch or 0))
-            elif self._parts.moment.now > at + EXECUTOR_TIMEOUT:
+            elif self._parts.moment.now > self._pending[number] + EXECUTOR_TIMEOUT:
                 self._finish(number, refused(Refusal(Reason.EXECUTOR_BEHIND)))
-            else:
-                self._resets.append(reset)
 
     def unsent(self, number: int, reason: str) -> None:
-        """Refuses a request that could not be sent."""
         self._finish(number, refused(Refusal(Reason.NO_EXECUTOR, why=reason)))
 
     def answered(self, message: ExecutorAnswer) -> None:
-        """Passes the executor's answer on."""
         refusal = message.refused
         self._finish(message.request, done(message.message) if refusal is None else refused(refusal.refusal))
 
     def lost(self, reason: str) -> None:
         """Refuses all requests that are not answered: the connection is lost."""
-        self._resets.clear()
         for number in list(self._pending):
             self._finish(number, refused(Refusal(Reason.EXECUTOR_LOST, why=reason)))
 
     def overdue(self) -> bool:
         """Returns whether the executor has not answered a request in time."""
-        now, waiting = self._parts.moment.now, {reset.number for reset in self._resets}
-        return any(now > at + EXECUTOR_TIMEOUT for number, at in self._pending.items() if number not in waiting)
+        now = self._parts.moment.now
+        return any(now > at + EXECUTOR_TIMEOUT for number, at in self._pending.items() if number not in self._resets)
 
     def _cancel_goal(self, number: int, goal: str) -> None:
         """Bars all earlier requests of an id: refuses those that wait, and ends its program."""
         self._parts.admission.bar_id(goal, number)
-        running, waited = self._programs.running(goal), self._goals.waits_for_turn(goal)
+        running, waited = self._programs.find(goal), self._goals.waits_for_turn(goal)
         self._goals.refuse_late()
         if running is not None:
             self._send(number, Cancel(number, running.program.program, CANCELED))
@@ -126,12 +99,10 @@ class ExecutorRequests:
             self._locks.retry()
         admission = self._parts.admission
         needed = self._view.mode()[0] in ("fault", "stopped")  # otherwise earlier requests may continue
-        reset = WaitingReset(number, admission.arrive(number), self._parts.moment.now)
+        self._resets[number], self._pending[number] = admission.arrive(number), self._parts.moment.now
         (admission.bar if needed else admission.fence)(number)
-        self._pending[number] = self._parts.moment.now
-        self._resets.append(reset)
 
-    def _lock(self, number: int, message: LockMessage) -> None:
+    def _lock(self, number: int, message: DegradeMessage) -> None:
         state = self._view.state
         try:
             if state is None:
@@ -151,94 +122,81 @@ class ExecutorRequests:
             self.unsent(number, self._view.problem)
 
     def _finish(self, number: int, payload: Payload) -> None:
+        self._resets.pop(number, None)
         if self._pending.pop(number, None) is not None:
             self._parts.admission.answered(number)
             self._act(Reply(number, payload))
 
 
-class Query(NamedTuple):
-    """A `plan` query that is not answered yet; `id` is that of its goal, `job` the number of its task."""
-
-    request: int
-    goal: GoalMessage
-    id: str
-    received: float
-    job: int | None = None
-
-
 class Queries:
     """Answers `plan` queries, each once."""
 
-    def __init__(self, parts: Parts) -> None:
-        self._parts = parts
-        self._waiting: dict[int, Query] = {}  # by request
+    def __init__(self, parts: Parts, premises: Premises) -> None:
+        self._parts, self._premises = parts, premises
+        self._waiting: dict[int, Request] = {}  # by number
+        self._jobs: dict[int, int] = {}  # number of the task of each query that has begun
 
     @property
     def waiting(self) -> int:
-        """Number of queries that are not answered yet."""
         return len(self._waiting)
 
-    def queue_query(self, request: Request) -> None:
-        """Queues a query, or refuses it at once."""
-        message, number = request.message, request.number
-        assert isinstance(message, GoalMessage)
-        goal = message.id or f"{self._parts.name}{number:x}"
-        if len(self._waiting) > MOST_WAITING:
-            refusal = Refusal(Reason.BUSY, most=MOST_WAITING, what="plan queries")
-            self._parts.act(Reply(number, refused(refusal, goal)))
-        else:
-            self._waiting[number] = Query(number, message, goal, request.wall)
+    def queue(self, query: Request) -> None:
+        full = len(self._waiting) > MOST_WAITING
+        self._waiting[query.number] = query
+        if full:
+            self._refuse(query, Refusal(Reason.BUSY, most=MOST_WAITING, what="plan queries"))
 
     def advance(self) -> None:
         """Starts the queries that wait for the obstacles to be built. Call at the end of each step."""
-        for query in list(self._waiting.values()):
-            if query.job is None and self._parts.obstacles.scene is not None:
+        for number, query in list(self._waiting.items()):
+            if number not in self._jobs and self._premises.obstacles.scene is not None:
                 try:
                     task = self._task(query)
                 except Refusal as refusal:
                     self._refuse(query, refusal)
                 else:
-                    job = self._parts.jobs.start(task, partial(self._answered, query))
-                    self._waiting[query.request] = query._replace(job=job)
+                    self._jobs[number] = self._parts.jobs.start(task, partial(self._answered, query))
 
     def cancel(self, goal: str) -> bool:
         """Ends the query of a goal with this id; returns whether there was one."""
-        for query in list(self._waiting.values()):
-            if query.goal.id == goal:
-                self._parts.jobs.abandon(query.job)
-                self._refuse(query, Refusal(Reason.PLAN_CANCELED))
-                return True
-        return False
+        query = next((query for query in self._waiting.values() if message_of(query).id == goal), None)
+        if query is not None:
+            self._refuse(query, Refusal(Reason.PLAN_CANCELED))
+        return query is not None
 
     def end_queries(self) -> None:
         """Refuses all queries: the process ends."""
         for query in list(self._waiting.values()):
-            self._parts.jobs.abandon(query.job)
             self._refuse(query, Refusal(Reason.SHUTTING_DOWN))
 
-    def _task(self, query: Query) -> DescribePlan:
-        """Returns the task of a query, as soon as the obstacles are built.
-
-        Raises:
-            Refusal: the arm's state is not known, or its tables are being rebuilt.
-        """
-        parts, state, basis = self._parts, self._parts.view.state, self._parts.basis()
+    def _task(self, query: Request) -> DescribePlan:
+        """Returns the task of a query, as soon as the obstacles are built, or raises Refusal."""
+        premises, state, basis = self._premises, self._parts.view.state, self._premises.basis()
         if state is None or basis is None:
-            raise no_motion(*parts.locks.mode())
-        if (refusal := obstruction(state, *parts.locks.mode())) is not None:
+            raise no_motion(*premises.locks.mode())
+        if (refusal := obstruction(state, *premises.locks.mode())) is not None:
             raise refusal
-        longest = LONGEST + (query.goal.deadline or 0.0)
-        return DescribePlan(PlanGoal(query.goal, query.received, parts.correction(), basis), longest)
+        message = message_of(query)
+        goal = PlanGoal(message, query.wall, premises.correction(), basis)
+        return DescribePlan(goal, LONGEST + (message.deadline or 0.0))
 
-    def _answered(self, query: Query, answer: Answer) -> None:
+    def _answered(self, query: Request, answer: Answer) -> None:
+        del self._jobs[query.number]
         if isinstance(answer, Described):
-            self._answer(query.request, answer.payload)
+            self._answer(query.number, answer.payload)
         else:
             self._refuse(query, refusal_of(answer))
 
-    def _refuse(self, query: Query, refusal: Refusal) -> None:
-        self._answer(query.request, refused(refusal, query.id))
+    def _refuse(self, query: Request, refusal: Refusal) -> None:
+        self._parts.jobs.abandon(self._jobs.pop(query.number, None))
+        goal = message_of(query).id or f"{self._parts.name}{query.number:x}"
+        self._answer(query.number, refused(refusal, goal))
 
     def _answer(self, request: int, payload: Payload) -> None:
         if self._waiting.pop(request, None) is not None:
             self._parts.act(Reply(request, payload))
+
+
+def message_of(query: Request) -> GoalMessage:
+    assert isinstance(query.message, GoalMessage)
+    return query.message

@@ -1,20 +1,14 @@
 """Results: each is made, published, recorded and acknowledged, in this order, whichever planner process it began in."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
 from hyperbit.controller.host.journal import fields_of_result
 from hyperbit.controller.host.process import Log
-from hyperbit.controller.motion.stages.feed import PlanProof
-from hyperbit.controller.motion.targets import GoalTarget
-from hyperbit.controller.planning.core.arm import measured_states
 from hyperbit.controller.planning.core.events import (
     AcceptanceEntry,
     Identity,
@@ -25,46 +19,23 @@ from hyperbit.controller.planning.core.events import (
     ResultEntry,
     ToExecutor,
 )
+from hyperbit.controller.planning.core.goal import Goal
 from hyperbit.controller.planning.core.outcomes import STATUS_CODES, outcome_of, result_of, why_not_as_planned
 from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.planning.core.reports import Context, GoalOutcome, decode_context
 from hyperbit.controller.program import Acknowledge, Ended
 
-if TYPE_CHECKING:
-    pass
-
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
 SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting, the executor has sent the results that it stores
 
 
-class KnownProgram(NamedTuple):
-    """What this planner process knows of a program beside its context.
-
-    Attributes:
-        outcome: its own reason to end the goal; None: the executor's reason, and the measured states decide.
-        target: of the point that the arm was at; None for a jog.
-        proof: of the plan as it was improved; None: nothing is proven.
-        acceptance: entry of the acceptance that the ledger does not have yet; None: it has.
-    """
-
-    outcome: GoalOutcome | None
-    target: GoalTarget | None
-    proof: PlanProof | None
-    acceptance: int | None
-
-
 @dataclass(eq=False)
 class Untold:
-    """A result on its way.
-
-    Attributes:
-        result: number at the executor, which waits for its acknowledgement; None: the executor does not know it.
-        accepted: the acceptance, for a ledger that may not have it.
-    """
+    """A result on its way."""
 
     identity: Identity
-    result: int | None
-    accepted: AcceptanceEntry | None
+    result: int | None  # number at the executor, which waits for its acknowledgement; None: it does not know the result
+    accepted: AcceptanceEntry  # for a ledger that may not have it
     payload: Payload
 
 
@@ -73,11 +44,7 @@ class Results:
 
     A result is published once. When the executor sends it again, it is only recorded and acknowledged. A result that
     the ledger does not have, though an earlier planner process published it, may not have left that process. It is
-    published again, with the field `repeated`.
-
-    Args:
-        published: results that earlier planner processes published, by program.
-        owed: goals that an earlier planner process accepted, and whose results the ledger does not have.
+    published again, with the field `repeated`. `owed` are goals whose results the ledger does not have.
     """
 
     def __init__(self, parts: Parts, published: Mapping[Identity, ResultEntry], owed: Iterable[OpenGoal]) -> None:
@@ -89,17 +56,13 @@ class Results:
         self._last = 0  # number of a publication or of an entry of the ledger
         self._publishing: dict[int, Untold] = {}
         self._recording: dict[int, Untold] = {}
-        self._deferred: dict[
-            int, PublishResult
-        ] = {}  # by the entry of an acceptance, which the ledger must have before
+        self._deferred: dict[int, PublishResult] = {}  # by entry of the acceptance, which the ledger must have before
 
     @property
     def idle(self) -> bool:
-        """Whether all results were published and recorded."""
         return not self._publishing and not self._recording
 
     def next_entry(self) -> int:
-        """Returns the number of a new entry of the ledger."""
         self._last += 1
         return self._last
 
@@ -109,8 +72,8 @@ class Results:
 
     # --- made
 
-    def ended(self, message: Ended, known: KnownProgram | None) -> None:
-        """Takes the executor's result of a program; `known` is None for a program of an earlier planner process."""
+    def ended(self, message: Ended, goal: Goal | None) -> None:
+        """Takes the executor's result of a program; `goal` is None for a program of an earlier planner process."""
         context, view = decode_context(message.context), self._view
         identity = Identity(view.instance or 0, message.program)
         for untold in (*self._publishing.values(), *self._recording.values()):
@@ -122,42 +85,29 @@ class Results:
             self._act(Log(logging.WARNING, text + message.message))
             self._act(ToExecutor(Acknowledge(message.result)))
             return
-        manipulator = view.manipulator
-        measured = measured_states(message.measured, message.known, len(manipulator.actuators))
         target = context.target if message.mark == context.last_mark else None
-        outcome, planned = self._told_outcome(identity), context.proof
-        if known is not None:
-            context = msgspec.structs.replace(context, proof=known.proof)
-            target, outcome = known.target, known.outcome
-        outcome = outcome or outcome_of(manipulator, message, measured, context)
+        outcome, planned, measured = self._told_outcome(identity), context.proof, view.measured_in(message)
+        if goal is not None:
+            context = msgspec.structs.replace(context, proof=goal.feed.proof)
+            target, outcome = goal.report.present, goal.outcome
+        outcome = outcome or outcome_of(view.manipulator, message, measured, context)
         if outcome.status == "succeeded" and (why := why_not_as_planned(planned, context.proof, message.switches)):
             outcome = outcome._replace(message=f"{outcome.message}; {why}")
         if outcome.status == "succeeded" and not message.verified:
             outcome = outcome._replace(message=f"{outcome.message}; commanded, not verified")
-        payload = result_of(manipulator, message, measured, context, outcome, target)
+        payload = result_of(view.manipulator, message, measured, context, outcome, target)
         view.ended(outcome.sentence)
-        self._tell(Untold(identity, message.result, accepted_of(context), payload), known, inherited=known is None)
+        self._tell(Untold(identity, message.result, accepted_of(context), payload), goal)
 
     def lost(
-        self, identity: Identity, context: bytes, known: KnownProgram, switches: int, *, inherited: bool = False
+        self, identity: Identity, context: bytes, outcome: GoalOutcome, switches: int, goal: Goal | None = None
     ) -> None:
-        """Ends a program of which the executor tells nothing any more.
-
-        Args:
-            identity: of the program.
-            context: of the program.
-            known: has an outcome.
-            switches: as told last.
-            inherited: whether an earlier planner process accepted the goal.
-        """
-        found, view, outcome = decode_context(context) or Context("unknown"), self._view, known.outcome
-        assert outcome is not None
-        size = len(view.manipulator.actuators)
-        unknown = bytes((size + 7) // 8)
+        """Ends a program of which the executor tells nothing any more; `goal`: None if of an earlier process."""
+        found, manipulator = decode_context(context) or Context("unknown"), self._view.manipulator
+        unknown = bytes((len(manipulator.actuators) + 7) // 8)
         silent = Ended(0, identity.program, context, "aborted", outcome.message, -1, switches, unknown, unknown)
-        measured = view.measured
-        payload = result_of(view.manipulator, silent, measured, found, outcome, None)
-        self._tell(Untold(identity, None, accepted_of(found), payload), known, inherited=inherited)
+        payload = result_of(manipulator, silent, self._view.measured, found, outcome, None)
+        self._tell(Untold(identity, None, accepted_of(found), payload), goal)
 
     def met(self, instance: int) -> None:
         """Ends as lost what earlier executors owed, because another one has come.
@@ -171,9 +121,7 @@ class Results:
         """Ends what the present executor owes and has neither sent nor runs, once it had the time to send it.
 
         It had a result, which an earlier planner process acknowledged without recording it: the disk was full.
-
-        Args:
-            running: number of the program that the executor runs; -1 if none.
+        `running` is the number of the program that the executor runs; -1 if none.
         """
         if self._owed and self._moment.now > self._met_at + SENT_AGAIN_WITHIN:
             now = Identity(self._view.instance or 0, running)
@@ -183,9 +131,9 @@ class Results:
         for identity in over:
             goal = self._owed.pop(identity)
             context = msgspec.msgpack.encode(Context(goal.goal, goal.waypoints, sent=goal.wall))
-            outcome, mark = self._told_outcome(identity), self._doubtful.get(identity)
-            known = KnownProgram(outcome or GoalOutcome("lost", STATUS_CODES["lost"], LOST), None, None, None)
-            self.lost(identity, context, known, 0 if mark is None else mark.switches, inherited=True)
+            mark = self._doubtful.get(identity)
+            outcome = self._told_outcome(identity) or GoalOutcome("lost", STATUS_CODES["lost"], LOST)
+            self.lost(identity, context, outcome, 0 if mark is None else mark.switches)
 
     def _told_outcome(self, identity: Identity) -> GoalOutcome | None:
         """Returns the outcome that an earlier planner process has published, perhaps in vain; otherwise None."""
@@ -195,7 +143,6 @@ class Results:
     # --- published, recorded, acknowledged
 
     def published(self, number: int) -> None:
-        """Records a result that was published."""
         if (untold := self._publishing.pop(number, None)) is not None:
             self._record(untold)
 
@@ -207,7 +154,7 @@ class Results:
         if untold is not None and untold.result is not None and untold.identity.instance == self._view.instance:
             self._act(ToExecutor(Acknowledge(untold.result)))
 
-    def _tell(self, untold: Untold, known: KnownProgram | None, *, inherited: bool) -> None:
+    def _tell(self, untold: Untold, goal: Goal | None) -> None:
         self._owed.pop(untold.identity, None)
         if untold.identity in self._told:
             self._record(untold)
@@ -217,11 +164,11 @@ class Results:
             untold.payload = {**untold.payload, "repeated": True}
         number = self.next_entry()
         self._publishing[number] = untold
-        publication = PublishResult(number, untold.identity, inherited, untold.payload)
-        if known is None or known.acceptance is None:
+        publication = PublishResult(number, untold.identity, goal is None, untold.payload)
+        if goal is None or goal.unrecorded is None:
             self._act(publication)
         else:
-            self._deferred[known.acceptance] = publication
+            self._deferred[goal.unrecorded] = publication
         text = f"goal {untold.payload['id']} {untold.payload['status']}: {untold.payload['message']}"
         self._act(Log(logging.INFO, text, fields_of_result(untold.payload)))
 
@@ -233,5 +180,4 @@ class Results:
 
 
 def accepted_of(context: Context) -> AcceptanceEntry:
-    """Returns the acceptance of a goal, for a ledger that may not have it."""
     return AcceptanceEntry(context.id, context.sent, context.waypoints)

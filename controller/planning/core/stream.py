@@ -1,4 +1,4 @@
-"""Samples of moving goals and of the tip: follows set-points by single stages, and estimates the tip bias.
+"""Follows set-points by single stages.
 
 A stream is a sequence of set-points of one sender without a pause longer than the tracker's time-out. A cancel, stop,
 fault, reset or goal ends the present stream. Only a stream that begins later is followed.
@@ -12,17 +12,15 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hyperbit.controller.armfile.settings import TrackerSettings
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.motion.decoding.setpoint import decode
-from hyperbit.controller.motion.tracking.bias import DRIFT, TipBias, Tracker
-from hyperbit.controller.motion.tracking.bias import decode as decode_tip
 from hyperbit.controller.motion.tracking.tracking import GoalTracker
 from hyperbit.controller.planning.core.arm import obstruction
 from hyperbit.controller.planning.core.events import Payload, SetpointArrived, ToExecutor
 from hyperbit.controller.planning.core.parts import Parts, Ticket
+from hyperbit.controller.planning.core.premises import Premises
+from hyperbit.controller.planning.core.programs import Programs
 from hyperbit.controller.planning.core.tasks import Answer, Basis, Failed, Followed, FollowSetpoint
 from hyperbit.controller.program import TICK, Setpoint
 from hyperbit.controller.refusals.reasons import Reason
@@ -40,7 +38,6 @@ NOTE_EVERY = 1.0  # [s] between changes of the note in `state`
 RETRY = 0.1  # [s] after a search that found nothing within tolerance, which takes longest
 SEARCH_TIME = 0.005  # [s] expected for the first search
 SMOOTHING = 0.1  # weight of the latest value in running means
-VALIDITY, SLACK = 1.0, 0.02  # greatest age of a measured tip [s], and greatest lead of a tracker's clock [s]
 LONGEST = 1_000  # characters of a reason
 MOST_SENDERS = 16  # of set-points whose pauses are told apart
 MOST_DELAY = 0.2  # [s] of a set-point between its arrival and the core
@@ -53,9 +50,11 @@ class Stream:
     offset that is fixed while a track is alive, so that a change of the wall clock has no effect.
     """
 
-    def __init__(self, arm: Arm, tracking: Tracking, parts: Parts) -> None:
+    def __init__(self, arm: Arm, tracking: Tracking, parts: Parts, premises: Premises, programs: Programs) -> None:
         """Builds the tracker, which takes almost a second."""
-        self._parts, self._moment, self._dimension = parts, parts.moment, arm.manipulator.dimension
+        self._view, self._moment, self._jobs, self._act = parts.view, parts.moment, parts.jobs, parts.act
+        self._parts, self._premises, self._programs = parts, premises, programs
+        self._admission, self._dimension = parts.admission, arm.manipulator.dimension
         self._default_tolerance = self._tolerance = arm.tolerance
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
         self._lead = arm.travel_time + TICK  # of a stage
@@ -75,25 +74,21 @@ class Stream:
     # --- set-points
 
     def receive_setpoint(self, arrived: SetpointArrived) -> None:
-        """Takes a set-point that has arrived, as JSON; a refused one is only counted."""
+        """Takes a set-point; a refused one is only counted."""
         self._received += 1
         try:
             setpoint = decode(arrived.payload, self._dimension, self._default_tolerance)
             if (age := self._moment.now - arrived.arrival.at) > MOST_DELAY:
                 raise Refusal(Reason.STALE, age=f"{age:.3f}", most=MOST_DELAY)
             self._assign(arrived)
-            if self._ticket is not None and not self._parts.admission.stream_ended(self._ticket):
+            if self._ticket is not None and not self._admission.stream_ended(self._ticket):
                 self._measure(setpoint)
         except Refusal as refusal:
             self._refused += 1
             self._last_refusal = str(refusal)
 
     def _assign(self, arrived: SetpointArrived) -> None:
-        """Assigns a set-point to the present stream, or begins a new one.
-
-        Raises:
-            Refusal: the present stream is another sender's.
-        """
+        """Assigns a set-point to the present stream, or begins a new one; refuses one of another sender."""
         now, ticket = self._moment.now, self._ticket_of(arrived)
         if not self._alive(self._heard):
             self._abandon()
@@ -116,16 +111,12 @@ class Stream:
         """
         alive = {sender: entry for sender, entry in self._senders.items() if self._alive(entry[1])}
         known = alive.pop(arrived.sender, None)
-        ticket = self._parts.admission.arrive(arrived.arrival.number) if known is None else known[0]
+        ticket = self._admission.arrive(arrived.arrival.number) if known is None else known[0]
         self._senders = dict([*alive.items(), (arrived.sender, (ticket, self._moment.now))][-MOST_SENDERS:])
         return ticket
 
     def _measure(self, setpoint: TrackedSetpoint) -> None:
-        """Passes a set-point to the tracker.
-
-        Raises:
-            Refusal: the set-point is stale, from the future or out of order.
-        """
+        """Passes a set-point to the tracker, which refuses one that is stale, from the future or out of order."""
         now = self._moment.now
         if not self._alive(self._fitted):
             self._tracker.forget()
@@ -137,24 +128,24 @@ class Stream:
 
     def consider(self) -> None:
         """Commands the arm to the predicted goal; also without a new set-point, because the goal moves."""
-        parts, now = self._parts, self._moment.now
+        now = self._moment.now
         if now < self._next_look:
             return
         self._next_look = now + POLL
         if not self._alive(self._fitted):
             self._abandon()
             return
-        if parts.programs.offered:
+        if self._programs.offered:
             return
-        ticket, mode = self._ticket, parts.locks.mode()[0]
-        if ticket is None or mode not in ("ready", "executing") or parts.admission.stream_ended(ticket):
+        ticket, mode = self._ticket, self._premises.locks.mode()[0]
+        if ticket is None or mode not in ("ready", "executing") or self._admission.stream_ended(ticket):
             self._end()
             return
-        state = parts.view.state
+        state = self._view.state
         if state is None or ticket.epoch is None:
             return
-        if self._number <= parts.programs.last_accepted:  # a stream that continues after a goal counts as a new one
-            self._number = parts.next_number()
+        if self._number <= self._programs.last_accepted:  # a stream that continues after a goal counts as a new one
+            self._number = self._parts.next_number()
         if self._decide(state) or now >= self._next_alive:
             self._send(state, ticket.epoch)
 
@@ -169,10 +160,10 @@ class Stream:
     def park(self) -> None:
         """Withdraws stages that have not begun, because the obstacles have changed."""
         self._abandon()
-        state, ticket, admission = self._parts.view.state, self._ticket, self._parts.admission
-        if state is None or ticket is None or ticket.epoch is None or admission.stream_ended(ticket):
+        state, ticket = self._view.state, self._ticket
+        if state is None or ticket is None or ticket.epoch is None or self._admission.stream_ended(ticket):
             return
-        if self._alive(self._fitted) and self._number > self._parts.programs.last_accepted:
+        if self._alive(self._fitted) and self._number > self._programs.last_accepted:
             self._send(state, ticket.epoch)
 
     def _send(self, state: ArmState, epoch: int) -> None:
@@ -181,14 +172,13 @@ class Stream:
         Stages are repeated during a search: a command without stages would withdraw those that have not begun.
         """
         self._next_alive = self._moment.now + ALIVE_EVERY
-        found, scene, outputs = self._found, self._parts.obstacles.scene, state.snapshot.outputs
-        stages = found[1] if found is not None and found[0] == self._parts.basis() else ()
+        found, scene, outputs = self._found, self._premises.obstacles.scene, state.snapshot.outputs
+        stages = found[1] if found is not None and found[0] == self._premises.basis() else ()
         until, reason = self._fitted + self._timeout, f"following a setpoint{self._note}"[:LONGEST]
         strict = scene is None or not scene.free
-        self._parts.act(ToExecutor(Setpoint(self._number, epoch, outputs, stages, until, strict, reason)))
+        self._act(ToExecutor(Setpoint(self._number, epoch, outputs, stages, until, strict, reason)))
 
     def _end(self) -> None:
-        """Ends the stream."""
         self._abandon()
         self._ticket, self._fitted = None, -math.inf
         self._tracker.forget()
@@ -198,7 +188,7 @@ class Stream:
     def _decide(self, state: ArmState) -> bool:
         """Takes the answer of a search, or starts the next search; returns whether there are new stages."""
         answered, self._answer = self._answer, None
-        if answered is None or answered[0] != self._parts.basis():
+        if answered is None or answered[0] != self._premises.basis():
             if self._job is None:
                 self._search(state)
             return False
@@ -212,32 +202,31 @@ class Stream:
 
     def _search(self, state: ArmState) -> None:
         """Starts a search from a state to the predicted goal, unless the arm stays or it is too early to decide."""
-        parts, now, free_at = self._parts, self._moment.now, state.snapshot.free_at
+        premises, now, free_at = self._premises, self._moment.now, state.snapshot.free_at
         self._next_search = max(free_at - self._searching - TICK, self._retry)
-        if now < self._next_search or (basis := parts.basis()) is None:
+        if now < self._next_search or (basis := premises.basis()) is None:
             return
         if (configuration := state.configuration) is None:
-            self._stay(f", which is not possible now: {obstruction(state, *parts.locks.mode())}")
+            self._stay(f", which is not possible now: {obstruction(state, *premises.locks.mode())}")
             return
-        bias = parts.correction()
+        bias = premises.correction()
         shift = np.zeros(self._dimension) if bias is None else np.array(bias)
-        tip = parts.view.manipulator.tips(configuration[None])[0, : self._dimension, 3] + shift
+        tip = self._view.manipulator.tips(configuration[None])[0, : self._dimension, 3] + shift
         lead = max(free_at - now, self._searching) + self._lead
         goal = self._tracker.next_target(now + self._offset, lead, tip, self._tolerance)
         if goal is None:
             self._stay("")
             return
         task = FollowSetpoint(basis, tuple((goal - shift).tolist()), self._tolerance, bias)
-        self._job = parts.jobs.start(task, partial(self._receive_answer, basis))
+        self._job = self._jobs.start(task, partial(self._receive_answer, basis))
 
     def _receive_answer(self, basis: Basis, answer: Answer) -> None:
-        """Stores the answer of the search for the consideration at the end of this step."""
         self._job, self._next_look = None, self._moment.now
         if isinstance(answer, Followed):
             self._searching = running_mean(self._searching, answer.seconds)
             self._answer = basis, answer
-        elif isinstance(answer, Failed) and basis == self._parts.basis():
-            self._parts.act(Log(logging.ERROR, f"following failed, the arm holds: {answer.reason}"))
+        elif isinstance(answer, Failed) and basis == self._premises.basis():
+            self._act(Log(logging.ERROR, f"following failed, the arm holds: {answer.reason}"))
             self._ticket = None
 
     def _stay(self, note: str) -> None:
@@ -247,8 +236,7 @@ class Stream:
             self._note, self._next_note = note, self._moment.now + NOTE_EVERY
 
     def _abandon(self) -> None:
-        """Abandons the search under way, and drops what was found."""
-        self._parts.jobs.abandon(self._job)
+        self._jobs.abandon(self._job)
         self._job = self._answer = self._found = None
 
     def _alive(self, last: float) -> bool:
@@ -256,7 +244,6 @@ class Stream:
         return self._moment.now - last <= self._timeout
 
     def status(self) -> Payload:
-        """Returns the state of the stream for `diagnostics`."""
         return {
             "streams": self._streams,
             "received": self._received,
@@ -270,77 +257,9 @@ class Stream:
         }
 
 
-class TipBiasEstimator:
-    """The tip bias, estimated from measured tips, and counts of them. A measured tip moves nothing.
-
-    A measured tip counts if the arm was at rest in a known configuration since before the measurement.
-    """
-
-    def __init__(self, parts: Parts, settings: TrackerSettings) -> None:
-        """Builds the filter, which takes almost a second."""
-        drift = settings.drift or DRIFT * settings.noise
-        self._parts, self._manipulator = parts, parts.view.manipulator
-        tracker = Tracker(settings.noise, settings.clamp, drift, settings.hold)
-        self._filter = TipBias(self._manipulator.dimension, tracker)
-        self._received = self._accepted = self._refused = 0
-        self._last_refusal: str | None = None
-
-    def receive_tip(self, payload: bytes) -> None:
-        """Takes a measured tip that has arrived, as JSON; a refused one is only counted."""
-        self._received += 1
-        try:
-            self._accepted += self._measure(payload)
-        except Refusal as refusal:
-            self._refused += 1
-            self._last_refusal = str(refusal)
-
-    def _measure(self, payload: bytes) -> bool:
-        """Passes a measured tip to the filter; returns False if it is an outlier.
-
-        Raises:
-            Refusal: the sample is malformed, late, early, of a moving arm, or too far from the computed tip.
-        """
-        position, stamp = decode_tip(payload, self._manipulator.dimension)
-        age = self._parts.moment.wall - stamp
-        if age > VALIDITY:
-            raise Refusal(Reason.STALE, age=f"{age:.3f}", most=VALIDITY)
-        if age < -SLACK:
-            raise Refusal(Reason.FROM_THE_FUTURE, ahead=f"{-age:.3f}", most=SLACK)
-        measured_at = self._parts.moment.now - max(age, 0.0)
-        state, (mode, _) = self._parts.view.state, self._parts.locks.mode()
-        configuration = None if state is None else state.configuration
-        if state is None or configuration is None or mode not in ("ready", "executing"):
-            raise Refusal(Reason.TIP_NOT_KNOWN, mode=mode)
-        if state.snapshot.moving or measured_at < state.snapshot.free_at:
-            raise Refusal(Reason.TIP_MOVING)
-        computed = self._manipulator.tips(configuration[None])[0, : len(position), 3]
-        return self._filter.measure(position - computed, measured_at)
-
-    def bias(self) -> NDArray[np.float64]:
-        """Returns the bias that corrects goals, shape (dimension,)."""
-        return self._filter.at(self._parts.moment.now)
-
-    def status(self) -> Payload:
-        """Returns the fields for `diagnostics`."""
-        estimate, deviation = self._filter.estimate or (None, None)
-        return {
-            "received": self._received,
-            "accepted": self._accepted,
-            "refused": self._refused,
-            "last_refusal": self._last_refusal,
-            "outliers": self._filter.outliers,
-            "jumps": self._filter.jumps,
-            "estimate": None if estimate is None else estimate.tolist(),
-            "deviation": deviation,
-            "bias": self.bias().tolist(),
-        }
-
-
 def named(sender: str) -> str:
-    """Returns the name of a sender of set-points for a sentence."""
     return f'"{sender}"' if sender else "a client without a name"
 
 
 def running_mean(mean: float, latest: float) -> float:
-    """Returns the running mean updated with the latest value."""
     return mean + SMOOTHING * (latest - mean)

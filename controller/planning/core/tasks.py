@@ -4,8 +4,6 @@ Actuator states travel packed, as in the contract with the executor. `tables`, `
 and used by others. The core stores them, compares their generations, and does not look inside.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from hyperbit.controller.motion.decoding.goal import GoalMessage
@@ -15,48 +13,25 @@ from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, Refused
 
 
-class Tables(NamedTuple):
-    """The solvers of the arm reduced by locked actuators.
-
-    Attributes:
-        generation: grows with each rebuild.
-        locked: locked state of each actuator, 0 or 1, 255 if it is free; A bytes.
-        solvers: of the workers; opaque.
-    """
-
-    generation: int
-    locked: bytes
-    solvers: Any = None
+class Tables(NamedTuple):  # solvers of the arm reduced by locked actuators
+    generation: int  # grows with each rebuild
+    locked: bytes  # locked state of each actuator, 0 or 1, 255 if it is free; A bytes
+    solvers: Any = None  # of the workers; opaque
 
 
-class VersionedScene(NamedTuple):
-    """The obstacles, those of the arm's file and those sent.
-
-    Attributes:
-        generation: grows with each change.
-        free: whether there is nothing to collide with.
-        keep_out: swept checks; opaque.
-    """
-
-    generation: int
-    free: bool
-    keep_out: Any = None
+class VersionedScene(NamedTuple):  # the obstacles, those of the arm's file and those sent
+    generation: int  # grows with each change
+    free: bool  # whether there is nothing to collide with
+    keep_out: Any = None  # swept checks; opaque
 
 
 class ArmStart(NamedTuple):
-    """Where a plan starts. Two starts are equal if a plan from one is a plan from the other.
+    """Where a plan starts. Two starts are equal if a plan from one is a plan from the other."""
 
-    Attributes:
-        outputs: of the boards; `Program.start`.
-        commanded: states from which stages begin: the outputs, the locked state for a locked actuator.
-        states: states to plan from: measured at rest, commanded while actuators travel.
-        locked: mask of the locked actuators.
-    """
-
-    outputs: bytes
-    commanded: bytes
-    states: bytes
-    locked: bytes
+    outputs: bytes  # of the boards; `Program.start`
+    commanded: bytes  # states from which stages begin: the outputs, the locked state for a locked actuator
+    states: bytes  # states to plan from: measured at rest, commanded while actuators travel
+    locked: bytes  # mask of the locked actuators
 
 
 class Basis(NamedTuple):
@@ -70,62 +45,36 @@ class Basis(NamedTuple):
 # --- tasks
 
 
-class PlanGoal(NamedTuple):
-    """Plan a goal. Answered by `Planned`, `Refused` or `Failed`.
-
-    Attributes:
-        received: time of arrival [UNIX s].
-        bias: tip bias that corrects the goal, dimension numbers; None: no tracker.
-    """
-
+class PlanGoal(NamedTuple):  # answered by `Planned`, `Refused` or `Failed`
     message: GoalMessage
-    received: float
-    bias: tuple[float, ...] | None
+    received: float  # time of arrival [UNIX s]
+    bias: tuple[float, ...] | None  # tip bias that corrects the goal, dimension numbers; None: no tracker
     basis: Basis
 
 
-class ImprovePlan(NamedTuple):
-    """Improve a running plan. Answered by `Deviations` first, then by several `Improved`, at last by `Done`.
-
-    Attributes:
-        begin: t = 0 of the trajectory [s, the monotonic clock].
-        search: False: only the deviations are wanted.
-    """
-
+class ImprovePlan(NamedTuple):  # answered by `Deviations` first, then by several `Improved`, at last by `Done`
     plan: Any
-    begin: float
-    search: bool
+    begin: float  # t = 0 of the trajectory [s, the monotonic clock]
+    search: bool  # False: only the deviations are wanted
     tables: Tables
     scene: VersionedScene
 
 
-class PrepareSearch(NamedTuple):
-    """Prepare the next search while no request waits, and plan `rehearsal` without effect. Answered by `Done`."""
-
+class PrepareSearch(NamedTuple):  # while no request waits; answered by `Done`
     basis: Basis
-    rehearsal: GoalMessage | None = None
+    rehearsal: GoalMessage | None = None  # planned without effect
 
 
-class DescribePlan(NamedTuple):
-    """Plan a goal without running it, within a time [s]. Answered by `Described`, `Refused` or `Failed`."""
-
+class DescribePlan(NamedTuple):  # answered by `Described`, `Refused` or `Failed`
     goal: PlanGoal
-    seconds: float
+    seconds: float  # longest time
 
 
-class FollowSetpoint(NamedTuple):
-    """Search the configuration for a followed set-point. Answered by `Followed` or `Failed`.
-
-    Attributes:
-        position: of the computed tip, dimension numbers.
-        tolerance: greatest distance from the set-point; the search uses half of it.
-        bias: tip bias that corrects `position`, dimension numbers, for the note; None: no tracker.
-    """
-
+class FollowSetpoint(NamedTuple):  # answered by `Followed` or `Failed`
     basis: Basis
-    position: tuple[float, ...]
-    tolerance: float
-    bias: tuple[float, ...] | None = None
+    position: tuple[float, ...]  # of the computed tip, dimension numbers
+    tolerance: float  # greatest distance from the set-point; the search uses half of it
+    bias: tuple[float, ...] | None = None  # of the tip, that corrects `position`, for the note; None: no tracker
 
 
 class CheckStages(NamedTuple):
@@ -139,26 +88,17 @@ class CheckStages(NamedTuple):
     stages: tuple[bytes, ...]
 
 
-class CheckStanding(NamedTuple):
-    """Check states at rest for a collision. Answered by `Checked` or `Failed`."""
-
+class CheckStanding(NamedTuple):  # answered by `Checked` or `Failed`
     scene: VersionedScene
-    states: bytes
+    states: bytes  # at rest
 
 
-class BuildScene(NamedTuple):
-    """Build the swept checks of the obstacles that were sent and those of the arm's file.
-
-    Answered by `SceneBuilt` or `Failed`.
-    """
-
+class BuildScene(NamedTuple):  # answered by `SceneBuilt` or `Failed`
     generation: int
-    obstacles: Any
+    obstacles: Any  # that were sent
 
 
-class BuildTables(NamedTuple):
-    """Build the solvers for locked states; takes seconds. Answered by `Tables` or `Failed`."""
-
+class BuildTables(NamedTuple):  # takes seconds; answered by `Tables` or `Failed`
     generation: int
     locked: bytes
 
@@ -171,59 +111,35 @@ Task = Search | CheckStages | CheckStanding | BuildScene | BuildTables
 
 
 class Planned(NamedTuple):
-    """The plan of a goal.
-
-    Attributes:
-        trajectory: the goal, corrected by the tip bias; it has as many points as `points`.
-        plan: for `ImprovePlan`; opaque.
-    """
-
-    trajectory: Trajectory
+    trajectory: Trajectory  # the goal, corrected by the tip bias; it has as many points as `points`
     points: tuple[PlannedPoint, ...]
     proof: PlanProof
-    plan: Any = None
+    plan: Any = None  # for `ImprovePlan`; opaque
 
 
 class Deviations(NamedTuple):
-    """The deviations of all points of a plan; None where one is not known."""
-
-    values: tuple[float | None, ...]
+    values: tuple[float | None, ...]  # of all points of a plan; None where one is not known
 
 
 class Described(NamedTuple):
-    """The payload of a planned goal."""
-
     payload: dict[str, Any]
 
 
 class Followed(NamedTuple):
-    """The stages to a set-point.
-
-    Attributes:
-        stages: packed states after each stage; empty: the arm stays.
-        note: why it stays, as the end of a sentence that begins "following a setpoint"; "" if all is well.
-        found: whether a configuration within the tolerance was found.
-        seconds: time of the search [s].
-    """
-
-    stages: tuple[bytes, ...]
-    note: str
-    found: bool
-    seconds: float
+    stages: tuple[bytes, ...]  # packed states after each stage; empty: the arm stays
+    note: str  # why it stays, as the end of a sentence that begins "following a setpoint"; "" if all is well
+    found: bool  # whether a configuration within the tolerance was found
+    seconds: float  # time of the search
 
 
 class Checked(NamedTuple):
-    """The first collision of the checked stages, in words; None if all are clear."""
-
-    collision: str | None
+    collision: str | None  # the first one, in words; None if all states are clear
 
 
 class SceneBuilt(NamedTuple):
-    """A new scene, with the number of all its obstacles, and of those sent."""
-
     scene: VersionedScene
-    total: int
-    sent: int
+    total: int  # number of all obstacles
+    sent: int  # number of those sent
 
 
 class Done(NamedTuple):
@@ -236,15 +152,14 @@ class Failed(NamedTuple):
     reason: str
 
 
-Built = SceneBuilt | Tables
-Answer = Planned | Deviations | Improved | Described | Followed | Checked | Built | Done | Refused | Failed
+Answer = (
+    Planned | Deviations | Improved | Described | Followed | Checked | SceneBuilt | Tables | Done | Refused | Failed
+)
 
 
 def refusal_of(answer: Answer) -> Refusal:
     """Returns the refusal of a goal whose task was answered without a plan."""
-    if isinstance(answer, Refused):
-        return answer.refusal
-    return Refusal(Reason.PLANNING_FAILED)
+    return answer.refusal if isinstance(answer, Refused) else Refusal(Reason.PLANNING_FAILED)
 
 
 def collision_of(answer: Answer) -> str | None:

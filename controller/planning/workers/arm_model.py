@@ -1,7 +1,7 @@
 """What one worker knows of the arm: its pace, packed states, and the solver that avoids the present obstacles."""
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,7 @@ from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.motion.stages.program import pack_states, unpack_states
 from hyperbit.controller.obstacles.keep_out import KeepOutSet, States
 from hyperbit.controller.obstacles.single_switches import arm_switches
-from hyperbit.controller.planning.core.tasks import (
-    ArmStart,
-    BuildScene,
-    BuildTables,
-    SceneBuilt,
-    Tables,
-    VersionedScene,
-)
+from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.solver import Solver
@@ -37,26 +30,8 @@ class Abandoned(Exception):
     """A task is no longer needed."""
 
 
-class Solvers(NamedTuple):
-    """Solvers with the same tables, one for each worker that searches; `Tables.solvers`."""
-
-    goals: Solver
-    queries: Solver
-    setpoints: Solver
-
-
 class ArmModel:
-    """The arm for one worker. Not thread-safe, because the memory of its solver is not.
-
-    Attributes:
-        arm: the whole arm.
-        pace: of its transitions.
-        rules: of its goals.
-
-    Args:
-        arm: the whole arm.
-        worker: which of the solvers is used.
-    """
+    """The arm for one worker. Not thread-safe, because the memory of its solver is not."""
 
     def __init__(self, arm: Arm, worker: Literal["goals", "queries", "setpoints"]) -> None:
         self.arm, self.pace, self._worker = arm, pace_of(arm.settings), worker
@@ -65,11 +40,11 @@ class ArmModel:
         self._generations = (-1, -1)  # of tables and obstacles of the latest solver
         self._solver: Solver | None = None
 
-    def solver(self, tables: Tables, scene: VersionedScene) -> Solver:
+    def solver(self, tables: tasks.Tables, scene: tasks.VersionedScene) -> Solver:
         """Returns the solver of the reduced arm that avoids the obstacles of a scene."""
         generations = tables.generation, scene.generation
         if self._solver is None or generations != self._generations:
-            solver: Solver = getattr(tables.solvers, self._worker)
+            solver: Solver = tables.solvers[self._worker]
             if not scene.free:
                 clearance = scene.keep_out.clearance
                 if solver.manipulator is not clearance.manipulator:
@@ -79,21 +54,16 @@ class ArmModel:
         return self._solver
 
     def unpack(self, packed: bytes) -> States:
-        """Returns packed actuator states as an array (A,)."""
         return unpack_states(packed, len(self.arm.manipulator.actuators))
 
-    def pack(self, start: ArmStart, stages: States) -> list[bytes]:
+    def pack(self, start: tasks.ArmStart, stages: States) -> list[bytes]:
         """Returns stages (k, A) packed for the executor; locked actuators keep their bits of the outputs."""
         if any(start.locked):
             stages = np.where(self.unpack(start.locked), self.unpack(start.outputs), stages)
         return pack_states(stages)
 
-    def configuration(self, start: ArmStart, reduced: Manipulator) -> Configuration:
-        """Returns the configuration (B,) of the reduced arm to plan from.
-
-        Raises:
-            Refusal: the states spell no configuration, or none of the reduced arm.
-        """
+    def configuration(self, start: tasks.ArmStart, reduced: Manipulator) -> Configuration:
+        """Returns the configuration (B,) of the reduced arm to plan from, or raises Refusal."""
         whole = self.arm.manipulator
         try:
             configuration = whole.configuration(self.unpack(start.states))
@@ -106,14 +76,11 @@ class ArmModel:
             raise Refusal(Reason.LOCKS_CHANGING) from None
 
 
-def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], task: BuildTables) -> Tables:
+def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], task: tasks.BuildTables) -> tasks.Tables:
     """Returns the solvers for locked states.
 
-    Args:
-        arm: the whole arm.
-        densities: of the arm reduced by the locked states of its file. Other densities are mapped, which takes seconds.
-        weights: cost of a switch of each actuator, shape (A,).
-        task: with the locked states.
+    `densities` are of the arm reduced by the locked states of its file; others are mapped, which takes seconds.
+    `weights` are the costs of a switch of each actuator, shape (A,).
 
     Raises:
         ValueError: a module has no state with its actuators locked so.
@@ -126,11 +93,11 @@ def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], t
     goals = Solver(reduced, densities, weights)
     goals.prepare()
     arm_switches(reduced)  # a goal among obstacles needs them at once
-    return Tables(task.generation, task.locked, Solvers(goals, goals.another(), goals.another()))
+    solvers = {"goals": goals, "queries": goals.another(), "setpoints": goals.another()}  # all with the same tables
+    return tasks.Tables(task.generation, task.locked, solvers)
 
 
-def build_scene(arm: Arm, task: BuildScene) -> SceneBuilt:
-    """Returns the scene of the obstacles of the arm's file and those sent."""
+def build_scene(arm: Arm, task: tasks.BuildScene) -> tasks.SceneBuilt:
     keep_out = KeepOutSet(arm.clearance(others=task.obstacles), task.obstacles)
-    scene = VersionedScene(task.generation, keep_out.free, keep_out)
-    return SceneBuilt(scene, len(keep_out.clearance.obstacles), len(task.obstacles))
+    scene = tasks.VersionedScene(task.generation, keep_out.free, keep_out)
+    return tasks.SceneBuilt(scene, len(keep_out.clearance.obstacles), len(task.obstacles))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from hyperbit.controller.motion.decoding.goal import GoalMessage, check_reach, schedule
+from hyperbit.controller.motion.decoding.goal import GoalMessage, schedule
 from hyperbit.controller.motion.plans.description import describe_plan
 from hyperbit.controller.motion.plans.improvement import Improvement, changed_points
 from hyperbit.controller.motion.plans.plan import TrajectoryPlan
@@ -38,19 +38,13 @@ MOST_THREADS = 2  # of one plan: to search a way around obstacles, and to prove 
 
 
 class PlannedGoal(NamedTuple):
-    """A plan with what its improvement needs; `Planned.plan`.
+    """A plan with what its improvement needs; `Planned.plan`."""
 
-    Attributes:
-        plan: from the configuration of `start.states`, with the tables of generation `tables`.
-        first: transition to the first point from `start.commanded`.
-        points: of `Planned`.
-    """
-
-    plan: TrajectoryPlan
-    first: Staged
-    points: tuple[PlannedPoint, ...]
+    plan: TrajectoryPlan  # from the configuration of `start.states`
+    first: Staged  # transition to the first point from `start.commanded`
+    points: tuple[PlannedPoint, ...]  # of `Planned`
     start: ArmStart
-    tables: int
+    tables: int  # their generation
 
 
 def plan_goal(model: ArmModel, task: tasks.PlanGoal, proceed: Proceed) -> tasks.Planned:
@@ -59,9 +53,7 @@ def plan_goal(model: ArmModel, task: tasks.PlanGoal, proceed: Proceed) -> tasks.
     The plan starts from `start.states`; the stages start from `start.commanded`. The two differ at rest if an actuator
     has not followed its output. The proof counts switches from `start.states`, the points count those of their stages.
 
-    Raises:
-        Refusal: there is no plan.
-        Abandoned: `proceed` has raised it.
+    Raises Refusal if there is no plan, and what `proceed` raises.
     """
     start, planner = task.basis.start, planner_of(model, task)
     found = search_plan(model, task.basis, planner, time_of(model, task.message, PLANNING_TIME), proceed)
@@ -77,16 +69,8 @@ def plan_goal(model: ArmModel, task: tasks.PlanGoal, proceed: Proceed) -> tasks.
 
 
 def planner_of(model: ArmModel, task: tasks.PlanGoal) -> TransitionPlanner:
-    """Returns the planner of a goal's trajectory, which is corrected by the tip bias.
-
-    Raises:
-        Refusal: the goal is invalid, or a position is farther than the arm's length; the message names the field.
-    """
-    arm, manipulator, message = model.arm, model.arm.manipulator, task.message
-    base = manipulator.base[: manipulator.dimension, 3].tolist()
-    clamp = arm.settings.tracker.clamp if arm.settings.tracker else 0.0
-    check_reach(message, base, manipulator.length + clamp, arm.tolerance)
-    scheduled = schedule(message, model.rules, task.received)
+    """Returns the planner of a goal's trajectory, corrected by the tip bias; raises Refusal if the goal is invalid."""
+    scheduled = schedule(task.message, model.rules, task.received)
     trajectory = scheduled.corrected(None if task.bias is None else np.array(task.bias))
     return TransitionPlanner(model.solver(task.basis.tables, task.basis.scene), trajectory, model.pace)
 
@@ -99,13 +83,7 @@ def time_of(model: ArmModel, message: GoalMessage, first: float) -> SearchTime:
 def search_plan(
     model: ArmModel, basis: tasks.Basis, planner: TransitionPlanner, allowed: SearchTime, proceed: Proceed
 ) -> TrajectoryPlan:
-    """Returns a plan whose stages are clear.
-
-    `proceed` is called before each point, during each search, and before each check of a stage.
-
-    Raises:
-        Refusal: there is no plan.
-    """
+    """Returns a plan whose stages are clear, or raises Refusal; calls `proceed` again and again."""
     previous = model.configuration(basis.start, planner.solver.manipulator)
     settings = model.arm.settings
     threads = max(1, min(settings.planning.workers, MOST_THREADS))
@@ -119,11 +97,7 @@ def search_plan(
 
 
 def check_size(model: ArmModel, transitions: Sequence[Staged]) -> None:
-    """Checks that the executor accepts the size of a plan.
-
-    Raises:
-        Refusal: it has too many stages.
-    """
+    """Raises Refusal if a plan has more stages than the executor accepts."""
     counts = [len(transition.stages) for transition in transitions]
     total, longest, most = sum(counts), max(counts), most_stages(len(model.arm.manipulator.actuators))
     if longest > most or total > MOST_PROGRAM_STAGES:
@@ -160,11 +134,7 @@ def stages_of(transitions: Sequence[Staged]) -> Iterator[States]:
 
 
 def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Iterator[tasks.Deviations | Improved]:
-    """Yields the deviations of a plan, then each improvement whose stages are clear.
-
-    Raises:
-        Abandoned: `proceed` has raised it, which is called between two parts.
-    """
+    """Yields the deviations of a plan, then each improvement whose stages are clear; calls `proceed` between."""
     goal: PlannedGoal = task.plan
     deviations = list[float | None]()
     for transition in (goal.first, *goal.plan.transitions[1:]):
@@ -208,13 +178,9 @@ def prepare_search(model: ArmModel, task: tasks.PrepareSearch, proceed: Proceed)
 
 
 def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry: Callable[[], bool]) -> tasks.Described:
-    """Returns the description of a plan.
+    """Returns the description of a plan; raises Refusal if there is none, or if planning took too long.
 
     `hurry` returns whether the search over the whole trajectory must end early.
-
-    Raises:
-        Refusal: there is no plan, or planning took too long.
-        Abandoned: `proceed` has raised it.
     """
     began, message = time.monotonic(), task.goal.message
 
@@ -240,7 +206,6 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
 
 
 def follow(model: ArmModel, task: tasks.FollowSetpoint) -> tasks.Followed:
-    """Returns the stages to a set-point, or why the arm stays."""
     arm_start, tables, scene = task.basis
     solver = model.solver(tables, scene)
     try:

@@ -44,11 +44,7 @@ class QueuedTask:
     hurried: bool = False
 
     def proceed(self) -> bool:
-        """Checks that the task is still needed; returns whether it must end soon.
-
-        Raises:
-            Abandoned: it is not.
-        """
+        """Returns whether the task must end soon; raises Abandoned if it is no longer needed."""
         if self.abandoned:
             raise Abandoned
         return self.hurried
@@ -59,12 +55,8 @@ class Workers:
 
     Plans that may take long go to `planning.workers` processes, if there are any.
 
-    Each task is answered by `Answered`; its last answer is marked.
-
-    Args:
-        arm, densities, weights: as in `build_tables`.
-        post: takes the answers; called from the workers' threads.
-        fatal: takes the reason if a thread has ended unexpectedly, so that the process must end.
+    Each task is answered by `Answered`; its last answer is marked. `post` takes the answers, in the workers' threads.
+    `fatal` takes the reason if a thread has ended unexpectedly, so that the process must end.
     """
 
     def __init__(
@@ -75,7 +67,6 @@ class Workers:
         post: Callable[[Event], None],
         fatal: Callable[[str], None],
     ) -> None:
-        """Starts the threads."""
         self._arm, self._densities, self._weights, self._post, self._fatal = arm, densities, weights, post, fatal
         self._for_goals, self._for_queries = ArmModel(arm, "goals"), ArmModel(arm, "queries")
         self._for_setpoints = ArmModel(arm, "setpoints")
@@ -124,35 +115,30 @@ class Workers:
     def _run(self, name: str, perform: Callable[[QueuedTask], Answer | Iterator[Answer]]) -> None:
         try:
             while (queued := self._queues[name].get()) is not None:
-                for answer, last in self._answers(queued, perform):
-                    if last:
-                        self._queued.pop(queued.number, None)
-                    self._post(Answered(queued.number, answer, last))
+                last = self._answer(queued, perform)
+                self._queued.pop(queued.number, None)
+                self._post(Answered(queued.number, last, True))
         except BaseException as error:  # SystemExit too, which would end a thread without a word
             log.critical("the thread for %s has ended", name, exc_info=True)
             self._fatal(f"the planner's thread for {name} has ended: {error!r}")
 
-    def _answers(
-        self, queued: QueuedTask, perform: Callable[[QueuedTask], Answer | Iterator[Answer]]
-    ) -> Iterator[tuple[Answer, bool]]:
-        """Yields the answers to a task, and whether each is the last one; no Exception leaves it."""
-        last: Answer = tasks.Done()
+    def _answer(self, queued: QueuedTask, perform: Callable[[QueuedTask], Answer | Iterator[Answer]]) -> Answer:
+        """Posts all answers to a task but the last one, which it returns; no Exception leaves it."""
         try:
             queued.proceed()
             answer = perform(queued)
-            if isinstance(answer, Iterator):
-                for part in answer:
-                    yield part, False
-            else:
-                last = answer
+            if not isinstance(answer, Iterator):
+                return answer
+            for part in answer:
+                self._post(Answered(queued.number, part, False))
         except Abandoned:
             pass
         except Refusal as refusal:
-            last = refusal.data
+            return refusal.data
         except Exception as error:
             log.exception("the task %s failed", type(queued.task).__name__)
-            last = tasks.Failed(traceback.format_exception_only(error)[-1].strip())
-        yield last, True
+            return tasks.Failed(traceback.format_exception_only(error)[-1].strip())
+        return tasks.Done()
 
     def _perform(self, queued: QueuedTask) -> Answer | Iterator[Answer]:
         match task := queued.task:

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from hyperbit.controller.planning.core.events import LockMessage
+from hyperbit.controller.motion.decoding.requests import DegradeMessage
 from tests.gateway.conftest import NO_ACTUATOR, Gateway, endpoint  # noqa: F401
 
 NOWHERE = ("--connect", "tcp/127.0.0.1:1")
@@ -55,7 +55,7 @@ def test_a_halt_without_an_executor_fails_with_a_message(hyperbit, tmp_path, old
 def test_lock_sends_the_key_degrade(hyperbit, gateway):
     code, _, err = hyperbit("lock", "a", "5.left=contracted", "--connect", gateway.endpoint)
     assert (code, err) == (1, f"refused (code -1): {NO_ACTUATOR}\n")
-    assert gateway.planner.heard == [("degrade", LockMessage("5.left", 0))]
+    assert gateway.planner.heard == [("degrade", DegradeMessage("5.left", 0))]
 
 
 def test_send_takes_one_kind_of_goal(hyperbit, gateway):

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 from typing import Any
+
+import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.motion.tracking.goal_motion import tracking_of
@@ -21,13 +24,13 @@ TICK = 0.001  # [s] of the simulated clock
 class StreamBench(PlayedCore):
     """A stream whose set-points come 50 times a second while `position` is set."""
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Arm, bias: tuple[float, ...] | None = None) -> None:
         super().__init__(arm)
-        self.bias: tuple[float, ...] | None = None
         tracking = tracking_of(arm.manipulator.length, arm.tolerance)
         self.timeout = tracking.timeout
-        self.parts.correction = lambda: self.bias
-        self.stream = Stream(arm, tracking, self.parts)
+        estimator = SimpleNamespace(bias=lambda: np.array(bias))
+        premises = self.premises._replace(tip_bias=None if bias is None else estimator)
+        self.stream = Stream(arm, tracking, self.parts, premises, self.programs)
         self.position: list[float] | None = None
         self.first: Ticket | None = None  # of the last stream
         self.steps, self._next = 0, self.now

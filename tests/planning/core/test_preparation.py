@@ -15,7 +15,7 @@ from tests.planning.rig.played_core import PlayedCore
 def test_a_search_is_prepared_after_a_pause_and_the_next_look_comes_a_rehearsal_later(small: Arm) -> None:
     played = PlayedCore(small)
     played.show()
-    preparation = Preparation(played.parts, prepares=True)
+    preparation = Preparation(played.parts, played.premises, played.programs, prepares=True)
     preparation.begin(None)
     assert preparation.advance() == played.now + IDLE
     played.advance(IDLE)

@@ -17,8 +17,9 @@ from hyperbit.controller.host.process import Log, Notify
 from hyperbit.controller.motion.tracking.goal_motion import tracking_of
 from hyperbit.controller.planning.core.events import Publish
 from hyperbit.controller.planning.core.status import Status
-from hyperbit.controller.planning.core.stream import Stream, TipBiasEstimator
+from hyperbit.controller.planning.core.stream import Stream
 from hyperbit.controller.planning.core.tasks import PrepareSearch
+from hyperbit.controller.planning.core.tip_bias import TipBiasEstimator
 from hyperbit.controller.program import Diagnostics, Fault
 from hyperbit.controller.workspace.densities import Densities
 from tests.planning.conftest import DOCUMENT
@@ -39,10 +40,12 @@ class StatusBench(PlayedCore):
 
     def __init__(self, arm: Arm, tracker: TrackerSettings | None = None) -> None:
         super().__init__(arm)
-        self.parts.tip_bias = None if tracker is None else TipBiasEstimator(self.parts, tracker)
-        stream = Stream(arm, tracking_of(arm.manipulator.length, arm.tolerance), self.parts)
+        tip_bias = None if tracker is None else TipBiasEstimator(self.parts, self.locks, tracker)
+        self.premises = premises = self.premises._replace(tip_bias=tip_bias)
+        tracking = tracking_of(arm.manipulator.length, arm.tolerance)
+        stream = Stream(arm, tracking, self.parts, premises, self.programs)
         self.goals, self.queries = SimpleNamespace(waiting=0), SimpleNamespace(waiting=0)
-        self.status = Status(self.parts, stream, self.goals, self.queries)
+        self.status = Status(self.parts, premises, self.programs, self.goals, self.queries, stream)
 
     def state(self) -> dict[str, Any]:
         return dict(self.status.state())
@@ -158,13 +161,13 @@ def test_measured_states_that_are_no_configuration_are_a_fault(read: Callable[[A
 
 def test_warnings_come_after_faults_and_once(bench: StatusBench) -> None:
     bench.show(faults=(STUCK,))
-    bench.status.warned((Fault("stuck", "1.left", "said twice"), UNWRITTEN))
+    bench.status.warnings = (Fault("stuck", "1.left", "said twice"), UNWRITTEN)
     assert bench.state()["faults"] == [
         {"code": "stuck", "source": "1.left", "message": "it reads contracted"},
         {"code": "ledger-unwritten", "source": "ledger", "message": "the disk is full"},
     ]
     assert bench.diagnostics()["ledger"] == "the disk is full"
-    bench.status.warned(())
+    bench.status.warnings = ()
     assert len(bench.state()["faults"]) == 1
     assert bench.diagnostics()["ledger"] == "ok"
 
@@ -205,7 +208,7 @@ def test_diagnostics_without_and_with_an_executor(bench: StatusBench) -> None:
     assert keys <= told.keys()
     assert (told["counts"], told["ledger"], told["queues"]) == ((), "ok", {"inbox": 0, "planning": 0})
     bench.show()
-    basis = bench.parts.basis()
+    basis = bench.premises.basis()
     assert basis is not None
     bench.jobs.start(PrepareSearch(basis), lambda *_: None)
     bench.goals.waiting, bench.queries.waiting, bench.view.counted = 1, 1, 4
@@ -256,7 +259,7 @@ def test_a_change_is_published_at_once_but_not_sooner_than_the_least_gap(bench: 
 
 def test_faults_are_logged_once_with_their_fields(bench: StatusBench) -> None:
     bench.show(mode="fault", reason="a board is lost", faults=(LOST,))
-    bench.status.warned((Fault("clock-set", "clock", "the clock was set"),))
+    bench.status.warnings = (Fault("clock-set", "clock", "the clock was set"),)
     bench.run(0.3)
     bench.show(mode="ready", reason="holding", faults=())
     bench.run(0.3)

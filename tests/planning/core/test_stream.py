@@ -173,10 +173,10 @@ def test_a_failed_search_from_a_state_that_has_passed_is_repeated(bench: StreamB
     assert not bench.take(Log)
 
 
-def test_the_tip_bias_shifts_the_searched_position(bench: StreamBench) -> None:
-    bench.bias = (0.003, -0.001)
+def test_the_tip_bias_shifts_the_searched_position(small: Arm) -> None:
+    bench = StreamBench(small, bias=(0.003, -0.001))
     _, task = bench.search()
-    assert task.position == pytest.approx(bench.tip(*A) - np.array(bench.bias))
+    assert task.position == pytest.approx(bench.tip(*A) - np.array([0.003, -0.001]))
 
 
 def test_set_clocks_do_not_touch_a_stream_without_stamps(bench: StreamBench) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.settings import TrackerSettings
-from hyperbit.controller.planning.core.stream import TipBiasEstimator
+from hyperbit.controller.planning.core.tip_bias import TipBiasEstimator
 from tests.planning.rig.played_core import PlayedCore
 
 OFFSET = np.array([0.002, -0.001])
@@ -22,7 +22,8 @@ class BiasBench(PlayedCore):
 
     def __init__(self, arm: Arm) -> None:
         super().__init__(arm)
-        self.estimator = TipBiasEstimator(self.parts, TrackerSettings(noise=1e-4, clamp=0.01, hold=HOLD))
+        settings = TrackerSettings(noise=1e-4, clamp=0.01, hold=HOLD)
+        self.estimator = TipBiasEstimator(self.parts, self.locks, settings)
         self.show()
 
     def measure(self, age: float = 0.01, **fields: Any) -> None:

@@ -15,6 +15,7 @@ from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.planning.core.arm import ExecutorView, packed
 from hyperbit.controller.planning.core.events import Action, Start
 from hyperbit.controller.planning.core.parts import Parts
+from hyperbit.controller.planning.core.premises import Premises
 from hyperbit.controller.planning.core.tasks import Answer, Tables, VersionedScene
 from hyperbit.controller.program import Fault, Mode, Snapshot
 
@@ -82,7 +83,7 @@ class PlayedCore:
         self.moment, self.admission, self.jobs = self.parts.moment, self.parts.admission, self.parts.jobs
         self.moment.now, self.moment.wall = 100.0, 1e9
         self.locks, self.obstacles, self.programs = PlayedLocks(self.view), PlayedObstacles(), PlayedPrograms()
-        self.parts.locks, self.parts.obstacles, self.parts.programs = self.locks, self.obstacles, self.programs
+        self.premises = Premises(self.view, self.locks, self.obstacles, None)  # type: ignore[arg-type]
         size = len(arm.manipulator.actuators)
         none, known = packed(np.zeros(size)), packed(np.ones(size))
         self.snapshot = Snapshot(

@@ -120,12 +120,6 @@ def test_states_that_the_reduced_arm_has_not_are_refused(small: Any, small_densi
     assert "the locked actuators are changing" in str(refusal(bench, start=bench.start(b"\1\0")))
 
 
-def test_a_position_beyond_the_arm_is_refused_by_its_field(bench: Bench) -> None:
-    refused = refusal(bench, message=bench.goal([9.0, 0.0]))
-    assert refused.code == codes.GOAL_TOLERANCE_VIOLATED
-    assert str(refused).startswith("waypoints[0].position: (9, 0) is out of reach: 9 from the base")
-
-
 def test_a_goal_is_corrected_by_the_tip_bias(bench: Bench) -> None:
     message = bench.goal(bench.tip(*A), tolerance={"position": 0.05})
     planned = plan_goal(bench.model, bench.task(A, message=message, bias=(0.01, 0.0)), nothing)
@@ -150,7 +144,7 @@ def test_a_solver_is_kept_until_tables_or_obstacles_change(bench: Bench) -> None
     assert bench.model.solver(bench.tables, scene) is kept
     assert kept.clearance is scene.keep_out.clearance
     assert bench.model.solver(bench.tables, scene._replace(generation=100)) is not kept
-    assert bench.model.solver(bench.tables, bench.free) is bench.tables.solvers.goals
+    assert bench.model.solver(bench.tables, bench.free) is bench.tables.solvers["goals"]
 
 
 def test_a_search_is_prepared_until_it_is_abandoned(bench: Bench) -> None:

@@ -118,7 +118,7 @@ def test_a_refusal_has_its_reason_and_facts(core: Core, bench: Bench) -> None:
     core.workers.start(1, bench.task(A, message=bench.goal([9.0, 0.0])))
     answer = core.next().answer
     assert isinstance(answer, Refused)
-    assert answer.reason.value == "beyond-length"
+    assert answer.reason.value == "out-of-reach"
     assert "is out of reach" in str(answer.refusal)
 
 

@@ -13,7 +13,7 @@ from hyperbit.controller.gateway import outbox as outbox_module
 from hyperbit.controller.gateway import server as server_module
 from hyperbit.controller.gateway.arrivals import Clocks, RepeatedGoals
 from hyperbit.controller.gateway.daemon import Warnings
-from hyperbit.controller.gateway.outbox import Outbox, ResultHooks
+from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.server import GatewayParts, Server
 from hyperbit.controller.host.process import Quit
 from hyperbit.controller.motion.stages.pacing import pace_of
@@ -130,9 +130,9 @@ class PlannerProcess:
         self.ledger = SimulatedLedger(self._agenda, random, storage, self._lives, post, daemon.record)
         self.searcher = Searcher(self._agenda, random, daemon.search, daemon.mood, post)
         self.session, self.goals = daemon.zenoh.open(), RepeatedGoals(self._now)
-        hooks = ResultHooks(self.goals.ended, storage.mark, post)
+        hooks = self.goals.ended, storage.mark, post
         name = arm.settings.name
-        self.outbox = SteppedOutbox(self.session, f"hyperbit/{name}", hooks, self._never, LEASE, self._now)  # type: ignore[arg-type]
+        self.outbox = SteppedOutbox(self.session, f"hyperbit/{name}", *hooks, self._never, LEASE, self._now)  # type: ignore[arg-type]
         self._outbox_at = math.inf
         self.outbox.wake_at = self._send_within
         network = daemon.zenoh
