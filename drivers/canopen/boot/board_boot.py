@@ -163,10 +163,7 @@ def _configure(boot: Boot) -> Procedure:
     if board.state is None:
         yield from _make_it_tell(boot)
     yield from _enter_pre_operational(boot)
-    sure = board.held and not boot.outputs.doubtful & board.layout.output_lines
-    held = boot.outputs.bits(boot.index) if sure else None
-    board.released |= yield from settle(it, boot.error_state, boot.stopped, held)
-    boot.undo.pins_known = True
+    yield from _settle(boot)
     yield from inspection.ensure(it, it.needs)
     for pdos in (it.rpdos, it.tpdos):
         yield from pdo_search.set_up_pdos(it, pdos)
@@ -185,17 +182,27 @@ def _make_it_tell(boot: Boot) -> Procedure:
     yield from _learn_state(boot)
 
 
+def _settle(boot: Boot) -> Procedure:
+    """Writes the outputs so that START changes no pin."""
+    board, outputs = boot.board, boot.outputs
+    held = outputs.bits(boot.index) if board.held and not outputs.doubtful & board.layout.output_lines else None
+    board.released |= yield from settle(boot.it, boot.error_state, boot.stopped, held)
+    boot.undo.pins_known = True
+
+
 def _enter_pre_operational(boot: Boot) -> Procedure:
     """Enters pre-operational, in which the outputs hold.
 
-    Some boards apply 6207h as soon as they enter pre-operational. So 6206h is set to hold before, but only while the
-    board is operational: otherwise 6206h tells what the pins are.
+    Some boards apply 6207h as soon as they enter pre-operational, so an operational board gets hold in 6206h before.
+    If 1029h lets it be operational in its error state, this write switches the pins to 6200h, which is settled first.
     """
     board, it = boot.board, boot.it
     if board.state is State.PRE_OPERATIONAL:
         return
     if board.state is State.OPERATIONAL and (unmet := it.unmet(configuration.hold_outputs(it.layout))):
-        before = {(need.index, need.sub): it.values[need.index, need.sub] for need in unmet}
+        before = {(n.index, n.sub): it.values[n.index, n.sub] for n in unmet}
+        if board.held is None and not configuration.leaves_operational(it.values.get((0x1029, 1))):
+            yield from _settle(boot)
         yield from _write_error_mode(it, {place: 0 for place in before}, unmet)
         board.state = None
         yield from _learn_state(boot)

@@ -85,6 +85,11 @@ def on_master_lost(board: BoardLayout, required: bool = True) -> Need:
     return Need(0x1029, 1, state, 1, "error behaviour", required=_CONTRACT if falls and required else None)
 
 
+def leaves_operational(behaviour: int | None) -> bool:
+    """Returns whether a board with this 1029h leaves operational when it loses the master; None: it has no 1029h."""
+    return behaviour in (None, _PRE_OPERATIONAL, _STOPPED)
+
+
 def polarity(board: BoardLayout) -> list[Need]:
     """Polarity, 6202h: the board inverts no output. A write would switch the outputs."""
     advice = "the board inverts outputs. Write this while nothing can move: the write switches outputs"

@@ -56,6 +56,12 @@ def _lose_master_and_leave(rig: Rig) -> None:
     _leave_operational(rig)
 
 
+def _stay_operational(rig: Rig) -> None:
+    """Lets the board lose its master, and stay operational in its error state."""
+    rig.write(0x1029, 1, 1)
+    rig.run(LOST)
+
+
 HISTORIES = (
     Before("executor dead until the board lost it", _lose_master),
     Before("executor restarted at once", lambda rig: None),
@@ -64,6 +70,7 @@ HISTORIES = (
     Before("NMT 80h by a tool", _leave_operational),
     Before("lost, then NMT 80h by a tool", _lose_master_and_leave),
     Before("lost, and on_loss changed", _lose_master, other_loss=True),
+    Before("1029h is 1, then lost", _stay_operational),
 )
 
 

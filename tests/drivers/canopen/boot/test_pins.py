@@ -233,6 +233,65 @@ def test_outputs_are_not_written_while_the_board_is_operational():
     assert (written, outputs(world), world.measured()) == ([], 0b11, [1, 1])
 
 
+def stays_operational(world: World, behaviour: int = 1) -> list[int]:
+    """Lets a board with two coils on one actuator lose its master with a value of 1029h, then takes the new pins.
+
+    The coil that contracts is on in the error state, and the coil that extends is on in 6200h.
+    """
+    world.commit(1, 0)
+    world.run(0.3)
+    board = world.boards.board("can0/5")
+    board.objects.set_number(0x1029, 1, behaviour)
+    lose_master(world)
+    assert (board.state, board.pins, outputs(world)) == (State.OPERATIONAL, 0b10, 0b01)
+    return watched(world)
+
+
+def watched(world: World) -> list[int]:
+    """Returns a list that takes the pins of the board, if they have changed, with each frame that it sends."""
+    board, pins = world.boards.board("can0/5"), [world.boards.board("can0/5").pins]
+
+    def watch(bus: str, frame: Frame) -> bool:
+        if board.pins != pins[-1]:
+            pins.append(board.pins)
+        return False
+
+    world.lost = watch
+    return pins
+
+
+COILS = [Channel("5.left", "can0", 5, 0, None, output_off=1, on_loss="contract")]
+
+
+@pytest.mark.parametrize("behaviour", [1, 3])
+def test_an_operational_board_in_its_error_state_switches_no_output_on(behaviour):
+    world = World(COILS, variants=BOARD).up()
+    pins = stays_operational(world, behaviour)
+    assert boot(world) == []
+    assert (pins, outputs(world)) == ([0b10, 0], 0)
+    assert [fault.code for fault in world.master.warnings()] == ["outputs-off"]
+
+
+def test_a_refused_board_in_its_error_state_switches_no_output_on():
+    world = World(COILS, variants=BOARD).up()
+    pins = stays_operational(world)
+    board = world.boards.board("can0/5")
+    board.variant = board.objects._variant = replace(board.variant, deaf=frozenset({0x1029}))
+    [sentence] = boot(world)
+    assert "1029h" in sentence
+    assert (pins, board.state, board.objects.number(0x6206, 1)) == ([0b10, 0], State.OPERATIONAL, 0xFF)
+
+
+def test_a_running_master_knows_that_an_operational_board_holds():
+    world = World(one_board(), variants=BOARD, on_loss="contract").up()
+    world.commit(1, 1)
+    world.run(0.3)
+    world.boards.board("can0/5").objects.set_number(0x1029, 1, 1)
+    pins = watched(world)
+    assert boot(world) == []
+    assert (pins, outputs(world), world.measured()) == ([0b11], 0b11, [1, 1])
+
+
 def test_words_that_cannot_be_read_are_read_as_bytes():
     words = {
         **dictionary.array(0x6300, [0] * 4, size=2, mappable=True, readable=False),

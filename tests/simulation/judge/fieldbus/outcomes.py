@@ -226,7 +226,8 @@ def settled(board: JudgedBoard, found: Found) -> tuple[dict[int, int], bool]:
         told = board.base == OUTPUTS and found.has(0x6206, 1)
         taken = found.byte(0x6206, sub) if told else 0 if board.error_state == "hold" else 0xFF
         value = found.byte(0x6207, sub) if told else 0
-        if found.state == OPERATIONAL and told:
+        leaves = found.byte(0x1029, 1) in (0, 2)  # operational then, when it loses its master
+        if found.state == OPERATIONAL and told and (leaves or found.explained):
             taken &= ~used  # the boot makes them hold before they leave operational
         unsure = taken & (value ^ present)
         known = found.state == STOPPED and told and found.has(0x6207, 1)
