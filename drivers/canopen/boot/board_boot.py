@@ -201,16 +201,15 @@ def _enter_pre_operational(boot: Boot) -> Procedure:
         return
     if board.state is State.OPERATIONAL and (unmet := it.unmet(configuration.hold_outputs(it.layout))):
         before = {(n.index, n.sub): it.values[n.index, n.sub] for n in unmet}
-        if board.held is None and not configuration.leaves_operational(it.values.get((0x1029, 1))):
+        if unsure := board.held is None and not configuration.leaves_operational(it.values.get((0x1029, 1))):
             yield from _settle(boot)
         yield from _write_error_mode(it, {place: 0 for place in before}, unmet)
         board.state = None
         yield from _learn_state(boot)
-        if board.state is not State.OPERATIONAL:  # perhaps it had left operational before the write
+        if not unsure and board.state is not State.OPERATIONAL:  # perhaps it had left operational before the write
             yield from _write_error_mode(it, before, unmet)
-    before_order = board.state
+    boot.undo.left(board.state)
     yield from _order(board.layout, Command.PRE_OPERATIONAL)
-    boot.undo.left(before_order)
 
 
 def _write_error_mode(it: Inspection, values: dict[tuple[int, int], int], needs: list[Need]) -> Procedure:

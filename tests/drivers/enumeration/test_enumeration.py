@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.drivers.enumeration.histories import SLOW
+from tests.drivers.enumeration.histories import HISTORIES, SLOW
 from tests.drivers.enumeration.mixed import MIXED
 from tests.drivers.enumeration.trials import Verdict, run, trials
 from tests.drivers.variants.cases import CASES, Case
@@ -24,6 +24,11 @@ def test_a_boot_with_one_failure_switches_nothing(case: Case):
 def test_a_board_with_outputs_of_all_kinds_may_restart_in_its_boot():
     restarts = [trial for case in MIXED[1::5] for trial in trials(case, EVERY_RESTART, "power-cycled")]
     require_unbroken([(trial.name, run(trial)) for trial in restarts])
+
+
+def test_another_program_may_stop_a_boot_that_found_a_board_operational_in_its_error_state():
+    found = [trial for trial in trials(MIXED[7], 1, "NMT 80h") if trial.before is HISTORIES[-1]]
+    require_unbroken([(trial.name, run(trial)) for trial in found])
 
 
 def require_unbroken(verdicts: list[tuple[str, Verdict]]) -> None:
