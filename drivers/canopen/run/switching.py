@@ -11,6 +11,8 @@ from hyperbit.drivers.canopen.run.boards import Boards
 from hyperbit.drivers.canopen.run.commit import BusCommit
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 
+_RECENT = 0.01  # [s] from the begin of a stage, within which nearly all of its frames are sent
+
 
 @dataclass
 class Switch:
@@ -159,6 +161,8 @@ class OutputSwitching:
         if last is not None and last.collecting and (last.off, commit.states) == (off, states):
             return
         if commit in self._stage.commits:
+            if self._ends(commit, off, now):
+                return
             self._give_up(self._stage, "an output had to be switched off first")
         commit.give_up("it is replaced")
         keys = self._boards.outputs.due(states, off)[bus]
@@ -171,6 +175,15 @@ class OutputSwitching:
         for station in (self._boards.stations[i] for i in sorted(booted)):
             if station.board.heard:  # it was told to leave operational, in which its boot may have put it
                 self._booting.rebooted(station, time)
+
+    def _ends(self, commit: BusCommit, off: int, now: float) -> bool:
+        """Returns whether a stage that has just begun switches the lines off, and waits for no other bus.
+
+        A release in its place would wait for the frames of the stage, and the next call may come a period later.
+        """
+        stage, on = self._stage, commit.states | self._boards.outputs.doubtful
+        alone = not any(other.waiting for other in stage.commits if other is not commit)
+        return commit.collecting and alone and not off & on and now - commit.began < _RECENT
 
     def _advance(self, now: float, time: float) -> None:
         """Hands out the SYNCs of stage and releases whose RPDOs were sent, and ends those that take too long."""

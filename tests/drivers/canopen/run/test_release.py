@@ -234,3 +234,27 @@ def test_outputs_of_a_bus_go_off_while_another_bus_is_lost(lose: Callable[[BusMo
     world.run(0.01)
     assert world.boards.coils() == [(0, 0), (1, 0)]
     assert world.master.outputs == 0b0010
+
+
+def test_a_stage_under_way_that_switches_the_outputs_off_is_not_given_up_for_a_release() -> None:
+    world = World(pairs()).up()
+    world.master.commit(0b0001, world.now)
+    world.run(0.02)
+    world.master.commit(0b0010, world.now)  # ends the pulse of the first board, and begins one of the second
+    world.master.commit(0, world.now, release=True)
+    world.run(0.005)
+    assert (world.boards.coils(), world.master.commit_failed) == ([(0, 0), (1, 0)], None)
+
+
+@pytest.mark.parametrize(("stage", "after"), [(0b0011, 0.0), (0b0010, 0.02)])
+def test_a_stage_is_given_up_for_a_release_if_it_keeps_the_outputs_on_or_waits_for_long(
+    stage: int, after: float
+) -> None:
+    world = World(pairs()).up()
+    world.master.commit(0b0001, world.now)
+    world.run(0.02)
+    world.buses["can0"].stuck = True
+    world.master.commit(stage, world.now)
+    world.run(after)
+    world.master.commit(0, world.now, release=True)
+    assert world.master.commit_failed == "an output had to be switched off first"
