@@ -262,8 +262,9 @@ class World:
         """Returns whether frames of the executor reach the board of an actuator, and take effect there."""
         channel = self.arm.wiring.channels[actuator]
         bus = self.buses[channel.bus]
-        fit = self.executor.awake and bus.healthy and not bus.loss and self.agenda.now > bus.echo_lost_at + ECHO_LOST
-        return fit and self.boards.takes_part(f"{channel.bus}/{channel.node}")
+        fit = self.executor.awake and bus.healthy and not bus.loss
+        told = self.agenda.now > bus.echo_lost_at + ECHO_LOST and not bus.echo_owed
+        return fit and told and self.boards.takes_part(f"{channel.bus}/{channel.node}")
 
     @property
     def intended(self) -> int:

@@ -48,6 +48,7 @@ class BusModel:
         tpdos_to_lose: number of the next TPDOs that are lost.
         tpdo_lost_at: time of the last lost TPDO [s].
         echo_lost_at: time of the last lost echo [s].
+        echo_owed: whether the echoes of a command and of the heartbeats after it were lost.
 
     Args:
         name: of the bus.
@@ -81,6 +82,7 @@ class BusModel:
         self._others: deque[Frame] = deque()
         self._echoes_to_lose = 0  # of the next RPDOs
         self.echo_lost_at = -1e12
+        self.echo_owed = self._command_unknown = False
         self._on_wire: OnItsWay | Frame | None = None  # of the executor, or of a board
 
     @property
@@ -220,9 +222,9 @@ class BusModel:
             rpdo = split(on_wire.frame.id)[0] in RPDOS
             loses = rpdo and self._echoes_to_lose > 0
             self._echoes_to_lose -= loses
-            if loses or not self.echoes:
-                self.echo_lost_at = self._agenda.now
-            if self.echoes and not loses:
+            heard = self.echoes and not loses
+            self._note_echo(on_wire.frame, heard)
+            if heard:
                 self._to_executor(FrameEchoed(self.name, on_wire.frame, self._agenda.now))
             for _ in range(1 + twice):
                 self._to_boards(self.name, on_wire, lost)
@@ -234,6 +236,16 @@ class BusModel:
                 if on_wire.id == MASTER_HEARTBEAT or split(on_wire.id)[0] not in (SDO_ANSWER, HEARTBEAT):
                     self._to_boards(self.name, OnItsWay(on_wire, None), lost)
         self.begin()
+
+    def _note_echo(self, frame: Frame, heard: bool) -> None:
+        """Notes a lost echo, of which the executor learns by the echo of a later heartbeat."""
+        if not heard:
+            self.echo_lost_at = self._agenda.now
+        if frame.id == MASTER_HEARTBEAT:
+            self.echo_owed = self._command_unknown and not heard
+            self._command_unknown &= not heard
+        elif frame.id < SDO_ANSWER:
+            self._command_unknown |= not heard
 
     def _note(self, frame: Frame) -> None:
         if self.log is not None:
