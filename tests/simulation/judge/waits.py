@@ -15,11 +15,17 @@ STARVES_AFTER = 10.0  # [s] without further stages, after which a program is abo
 
 def best_stage(arm: JudgedArm, run: Run, at: float, before: int) -> int:
     """Returns the stage that is to begin: the last one that is due and near enough, else the next one."""
+    return max(best_stages(arm, run, at, before, run.begin))
+
+
+def best_stages(arm: JudgedArm, run: Run, at: float, before: int, latest: float) -> set[int]:
+    """Returns the stages that may be to begin: one for each zero of time from that of the program to a latest one."""
     following = run.taken + 1
     if run.strict_from <= at:
-        return following
-    due = [i for i in range(following, len(run.stages)) if run.begin + run.stages[i].at <= at - EPSILON]
-    return max((i for i in due if (run.stages[i].states ^ before).bit_count() <= arm.most), default=following)
+        return {following}
+    near = [i for i in range(following, len(run.stages)) if (run.stages[i].states ^ before).bit_count() <= arm.most]
+    surely, perhaps = ([i for i in near if zero + run.stages[i].at <= at - EPSILON] for zero in (latest, run.begin))
+    return {max(surely, default=following), *(i for i in perhaps if i not in surely)}
 
 
 class Waits:
@@ -83,8 +89,9 @@ class Waits:
             stage = run.stages[following]
             if now < run.begins_by + stage.at:
                 return not run.open_mark or now < run.begins_by + run.stages[run.taken].settled
-            differ = ground.states ^ run.stages[best_stage(a.arm, run, now, ground.states)].states
-            return any(now < ground.due(k) + a.arm.rest for k in range(a.arm.count) if differ >> k & 1)
+            rests = sum(1 << k for k in range(a.arm.count) if now < ground.due(k) + a.arm.rest)
+            best = best_stages(a.arm, run, now, ground.states, run.begins_by)
+            return any((ground.states ^ run.stages[i].states) & rests for i in best)
         if run.open_mark:
             return now < run.begins_by + run.stages[run.taken].settled
         return not run.final
