@@ -33,8 +33,11 @@ class Ending:
     @property
     def over(self) -> bool:
         """Whether the executor may end: no stage, pulse or contraction is running."""
-        motion = self._motion
-        return self.begun and not (self._contracting or motion.committing or self._pulsing)
+        return self.begun and not (self._contracting or self._motion.committing or self._pulsing)
+
+    def _may_pulse(self, now: float) -> bool:
+        """Returns whether a pulse is on, or may be begun by a commit that is under way."""
+        return self._motion.committing or self._motion.actuation.pulsing(now)
 
     def warning(self) -> str | None:
         """Returns a sentence on what the boards do after the executor has ended; None if they hold."""
@@ -46,7 +49,7 @@ class Ending:
 
     def begin(self, now: float) -> None:
         """Starts the end: contracts the arm if `on_stop` says so and the mode is ready."""
-        self.begun, self._pulsing = True, self._motion.actuation.pulsing(now)
+        self.begun, self._pulsing = True, self._may_pulse(now)
         self._act(Notify("STOPPING=1"))
         warning, modes = self.warning(), self._modes
         if not self._arm.contract_on_stop:
@@ -63,7 +66,7 @@ class Ending:
     def advance(self, now: float) -> None:
         """Ends the contraction when the arm is contracted or cannot be. Call every period."""
         motion, modes, stream = self._motion, self._modes, self._stream
-        self._pulsing = motion.actuation.pulsing(now)
+        self._pulsing = self._may_pulse(now)
         if not self._contracting:
             return
         if modes.mode not in ("ready", "executing") or (stream is not None and motion.stream is not stream):

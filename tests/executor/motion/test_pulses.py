@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hyperbit.controller.executor.motion.actuation import LATE
 from hyperbit.controller.host.process import Quit
-from hyperbit.controller.program import TICK, Cancel, Reset, Stop, unpack
+from hyperbit.controller.program import TICK, Alive, Cancel, Reset, Stop, unpack
 from tests.executor.rig import LOST, SIZE, TRAVEL, Rig, ready
 
 ALL = (1 << SIZE) - 1
@@ -116,6 +116,19 @@ def test_a_pulse_ends_after_its_time_whatever_is_asked_meanwhile(event: Any) -> 
     rig.go(0.2)
     assert pulses(rig) == [PULSE]
     assert rig.core.ended == isinstance(event, Quit)
+
+
+def test_a_pulse_whose_sync_is_under_way_when_the_end_is_requested_ends_before_the_executor() -> None:
+    rig = ready(channel=BISTABLE)
+    rig.master.slow_sync = True
+    rig.run(1)
+    rig.do(Quit())
+    rig.master.slow_sync = False
+    rig.master.leave(rig.now)
+    rig.send(Alive())  # an event before the next tick
+    assert (rig.master.outputs, rig.core.ended) == (lines(1, 0), False)
+    rig.go(0.2)
+    assert (pulses(rig), rig.core.ended) == ([PULSE], True)
 
 
 @pytest.mark.parametrize("lost", [0b000111, 0b111000, ALL])
