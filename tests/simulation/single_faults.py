@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from tests.simulation.boot_faults import BootFaults
 from tests.simulation.fault_kinds import FaultKinds
+from tests.simulation.judge.arm import bits_of
 from tests.simulation.judge.expected import judge_locks, told
 from tests.simulation.judge.verdict import require
 from tests.simulation.planner import ScriptedPlanner
@@ -101,9 +102,19 @@ class SingleFaults:
         world.wait(world.settled, "ready", world.ready_within)
 
     def _kill_at_rpdo(self, planner: ScriptedPlanner) -> None:
-        """Kills the executor when an RPDO is handed out, or later if none is."""
+        """Kills the executor when an RPDO is handed out, or later if none is.
+
+        Mostly the RPDO is of an actuator of which the next process cannot know whether it has switched.
+        """
         world, bus = self._world, self._random.choice(list(self._world.buses.values()))
-        planner.ask_for_motion()
+        unseen = bits_of(world.judge.arm.paired & ~world.judge.arm.sensed & ~world.judge.account.locked)
+        if unseen and self._random.random() < 0.7:
+            k = self._random.choice(unseen)
+            bus = world.buses[world.arm.wiring.channels[k].bus]
+            planner.ask_to_switch(k, times=6, pause=0.2)  # to and fro: it must be known before it contracts
+            world.pass_time(self._random.uniform(0.1, 1.0))
+        else:
+            planner.ask_for_motion()
         bus.at_next_rpdo(lambda: world.agenda.after(0.0, world.executor.kill))
         world.pass_time(self._random.uniform(0.1, 0.4))
         bus.at_next_rpdo(lambda: None)

@@ -244,6 +244,7 @@ FIRST = {  # seed that finds the defect soonest; other seeds follow if it no lon
     "the executor's answers are not awaited": 5,
     "late stamps are taken": 11,
     "lost connections are not noticed": 2,
+    "payloads are never forgotten": 41,
 }
 
 

@@ -257,7 +257,9 @@ FIRST: dict[str, int] = {
     "results are not sent again": 37,
     "all is found stuck": 5,
     "pauses are not noticed": 38,
+    "unknown actuators are counted after a kill": 29,
 }
+ENDS_OFTEN = {"unknown actuators are counted after a kill"}  # found where the executor ends in most single faults
 
 ALL = FAST | SLOW if os.environ.get("HYPERBIT_ALL_DEFECTS") else FAST
 
@@ -266,9 +268,12 @@ ALL = FAST | SLOW if os.environ.get("HYPERBIT_ALL_DEFECTS") else FAST
 def test_planted_defects_are_found(monkeypatch: pytest.MonkeyPatch, defect: str) -> None:
     monkeypatch.setattr(*ALL[defect])
     with pytest.raises(Violation):
-        _run_until_one_fails(FIRST.get(defect, 0))
+        _run_until_one_fails(FIRST.get(defect, 0), ends_often=defect in ENDS_OFTEN)
 
 
-def _run_until_one_fails(first: int) -> None:
+def _run_until_one_fails(first: int, *, ends_often: bool) -> None:
     for k in range(MOST_WORLDS):
-        World((first + k) % MOST_WORLDS).run(STEPS)
+        world = World((first + k) % MOST_WORLDS)
+        if ends_often:
+            world.single_faults._often = 0.9
+        world.run(STEPS)
