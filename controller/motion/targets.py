@@ -29,21 +29,13 @@ UNKNOWN: Pose = dict.fromkeys(("configuration", "position", "orientation", "erro
 
 @dataclass(frozen=True, eq=False)
 class GoalTarget:
-    """The target at one point of a goal.
+    """The target at one point of a goal."""
 
-    Attributes:
-        position: of the tip in the world, shape (dimension,).
-        tolerance: greatest distance from the position.
-        rotation: of the tip in the world, shape (3, 3); None: any orientation serves.
-        angle_tolerance: greatest angle from the rotation [rad].
-        configuration: that the arm must have, as text; None: any.
-    """
-
-    position: NDArray[np.float64]
-    tolerance: float
-    rotation: NDArray[np.float64] | None = None
-    angle_tolerance: float = np.inf
-    configuration: str | None = None
+    position: NDArray[np.float64]  # of the tip in the world, shape (dimension,)
+    tolerance: float  # greatest distance from the position
+    rotation: NDArray[np.float64] | None = None  # of the tip in the world, shape (3, 3); None: any orientation serves
+    angle_tolerance: float = np.inf  # greatest angle from the rotation [rad]
+    configuration: str | None = None  # that the arm must have, as text; None: any
 
     def angle(self, tip: Frame) -> float | None:
         """Returns the angle between a tip (4, 4) and the target [rad]; None if any orientation serves."""

@@ -30,30 +30,20 @@ IDENTITY = np.eye(3)
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A goal that has passed all checks, as points ordered by time.
+    """A goal that has passed all checks, as points ordered by time."""
 
-    Attributes:
-        stamp: UNIX seconds of t = 0; None: when the executor accepts the program.
-        times: t at which the tip must have settled, shape (n,), increasing [s].
-        positions: of the tip in the world, shape (n, dimension); between waypoints the middle of a line's part.
-        tolerances: greatest distances of the tip from the positions, shape (n,).
-        rotations: of the tip in the world, shape (n, 3, 3); ignored where `turns` is infinite.
-        turns: tolerances of the orientations, shape (n,) [rad]; infinite where any orientation serves.
-        waypoints: indices of the goal's own points, shape (m,), ascending; the last point is one.
-        path_tolerance: greatest distance of a settled tip from the moving target; None: no lines are followed.
-        bias: tip bias by which the positions are corrected, shape (dimension,); None: there is no tracker.
-        fixed: actuator states (A,) of points given as configurations; the positions of these points are their tips.
-    """
-
-    stamp: float | None
-    times: Array
-    positions: Array
-    tolerances: Array
-    rotations: Array
-    turns: Array
-    waypoints: NDArray[np.int64]
+    stamp: float | None  # UNIX seconds of t = 0; None: when the executor accepts the program
+    times: Array  # t at which the tip must have settled, shape (n,), increasing [s]
+    positions: Array  # of the tip in the world, shape (n, dimension); between waypoints the middle of a line's part
+    tolerances: Array  # greatest distances of the tip from the positions, shape (n,)
+    rotations: Array  # of the tip in the world, shape (n, 3, 3); ignored where `turns` is infinite
+    turns: Array  # tolerances of the orientations, shape (n,) [rad]; infinite where any orientation serves
+    waypoints: NDArray[np.int64]  # indices of the goal's own points, shape (m,), ascending; the last point is one
+    # greatest distance of a settled tip from the moving target; None: no lines are followed
     path_tolerance: float | None = None
+    # tip bias by which the positions are corrected, shape (dimension,); None: there is no tracker
     bias: Array | None = None
+    # actuator states (A,) of points given as configurations; the positions of these points are their tips
     fixed: Mapping[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     def corrected(self, bias: Array | None) -> Trajectory:

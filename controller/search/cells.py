@@ -26,66 +26,39 @@ MARGIN = 1 + 1e-6  # factor of the side: rounding must not put two near points m
 
 
 class Grid(NamedTuple):
-    """Cells of one width along all coordinates of a point, at most six. A border of empty cells surrounds all points.
+    """Cells of one width along all coordinates of a point, at most six. Empty cells surround all points."""
 
-    Attributes:
-        origin: least corner of the points.
-        shape: number of cells along each coordinate, less one.
-        strides: difference of the numbers of adjacent cells along each coordinate.
-        per: cells per unit of length.
-        cells: number of cells.
-    """
-
-    origin: tuple[float, ...]
-    shape: tuple[float, ...]
-    strides: tuple[int, ...]
-    per: float
-    cells: int
+    origin: tuple[float, ...]  # least corner of the points
+    shape: tuple[float, ...]  # number of cells along each coordinate, less one
+    strides: tuple[int, ...]  # difference of the numbers of adjacent cells along each coordinate
+    per: float  # cells per unit of length
+    cells: int  # number of cells
 
 
 class SortedPoints(NamedTuple):
-    """Points in the order of their cells, as the kernel writes them.
+    """Points in the order of their cells, as the kernel writes them."""
 
-    Attributes:
-        starts: first point of each cell, shape (cells + 2,).
-        order: number of each point before, shape (n,).
-        points: shape (n, size).
-        costs: shape (n,).
-    """
-
-    starts: Index32
-    order: Index32
-    points: Array
-    costs: Array
+    starts: Index32  # first point of each cell, shape (cells + 2,)
+    order: Index32  # number of each point before, shape (n,)
+    points: Array  # shape (n, size)
+    costs: Array  # shape (n,)
 
 
 class Index(NamedTuple):
-    """Points in the order of their cells.
+    """Points in the order of their cells."""
 
-    Attributes:
-        points: shape (n, size).
-        costs: costs of the points, shape (n,).
-        starts: first point of each cell, shape (cells + 2,).
-        order: row of each point in the side, shape (n,).
-        near: least cost level of the cells that a match compares: a cell and the next one along each coordinate;
-            NOTHING if they are empty. Not used for six coordinates.
-        bounds: least cost of each level, shape (256,).
-        grid: the cells.
-        rotation_scale: length of a rotation axis of unit size; 0 for cells of positions only.
-        least: least cost.
-        side: the configurations.
-    """
-
-    points: Array
-    costs: Array
-    starts: Index32
-    order: Index32
+    points: Array  # shape (n, size)
+    costs: Array  # costs of the points, shape (n,)
+    starts: Index32  # first point of each cell, shape (cells + 2,)
+    order: Index32  # row of each point in the side, shape (n,)
+    # least cost level of the cells that a match compares: a cell and the next one along each coordinate; NOTHING if
+    # they are empty. Not used for six coordinates.
     near: NDArray[np.uint8]
-    bounds: Array
-    grid: Grid
-    rotation_scale: float
-    least: float
-    side: Side
+    bounds: Array  # least cost of each level, shape (256,)
+    grid: Grid  # the cells
+    rotation_scale: float  # length of a rotation axis of unit size; 0 for cells of positions only
+    least: float  # least cost
+    side: Side  # the configurations
 
 
 SIX: Any = types.UniTuple(float64, 6)  # type: ignore[no-untyped-call]

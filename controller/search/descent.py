@@ -18,51 +18,30 @@ UNREACHABLE = 1e12  # score of a node that cannot reach the goal: worse than tha
 
 
 class DescentTables(NamedTuple):
-    """What a descent goes by.
+    """What a descent goes by."""
 
-    Attributes:
-        arm: configuration sets.
-        levels: densities.
-        costs: cost of each module's states, shape (B, Kmax).
-        depth: number of modules to decide.
-    """
-
-    arm: ReachTables
-    levels: Levels
-    costs: Array
-    depth: int
+    arm: ReachTables  # configuration sets
+    levels: Levels  # densities
+    costs: Array  # cost of each module's states, shape (B, Kmax)
+    depth: int  # number of modules to decide
 
 
 class Beam(NamedTuple):
-    """The nodes of one level of a beam search, the best first.
+    """The nodes of one level of a beam search, the best first."""
 
-    Attributes:
-        configurations: shape (W, B).
-        wanted: position of the goal in the frame of each node, shape (W, 3).
-        costs: cost of each node, shape (W,).
-    """
-
-    configurations: Index
-    wanted: Array
-    costs: Array
+    configurations: Index  # shape (W, B)
+    wanted: Array  # position of the goal in the frame of each node, shape (W, 3)
+    costs: Array  # cost of each node, shape (W,)
 
 
 class Children(NamedTuple):
-    """Scratch: the children of a beam's nodes.
+    """Scratch: the children of a beam's nodes."""
 
-    Attributes:
-        parents: node of each child, shape (n,).
-        choices: its state of the last module, shape (n,).
-        scores: shape (n,).
-        wanted: position of the goal in its frame, shape (n, 3).
-        costs: shape (n,).
-    """
-
-    parents: Index
-    choices: Index
-    scores: Array
-    wanted: Array
-    costs: Array
+    parents: Index  # node of each child, shape (n,)
+    choices: Index  # its state of the last module, shape (n,)
+    scores: Array  # shape (n,)
+    wanted: Array  # position of the goal in its frame, shape (n, 3)
+    costs: Array  # shape (n,)
 
 
 DESCENT_TABLES = named(DescentTables, TABLES, LEVELS, F2, int64)

@@ -34,18 +34,15 @@ LOOKUP = 3  # time to look up a pair in a full index, relative to an index of fe
 class FourList:
     """The rows of all quarters, in memory that is reused for each seed.
 
-    Attributes:
-        unexplored: least cost of a configuration of the lower and of the upper half that the quarters do not list.
-        unit: width of a layer.
-        layers: approximate number of configurations of lower and upper half by cost in units, shape (2, BINS).
-
     Args:
         manipulator: the arm.
         cut: number of modules in the lower half.
     """
 
+    # least cost of a configuration of the lower and of the upper half that the quarters do not list
     unexplored: tuple[float, float]
-    unit: float
+    unit: float  # width of a layer
+    # approximate number of configurations of lower and upper half by cost in units, shape (2, BINS)
     layers: tuple[Array, Array]
 
     def __init__(self, manipulator: Manipulator, cut: int) -> None:
@@ -132,23 +129,14 @@ def seen(frame: Array, side: Side) -> Side:
 
 @dataclass(eq=False)
 class HalfStream:
-    """The configurations of one half in layers of rising cost, against cheap rows of the other half (the band).
+    """The configurations of one half in layers of rising cost, against cheap rows of the other half (the band)."""
 
-    Attributes:
-        upper: whether the upper half is streamed.
-        band: rows of the other half in the order of their costs, with the goal in their frames, or with their tips.
-        floor: least cost of the band.
-        done: cost up to which the half was streamed.
-        cells: memory for the index of the band.
-        index: index of the band; None until it is needed.
-    """
-
-    upper: bool
-    band: Side
-    floor: float
-    done: float
-    cells: Cells
-    index: Index | None = None
+    upper: bool  # whether the upper half is streamed
+    band: Side  # rows of the other half in the order of their costs, with the goal in their frames, or with their tips
+    floor: float  # least cost of the band
+    done: float  # cost up to which the half was streamed
+    cells: Cells  # memory for the index of the band
+    index: Index | None = None  # index of the band; None until it is needed
 
     @property
     def bound(self) -> float:

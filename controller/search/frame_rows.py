@@ -14,27 +14,16 @@ Index32 = NDArray[np.int32]
 
 
 class Side(NamedTuple):
-    """Configurations of one segment of the arm, modules first+1 to last, for kernels.
+    """Configurations of one segment of the arm, modules first+1 to last, for kernels."""
 
-    Attributes:
-        frames: frames to compare, shape (n, 4) or (n, 12).
-        costs: shape (n,).
-        rows: row of each configuration in the segment, shape (n,).
-        first: number of modules below the segment.
-        last: number of modules up to its end.
-        parents: see Segment.
-        modules: see Segment.
-        choices: see Segment.
-    """
-
-    frames: Array
-    costs: Array
-    rows: NDArray[np.int64]
-    first: int
-    last: int
-    parents: Index32
-    modules: Index32
-    choices: Index32
+    frames: Array  # frames to compare, shape (n, 4) or (n, 12)
+    costs: Array  # shape (n,)
+    rows: NDArray[np.int64]  # row of each configuration in the segment, shape (n,)
+    first: int  # number of modules below the segment
+    last: int  # number of modules up to its end
+    parents: Index32  # see Segment
+    modules: Index32  # see Segment
+    choices: Index32  # see Segment
 
 
 SIDE = named(Side, F2, F1, I1, int64, int64, S1, S1, S1)

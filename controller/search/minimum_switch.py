@@ -42,19 +42,12 @@ FAR = 1.0, 1.2  # above these multiples of the unexplored cost of pairs, beam se
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A goal and the costs of configurations.
+    """A goal and the costs of configurations."""
 
-    Attributes:
-        target: the goal.
-        seed: the configuration of cost 0, shape (B,).
-        costs: cost of each module's states, at least 0, shape (B, Kmax).
-        unreachable: whether the goal is known to be unreachable.
-    """
-
-    target: SearchTarget
-    seed: Configuration
-    costs: Array
-    unreachable: bool = False
+    target: SearchTarget  # the goal
+    seed: Configuration  # the configuration of cost 0, shape (B,)
+    costs: Array  # cost of each module's states, at least 0, shape (B, Kmax)
+    unreachable: bool = False  # whether the goal is known to be unreachable
 
 
 class MinimumSwitch:

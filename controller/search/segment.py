@@ -23,26 +23,16 @@ class Segment:
     """All configurations of modules first+1 to last within some distance of the seed.
 
     Row 0 is the seed. Each other row changes one module of its parent row, above all modules changed there.
-
-    Attributes:
-        first: number of modules below the segment.
-        last: number of modules up to its end.
-        parents: parent row, shape (n,).
-        modules: the changed module, counted from 0, shape (n,).
-        choices: the new state of this module, shape (n,).
-        costs: sum of the costs of the segment's states, shape (n,).
-        frames: F_last in F_first, see frame_rows, shape (n, 4) or (n, 12).
-        unexplored: least distance of a configuration that is not listed; infinite if all are.
     """
 
-    first: int
-    last: int
-    parents: Index32
-    modules: Index32
-    choices: Index32
-    costs: Array
-    frames: Array
-    unexplored: float
+    first: int  # number of modules below the segment
+    last: int  # number of modules up to its end
+    parents: Index32  # parent row, shape (n,)
+    modules: Index32  # the changed module, counted from 0, shape (n,)
+    choices: Index32  # the new state of this module, shape (n,)
+    costs: Array  # sum of the costs of the segment's states, shape (n,)
+    frames: Array  # F_last in F_first, see frame_rows, shape (n, 4) or (n, 12)
+    unexplored: float  # least distance of a configuration that is not listed; infinite if all are
 
     def side(self, rows: Index | None = None) -> Side:
         """Returns the segment, or some of its rows (n,), for kernels."""
@@ -53,23 +43,14 @@ class Segment:
 
 
 class Rows(NamedTuple):
-    """Memory for the rows of a segment. It is reused, as page faults of fresh memory would take longer than the writes.
+    """Memory for the rows of a segment. It is reused: page faults of fresh memory would take longer than the writes."""
 
-    Attributes:
-        parents: see Segment.
-        modules: see Segment.
-        choices: see Segment.
-        lengths: distances from the seed, shape (n,).
-        costs: see Segment.
-        frames: see Segment.
-    """
-
-    parents: Index32
-    modules: Index32
-    choices: Index32
-    lengths: Array
-    costs: Array
-    frames: Array
+    parents: Index32  # see Segment
+    modules: Index32  # see Segment
+    choices: Index32  # see Segment
+    lengths: Array  # distances from the seed, shape (n,)
+    costs: Array  # see Segment
+    frames: Array  # see Segment
 
     def claim(self, rows: int | None = None) -> None:
         """Touches the memory of `rows` rows, or of all, so that no search waits for page faults."""
@@ -78,44 +59,26 @@ class Rows(NamedTuple):
 
 
 class Sets(NamedTuple):
-    """The input of a segment.
+    """The input of a segment."""
 
-    Attributes:
-        motions: frames of all states as rows, shape (B * Kmax, 4) or (B * Kmax, 12).
-        states: K_i, shape (B,).
-        seed: configuration, shape (B,).
-        distances: distance of each module's states from the seed's state, shape (B, Kmax).
-        costs: cost of each module's states, shape (B, Kmax).
-    """
-
-    motions: Array
-    states: Index
-    seed: Configuration
-    distances: Array
-    costs: Array
+    motions: Array  # frames of all states as rows, shape (B * Kmax, 4) or (B * Kmax, 12)
+    states: Index  # K_i, shape (B,)
+    seed: Configuration  # configuration, shape (B,)
+    distances: Array  # distance of each module's states from the seed's state, shape (B, Kmax)
+    costs: Array  # cost of each module's states, shape (B, Kmax)
 
 
 class Ranked(NamedTuple):
-    """Scratch: for each module of a segment the states other than the seed's, nearest first.
+    """Scratch: for each module of a segment the states other than the seed's, nearest first."""
 
-    Attributes:
-        states: shape (size, Kmax).
-        distances: distance from the seed's state, infinite after the last, shape (size, Kmax).
-        costs: additional cost, shape (size, Kmax).
-        frames: from the module's bottom to the segment's end, with all modules above at the seed, shape
-            (size * Kmax, 4 or 12).
-        nearest: least distance of a change of this module or a later one, shape (size + 1,).
-        rest: frames from each module's bottom to the segment's end at the seed, shape (size + 1, 4 or 12).
-        back: their inverses.
-    """
-
-    states: Index32
-    distances: Array
-    costs: Array
+    states: Index32  # shape (size, Kmax)
+    distances: Array  # distance from the seed's state, infinite after the last, shape (size, Kmax)
+    costs: Array  # additional cost, shape (size, Kmax)
+    # from the module's bottom to the segment's end, with all modules above at the seed, shape (size * Kmax, 4 or 12)
     frames: Array
-    nearest: Array
-    rest: Array
-    back: Array
+    nearest: Array  # least distance of a change of this module or a later one, shape (size + 1,)
+    rest: Array  # frames from each module's bottom to the segment's end at the seed, shape (size + 1, 4 or 12)
+    back: Array  # their inverses
 
 
 RANKED = named(Ranked, int32[:, ::1], F2, F2, F2, F1, F2, F2)

@@ -26,8 +26,6 @@ class TwoList:
 
     Attributes:
         cut: number of modules in the lower half.
-        lower: rows of the modules below the cut, with inverse frames: F_0 in F_cut.
-        upper: rows of the modules above the cut, with frames F_B in F_cut.
         bands: memory for an index of upper rows, and of lower rows, see four_list.
 
     Args:
@@ -35,8 +33,8 @@ class TwoList:
         most: greatest number of rows of a half.
     """
 
-    lower: Segment
-    upper: Segment
+    lower: Segment  # rows of the modules below the cut, with inverse frames: F_0 in F_cut
+    upper: Segment  # rows of the modules above the cut, with frames F_B in F_cut
 
     def __init__(self, manipulator: Manipulator, most: int) -> None:
         self._states, self._motions = manipulator.states, motions(manipulator)

@@ -82,15 +82,10 @@ class GoalMessage(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Jog(NamedTuple):
-    """A decoded jog.
+    """A decoded jog."""
 
-    Attributes:
-        states: new state of each actuator, 0 contracted and 1 extended, by index.
-        patience: longest time from its arrival to its acceptance [s].
-    """
-
-    states: dict[int, int]
-    patience: float = BEGIN_WITHIN
+    states: dict[int, int]  # new state of each actuator, 0 contracted and 1 extended, by index
+    patience: float = BEGIN_WITHIN  # longest time from its arrival to its acceptance [s]
 
 
 _NAMES = [b'"%s"' % name.encode() for kind in (GoalMessage, Waypoint, Tolerance) for name in kind.__struct_fields__]
@@ -258,20 +253,13 @@ def refusal_of(value: Any, kind: type[Struct], name: str) -> Refusal:
 
 
 class GoalRules(NamedTuple):
-    """What the trajectories of an arm's goals depend on.
+    """What the trajectories of an arm's goals depend on."""
 
-    Attributes:
-        dimension: number of coordinates of a position, 2 or 3.
-        tolerance: default tolerance of the position.
-        angle_tolerance: default tolerance of the orientation [rad].
-        pace: of the actuators.
-        manipulator: the whole arm, for waypoints that are configurations; None: such waypoints are refused.
-    """
-
-    dimension: int
-    tolerance: float
-    angle_tolerance: float
-    pace: Pace
+    dimension: int  # number of coordinates of a position, 2 or 3
+    tolerance: float  # default tolerance of the position
+    angle_tolerance: float  # default tolerance of the orientation [rad]
+    pace: Pace  # of the actuators
+    # the whole arm, for waypoints that are configurations; None: such waypoints are refused
     manipulator: Manipulator | None = None
 
 

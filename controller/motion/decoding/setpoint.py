@@ -28,17 +28,11 @@ class SetpointMessage(Struct, forbid_unknown_fields=True, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class TrackedSetpoint:
-    """The position of a moving goal at one time.
+    """The position of a moving goal at one time."""
 
-    Attributes:
-        position: of the goal in the world, shape (dimension,).
-        stamp: time of the position by the sender's clock [UNIX s]; None: on arrival.
-        tolerance: greatest distance of the tip from the goal.
-    """
-
-    position: NDArray[np.float64]
-    stamp: float | None
-    tolerance: float
+    position: NDArray[np.float64]  # of the goal in the world, shape (dimension,)
+    stamp: float | None  # time of the position by the sender's clock [UNIX s]; None: on arrival
+    tolerance: float  # greatest distance of the tip from the goal
 
 
 def decode(payload: bytes, dimension: int, tolerance: float) -> TrackedSetpoint:

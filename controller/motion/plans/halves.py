@@ -22,59 +22,35 @@ CELL = 2.000001  # width of a cell in search radii: rounding must not put near p
 
 
 class Changes(NamedTuple):
-    """The costs of switches, and the arm cut in two.
+    """The costs of switches, and the arm cut in two."""
 
-    Attributes:
-        motions: see frame_rows, shape (B * Kmax, 4) or (B * Kmax, 12).
-        states: K_i, shape (B,).
-        costs: cost of each module's states from each other, shape (B, Kmax, Kmax).
-        cut: number of modules in the lower half.
-    """
-
-    motions: Array
-    states: Integers
-    costs: Array
-    cut: int
+    motions: Array  # see frame_rows, shape (B * Kmax, 4) or (B * Kmax, 12)
+    states: Integers  # K_i, shape (B,)
+    costs: Array  # cost of each module's states from each other, shape (B, Kmax, Kmax)
+    cut: int  # number of modules in the lower half
 
 
 class Place(NamedTuple):
-    """Where the tip must be.
+    """Where the tip must be."""
 
-    Attributes:
-        query: goal and tolerances.
-        position: of the goal in frame F_0, shape (3,).
-    """
-
-    query: SearchQuery
-    position: Array
+    query: SearchQuery  # goal and tolerances
+    position: Array  # of the goal in frame F_0, shape (3,)
 
 
 class Source(NamedTuple):
-    """A configuration from which switches are counted.
+    """A configuration from which switches are counted."""
 
-    Attributes:
-        seed: the configuration, shape (B,).
-        near: costs of all states from the seed, shape (B, Kmax).
-        budget: greatest cost of the changes of both halves together.
-    """
-
-    seed: Configuration
-    near: Array
-    budget: float
+    seed: Configuration  # the configuration, shape (B,)
+    near: Array  # costs of all states from the seed, shape (B, Kmax)
+    budget: float  # greatest cost of the changes of both halves together
 
 
 class CandidateList(NamedTuple):
-    """Configurations within the tolerances.
+    """Configurations within the tolerances."""
 
-    Attributes:
-        sources: number of the source from which each was found, shape (n,).
-        configurations: shape (n, B).
-        written: number of configurations that are written, shape (1,).
-    """
-
-    sources: Integers
-    configurations: States
-    written: Integers
+    sources: Integers  # number of the source from which each was found, shape (n,)
+    configurations: States  # shape (n, B)
+    written: Integers  # number of configurations that are written, shape (1,)
 
 
 I2, I32, STATES = int64[:, ::1], int32[:, ::1], uint16[:, ::1]
@@ -123,23 +99,14 @@ def write_changes(rows: Rows, n: int, configuration: Configuration) -> None:
 
 
 class Half(NamedTuple):
-    """Changes of one half of the arm, in hashed cells by their matching points.
+    """Changes of one half of the arm, in hashed cells by their matching points."""
 
-    Attributes:
-        lower: whether it is the lower half.
-        rows: the changes; row 0 is the seed.
-        marks: matching point and cost of each change, shape (n, 4).
-        links: cell of each point, and the next change in the same hash slot, -1 for none, shape (n, 4).
-        heads: first change of each hash slot, -1 for none; the number of slots is a power of two.
-        least: least cost of a change.
-    """
-
-    lower: bool
-    rows: Rows
-    marks: Array
-    links: Index32
-    heads: NDArray[np.int32]
-    least: float
+    lower: bool  # whether it is the lower half
+    rows: Rows  # the changes; row 0 is the seed
+    marks: Array  # matching point and cost of each change, shape (n, 4)
+    links: Index32  # cell of each point, and the next change in the same hash slot, -1 for none, shape (n, 4)
+    heads: NDArray[np.int32]  # first change of each hash slot, -1 for none; the number of slots is a power of two
+    least: float  # least cost of a change
 
 
 class CellMemory(NamedTuple):

@@ -33,31 +33,19 @@ FARTHEST = 64  # points ahead for which it is checked whether a configuration se
 
 
 class Layer(NamedTuple):
-    """Configurations that serve a point.
+    """Configurations that serve a point."""
 
-    Attributes:
-        configurations: shape (n, B).
-        costs: of the cheapest sequence to each, shape (n,).
-        before: index of the predecessor in the layer before, shape (n,).
-    """
-
-    configurations: NDArray[np.uint16]
-    costs: Array
-    before: Integers
+    configurations: NDArray[np.uint16]  # shape (n, B)
+    costs: Array  # of the cheapest sequence to each, shape (n,)
+    before: Integers  # index of the predecessor in the layer before, shape (n,)
 
 
 class BestSequence(NamedTuple):
-    """The cheapest sequence found of configurations that serve all points of a trajectory.
+    """The cheapest sequence found of configurations that serve all points of a trajectory."""
 
-    Attributes:
-        configurations: shape (n, B); None if no sequence was found.
-        cost: weighted switches; infinite if no sequence was found.
-        bound: proven lower bound of the cost of any sequence.
-    """
-
-    configurations: Integers | None
-    cost: float
-    bound: float
+    configurations: Integers | None  # shape (n, B); None if no sequence was found
+    cost: float  # weighted switches; infinite if no sequence was found
+    bound: float  # proven lower bound of the cost of any sequence
 
 
 class LabelSetting:

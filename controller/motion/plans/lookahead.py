@@ -22,19 +22,12 @@ SPREAD = 1.0  # greatest extra cost of a label's successor over its cheapest one
 
 @dataclass(frozen=True, eq=False)
 class PathLabel:
-    """A configuration at one point, and the path to it.
+    """A configuration at one point, and the path to it."""
 
-    Attributes:
-        cost: weighted switches of the path.
-        configuration: at the end of the path, shape (B,).
-        until: the first later point that the configuration does not serve, up to FARTHEST ahead.
-        before: label at the point before; None at the first point, and where the path is decided.
-    """
-
-    cost: float
-    configuration: Configuration
-    until: int
-    before: PathLabel | None
+    cost: float  # weighted switches of the path
+    configuration: Configuration  # at the end of the path, shape (B,)
+    until: int  # the first later point that the configuration does not serve, up to FARTHEST ahead
+    before: PathLabel | None  # label at the point before; None at the first point, and where the path is decided
 
 
 class LookAhead:

@@ -16,19 +16,12 @@ from hyperbit.controller.search.solution import Certificate, Solution, certifica
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryPlan:
-    """A planned trajectory.
+    """A planned trajectory."""
 
-    Attributes:
-        trajectory: the goal.
-        solutions: one for each point; switches, cost and certificate are those of its transition.
-        transitions: to each point's configuration from the one before.
-        bound: proven lower bound of the cost of any plan from this start; 0 if nothing is proven.
-    """
-
-    trajectory: Trajectory
-    solutions: tuple[Solution, ...]
-    transitions: tuple[Staged, ...]
-    bound: float = 0.0
+    trajectory: Trajectory  # the goal
+    solutions: tuple[Solution, ...]  # one for each point; switches, cost and certificate are those of its transition
+    transitions: tuple[Staged, ...]  # to each point's configuration from the one before
+    bound: float = 0.0  # proven lower bound of the cost of any plan from this start; 0 if nothing is proven
 
     @property
     def actuator_states(self) -> NDArray[np.uint8]:

@@ -16,17 +16,11 @@ States = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryPoint:
-    """One point of a trajectory, with all that its searches need.
+    """One point of a trajectory, with all that its searches need."""
 
-    Attributes:
-        index: in the trajectory.
-        trajectory: the goal.
-        target: position, orientation, tolerances and obstacles of its searches.
-    """
-
-    index: int
-    trajectory: Trajectory
-    target: SearchTarget
+    index: int  # in the trajectory
+    trajectory: Trajectory  # the goal
+    target: SearchTarget  # position, orientation, tolerances and obstacles of its searches
 
     @property
     def states(self) -> States | None:

@@ -25,15 +25,10 @@ AT_ONCE = Pace(0.0)
 
 
 class PlannedTransition(NamedTuple):
-    """The transition to one point.
+    """The transition to one point."""
 
-    Attributes:
-        solution: of the point, with the switches and the cost of all stages.
-        staged: the stages to its configuration.
-    """
-
-    solution: Solution
-    staged: Staged
+    solution: Solution  # of the point, with the switches and the cost of all stages
+    staged: Staged  # the stages to its configuration
 
 
 class TransitionPlanner:

@@ -21,19 +21,12 @@ TRY = 0.1  # [s] for one configuration, if no actuator may switch twice
 
 
 class WayTime(NamedTuple):
-    """When the search for a way ends.
+    """When the search for a way ends."""
 
-    Attributes:
-        began: when the planning has begun, by time.perf_counter [s].
-        least: until then at least.
-        allowed: time from `began`.
-        proceed: called between parts of the search; returns whether it must end soon.
-    """
-
-    began: float
-    least: float
-    allowed: SearchTime
-    proceed: Callable[[], bool]
+    began: float  # when the planning has begun, by time.perf_counter [s]
+    least: float  # until then at least
+    allowed: SearchTime  # time from `began`
+    proceed: Callable[[], bool]  # called between parts of the search; returns whether it must end soon
 
     def over(self, gap: float = np.inf) -> bool:
         """Returns whether the time is over, from the number of switches that may still be saved."""

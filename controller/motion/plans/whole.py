@@ -23,19 +23,12 @@ Array = NDArray[np.float64]
 
 
 class TipGoals(NamedTuple):
-    """TipGoals for the tip, in order.
+    """TipGoals for the tip, in order."""
 
-    Attributes:
-        positions: in the world, shape (n, dimension).
-        tolerances: of the distances, shape (n,).
-        rotations: in the world, shape (n, 3, 3); ignored where `turns` is infinite.
-        turns: tolerances of the orientations [rad], shape (n,); infinite where any orientation serves.
-    """
-
-    positions: Array
-    tolerances: Array
-    rotations: Array
-    turns: Array
+    positions: Array  # in the world, shape (n, dimension)
+    tolerances: Array  # of the distances, shape (n,)
+    rotations: Array  # in the world, shape (n, 3, 3); ignored where `turns` is infinite
+    turns: Array  # tolerances of the orientations [rad], shape (n,); infinite where any orientation serves
 
 
 def plan_whole(

@@ -56,15 +56,10 @@ class Detour(NamedTuple):
 
 
 class NoWay(NamedTuple):
-    """A proof that there is no way.
+    """A proof that there is no way."""
 
-    Attributes:
-        proof: in words.
-        reached: all configurations that can be reached, shape (n, B), if the proof has listed them.
-    """
-
-    proof: str
-    reached: Index | None = None
+    proof: str  # in words
+    reached: Index | None = None  # all configurations that can be reached, shape (n, B), if the proof has listed them
 
 
 class Meeting(NamedTuple):

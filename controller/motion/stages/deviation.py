@@ -19,17 +19,12 @@ STARTS = 16  # random starts of the ascent to the greatest deviation, beside the
 
 
 class MovingModules(NamedTuple):
-    """The frames of m modules that move. A module's mask has a bit for each of its switched actuators.
+    """The frames of m modules that move. A module's mask has a bit for each of its switched actuators."""
 
-    Attributes:
-        rotations: of each module for each mask, composed with its neighbours that do not move, shape (m, 2^bits, 3, 3).
-        translations: likewise, shape (m, 2^bits, 3).
-        known: whether the module has a state for the mask, shape (m, 2^bits).
-    """
-
+    # of each module for each mask, composed with its neighbours that do not move, shape (m, 2^bits, 3, 3)
     rotations: Array
-    translations: Array
-    known: Known
+    translations: Array  # likewise, shape (m, 2^bits, 3)
+    known: Known  # whether the module has a state for the mask, shape (m, 2^bits)
 
 
 MOVING = named(MovingModules, F4, F3, boolean[:, ::1])
@@ -37,25 +32,15 @@ MOVING = named(MovingModules, F4, F3, boolean[:, ::1])
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """One transition: n actuators switch, in m modules.
+    """One transition: n actuators switch, in m modules."""
 
-    Attributes:
-        actuators: indices into the arm's actuators, shape (n,).
-        owners: module of each actuator, shape (n,).
-        flags: bit of each actuator in its module's mask, shape (n,).
-        modules: frames of the modules.
-        end: masks after the transition, shape (m,).
-        line: tip before and after, shape (2, 3).
-        unknown: deviation that is assumed for masks without a state.
-    """
-
-    actuators: Index
-    owners: Index
-    flags: Index
-    modules: MovingModules
-    end: Index
-    line: Array
-    unknown: float = np.inf
+    actuators: Index  # indices into the arm's actuators, shape (n,)
+    owners: Index  # module of each actuator, shape (n,)
+    flags: Index  # bit of each actuator in its module's mask, shape (n,)
+    modules: MovingModules  # frames of the modules
+    end: Index  # masks after the transition, shape (m,)
+    line: Array  # tip before and after, shape (2, 3)
+    unknown: float = np.inf  # deviation that is assumed for masks without a state
 
     def masks(self, stages: list[Index]) -> Index:
         """Returns the masks (m,) after stages, each of indices (k,) into `actuators`."""

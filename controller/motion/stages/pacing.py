@@ -30,16 +30,12 @@ class Blocked(Infeasible):
 
 @dataclass(frozen=True, eq=False)
 class Staged:
-    """A transition as a sequence of stages.
+    """A transition as a sequence of stages."""
 
-    Attributes:
-        stages: actuator states after each stage, shape (k, A); k >= 1, also if nothing switches.
-        deviation_source: the deviation, or a function that computes it. Computing it would delay the start of a goal.
-        strict: the stages are collision-free one after the other; none may be skipped or merged with the next.
-    """
-
-    stages: NDArray[np.uint8]
+    stages: NDArray[np.uint8]  # actuator states after each stage, shape (k, A); k >= 1, also if nothing switches
+    # the deviation, or a function that computes it. Computing it would delay the start of a goal.
     deviation_source: float | Callable[[], float] | None
+    # the stages are collision-free one after the other; none may be skipped or merged with the next
     strict: bool = False
 
     @cached_property
@@ -54,18 +50,12 @@ class Staged:
 
 @dataclass(frozen=True)
 class Pace:
-    """The limits on an arm's transitions.
+    """The limits on an arm's transitions."""
 
-    Attributes:
-        lead: time of one stage, from the tick before it to its end [s].
-        inrush: most actuators that may switch at once. None: no limit; a transition is one stage, unless obstacles
-            need more.
-        rest: time that an actuator rests between two travels [s].
-    """
-
-    lead: float
+    lead: float  # time of one stage, from the tick before it to its end [s]
+    # most actuators that may switch at once. None: no limit; a transition is one stage, unless obstacles need more.
     inrush: int | None = None
-    rest: float = 0.0
+    rest: float = 0.0  # time that an actuator rests between two travels [s]
 
     @property
     def shortest(self) -> float:

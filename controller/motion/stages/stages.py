@@ -29,14 +29,10 @@ class Stages:
     """An ordered partition of the actuators that switch, and its deviation from the straight line.
 
     The actuators of a stage finish in any order, so every subset of them may have switched for a while.
-
-    Attributes:
-        actuators: indices into the arm's actuators, for each stage, ascending within a stage.
-        deviation: greatest distance of the tip from the line.
     """
 
-    actuators: tuple[tuple[int, ...], ...]
-    deviation: float
+    actuators: tuple[tuple[int, ...], ...]  # indices into the arm's actuators, for each stage, ascending within a stage
+    deviation: float  # greatest distance of the tip from the line
 
 
 def order_stages(

@@ -13,21 +13,13 @@ from hyperbit.controller.motion.stages.deviation import MOVING, Array, Index, Kn
 
 
 class ModuleStates(NamedTuple):
-    """The states of an arm's modules; see Manipulator.
+    """The states of an arm's modules; see Manipulator."""
 
-    Attributes:
-        base: frame F_0 in the world, shape (4, 4).
-        rotations: configuration sets, shape (B, Kmax, 3, 3).
-        translations: configuration sets, shape (B, Kmax, 3).
-        bits: actuator states of each module state, shape (B, Kmax, Amax).
-        states: K_i, shape (B,).
-    """
-
-    base: Array
-    rotations: Array
-    translations: Array
-    bits: NDArray[np.uint8]
-    states: Index
+    base: Array  # frame F_0 in the world, shape (4, 4)
+    rotations: Array  # configuration sets, shape (B, Kmax, 3, 3)
+    translations: Array  # configuration sets, shape (B, Kmax, 3)
+    bits: NDArray[np.uint8]  # actuator states of each module state, shape (B, Kmax, Amax)
+    states: Index  # K_i, shape (B,)
 
 
 MODULE_STATES = named(ModuleStates, F2, F4, F3, uint8[:, :, ::1], I1)

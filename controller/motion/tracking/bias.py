@@ -51,19 +51,12 @@ def decode(payload: bytes, dimension: int) -> tuple[Vector, float]:
 
 @dataclass(frozen=True)
 class Tracker:
-    """Parameters of the bias filter, from the arm's file.
+    """Parameters of the bias filter, from the arm's file."""
 
-    Attributes:
-        noise: standard deviation of a measured coordinate.
-        clamp: greatest length of a bias by which goals are corrected.
-        drift: standard deviation of the bias's change in one second.
-        hold: time for which the bias is used after the last sample [s].
-    """
-
-    noise: float
-    clamp: float
-    drift: float
-    hold: float
+    noise: float  # standard deviation of a measured coordinate
+    clamp: float  # greatest length of a bias by which goals are corrected
+    drift: float  # standard deviation of the bias's change in one second
+    hold: float  # time for which the bias is used after the last sample [s]
 
 
 class RandomWalk:

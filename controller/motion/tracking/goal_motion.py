@@ -7,25 +7,16 @@ LEAST, MOST = 1e-9, 1e6  # of a value of Tracking; outside, squares lose all pre
 
 @dataclass(frozen=True)
 class Tracking:
-    """How goals move and how streams behave; lengths in the arm's unit, defaults in metres.
+    """How goals move and how streams behave; lengths in the arm's unit, defaults in metres."""
 
-    Attributes:
-        acceleration: standard deviation of the goal's acceleration between two set-points [m/s^2].
-        noise: standard deviation of a set-point's coordinate [m].
-        speed: standard deviation of the initial velocity, per coordinate [m/s]; four times this speed is not tracked.
-        timeout: silence after which the stream has stopped [s]; predictions look no further ahead.
-        validity: greatest age of a set-point on arrival [s].
-        slack: how far the sender's clock may be ahead of ours [s].
-        agreeing: consecutive outliers that must agree before they start a new track.
-    """
-
-    acceleration: float = 0.5
-    noise: float = 0.002
+    acceleration: float = 0.5  # standard deviation of the goal's acceleration between two set-points [m/s^2]
+    noise: float = 0.002  # standard deviation of a set-point's coordinate [m]
+    # standard deviation of the initial velocity, per coordinate [m/s]; four times this speed is not tracked
     speed: float = 0.5
-    timeout: float = 0.25
-    validity: float = 0.2
-    slack: float = 0.02
-    agreeing: int = 3
+    timeout: float = 0.25  # silence after which the stream has stopped [s]; predictions look no further ahead
+    validity: float = 0.2  # greatest age of a set-point on arrival [s]
+    slack: float = 0.02  # how far the sender's clock may be ahead of ours [s]
+    agreeing: int = 3  # consecutive outliers that must agree before they start a new track
 
     def __post_init__(self) -> None:
         """Raises ValueError if a value is out of bounds, or if validity and slack exceed the time-out."""

@@ -18,17 +18,11 @@ FARTHEST = 1e6  # greatest coordinate, as for goals; greater ones overflow when 
 
 
 class Prediction(NamedTuple):
-    """The predicted goal.
+    """The predicted goal."""
 
-    Attributes:
-        position: in the world, shape (dimension,).
-        velocity: shape (dimension,) [1/s].
-        covariance: of the position, shape (dimension, dimension).
-    """
-
-    position: Vector
-    velocity: Vector
-    covariance: Vector
+    position: Vector  # in the world, shape (dimension,)
+    velocity: Vector  # shape (dimension,) [1/s]
+    covariance: Vector  # of the position, shape (dimension, dimension)
 
 
 class ConstantVelocity:
