@@ -6,7 +6,6 @@ are in the arm's unit, angles in radians.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperbit.controller.manipulator.frames import angle_between
 from hyperbit.controller.manipulator.notation import format_configuration, pose
 
 if TYPE_CHECKING:
@@ -41,9 +41,7 @@ class GoalTarget:
         """Returns the angle between a tip (4, 4) and the target [rad]; None if any orientation serves."""
         if self.rotation is None:
             return None
-        turned = tip[:3, :3].T @ self.rotation
-        sines = turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]
-        return math.atan2(math.hypot(*sines), np.trace(turned) - 1.0)  # twice the sine, twice the cosine
+        return angle_between(tip, self.rotation)
 
 
 def measured_tip(manipulator: Manipulator, measured: Measured) -> Frame | None:

@@ -84,7 +84,6 @@ class Trajectory:
         return np.asarray(served)
 
     def between(self, point: int) -> bool:
-        """Returns whether a point lies between waypoints."""
         return len(self.waypoints) < len(self.times) and int(self.waypoints[self.next(point)]) != point
 
     def next(self, point: int) -> int:
@@ -123,15 +122,8 @@ def along(
     """Returns the trajectory along the straight lines between waypoints, with points between them.
 
     The target moves along each line at constant speed. A configuration may change at each point. If its tip is within
-    the point's tolerance, it stays within the path tolerance of the target until the next point's time.
-
-    Args:
-        times: of the waypoints, shape (m,) [s].
-        positions: of the waypoints, shape (m, dimension).
-        tolerance: greatest distance of the tip from a waypoint.
-        path_tolerance: greatest distance of the tip from the moving target.
-        pace: of the transitions.
-        stamp: UNIX seconds of t = 0.
+    the point's tolerance, it stays within the path tolerance of the target until the next point's time. Waypoints have
+    times (m,) [s], positions (m, dimension) and a tolerance of their own; `stamp` is t = 0 [UNIX s].
 
     Raises:
         Refusal: a line is too fast, or the lines are too long, for the path tolerance.
@@ -157,13 +149,7 @@ def along(
 
 
 def parts_of_lines(lengths: Array, durations: Array, path_tolerance: float, pace: Pace) -> Array:
-    """Returns the number of parts into which each line is divided, shape (m - 1,).
-
-    Args:
-        lengths: of the lines, shape (m - 1,).
-        durations: of the lines, shape (m - 1,) [s].
-        path_tolerance: greatest distance of the tip from the moving target.
-        pace: of the transitions.
+    """Returns the number of parts into which each line is divided, from lengths and durations [s], all (m - 1,).
 
     Raises:
         Refusal: a line is too fast, or the lines are too long, for the path tolerance.

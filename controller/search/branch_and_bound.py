@@ -18,7 +18,7 @@ from hyperbit.controller.manipulator.manipulator import Configuration, Manipulat
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
 from hyperbit.controller.search.clock import MAPS as MAPS_PRICE
 from hyperbit.controller.search.clock import NODE, WALL, Clock
-from hyperbit.controller.search.frame_rows import motions
+from hyperbit.controller.search.segment import motions
 from hyperbit.controller.search.solution import EPSILON, Incumbent
 from hyperbit.controller.search.target import QUERY, SearchQuery, SearchTarget, reaches, search_radius
 from hyperbit.controller.workspace.cost_to_go import MAPS, UNREACHABLE, CostToGo, Maps, in_levels
@@ -35,7 +35,7 @@ RISE = 4  # least rise of a threshold in levels of the maps: half the least cost
 class Tree(NamedTuple):
     """The configuration tree of a planar arm."""
 
-    motions: Array  # frames of all states as rows, see frame_rows, shape (B * Kmax, 4)
+    motions: Array  # frames of all states as rows, see segment, shape (B * Kmax, 4)
     states: Integers  # K_i, shape (B,)
     ranked: Integers  # states of each module, cheapest first, shape (B * Kmax,)
     costs: Array  # cost of each module's states, shape (B, Kmax)
@@ -61,12 +61,7 @@ WALK = named(Walk, F2, I1, F1, I1, I1, I1, F1, I1)
 
 
 class BranchAndBound:
-    """Branch and bound for one planar arm, with its maps.
-
-    Args:
-        manipulator: the arm.
-        hull: hull of its tips.
-    """
+    """Branch and bound for one planar arm, with its maps."""
 
     def __init__(self, manipulator: Manipulator, hull: Hull) -> None:
         self._m, self._motions = manipulator, motions(manipulator)

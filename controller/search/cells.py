@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, S1, named
 from hyperbit.controller.search.clock import INDEXED
-from hyperbit.controller.search.frame_rows import SIDE, Side
+from hyperbit.controller.search.segment import SIDE, Side
 
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]
@@ -68,15 +68,14 @@ INDEX = named(Index, F2, F1, S1, S1, uint8[::1], F1, GRID, float64, float64, SID
 
 
 class Cells:
-    """Memory for an index. It is reused, as page faults of fresh memory would take longer than the writes.
+    """Memory for an index of up to `most` points in up to `cells` cells; positions have `size` coordinates.
 
-    Args:
-        most: greatest number of points.
-        size: coordinates of a position, 2 or 3.
-        cells: greatest number of cells.
+    It is reused, as page faults of fresh memory would take longer than the writes.
     """
 
     def __init__(self, most: int, size: int, cells: int = CELLS) -> None:
+        self._index: Index | None = None
+        self._asked: tuple[float | None, ...] = ()  # of the index
         self._starts, self._cells = np.empty(cells + 2, dtype=np.int32), np.empty(most, dtype=np.int32)
         self._near = np.empty(cells + 1, dtype=np.uint8)
         self._order, self._costs = np.empty(most, dtype=np.int32), np.empty(most)
@@ -85,6 +84,7 @@ class Cells:
 
     def claim(self, most: int | None = None) -> None:
         """Touches the memory for `most` positions, or for all, so that no search waits for page faults."""
+        self._index = None
         self._starts.fill(0)
         self._near.fill(0)
         for array in (self._cells, self._order, self._costs):
@@ -92,7 +92,7 @@ class Cells:
         self._points[: most and most * self._size].fill(0)
 
     def fill(self, side: Side, radius: float, chord: float = np.inf, cells: int | None = None) -> Index:
-        """Returns the index of a side. The side must not change while the index is in use.
+        """Returns the index of a side, whose frames must not change; the last one if all is the same.
 
         Args:
             side: n configurations.
@@ -100,6 +100,10 @@ class Cells:
             chord: greatest squared chord of a match, see SearchTarget; infinite without orientation.
             cells: number of cells to aim at; None: in proportion to the points.
         """
+        last, asked = self._index, (radius, chord, cells)
+        if last is not None and last.side.frames is side.frames and self._asked == asked:
+            return last
+        self._index = None  # until it is done
         n, size, scale, points = len(side.costs), self._size, 0.0, side.frames
         if chord < np.inf:
             size, scale = self._whole, radius / np.sqrt(chord)
@@ -115,7 +119,9 @@ class Cells:
         near = self._near if size < 6 else self._near[:1]
         if size < 6:
             mark_levels(grid, size, self._cells[:n], side.costs, bounds, near)
-        return Index(table.points, table.costs, table.starts, table.order, near, bounds, grid, scale, least, side)
+        found = Index(table.points, table.costs, table.starts, table.order, near, bounds, grid, scale, least, side)
+        self._index, self._asked = found, asked
+        return found
 
 
 def filling(index: Index) -> float:

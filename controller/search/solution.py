@@ -37,10 +37,9 @@ class SearchTime(NamedTuple):
         return WorkClock() if self.by_work else WALL
 
     def allowed(self, gap: float) -> float:
-        """Returns the time of a search [s].
+        """Returns the time of a search [s] for the number of switches that may still be saved.
 
-        Args:
-            gap: number of switches that may still be saved; infinite if no configuration is found.
+        The gap is infinite if no configuration is found.
         """
         found = self.first + gap * self.per_switch if gap < math.inf else max(self.first, self.unfound)
         return min(found, self.most)

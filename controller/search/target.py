@@ -68,7 +68,7 @@ class SearchTarget:
 
     @cached_property
     def row(self) -> Array:
-        """The goal in frame F_0 as a row, see frame_rows, shape (4,) or (12,)."""
+        """The goal in frame F_0 as a row, see segment, shape (4,) or (12,)."""
         planar = self.manipulator.planar
         rotation = self.frame[:2, 0] if planar else self.frame[:3, :3].ravel()
         return np.concatenate((self.frame[: self.manipulator.dimension, 3], rotation))

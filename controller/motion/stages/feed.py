@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hyperbit.controller.motion.stages.program import pack_states, unpack_states
-from hyperbit.controller.motion.stages.restaging import restage
+from hyperbit.controller.motion.stages.program import pack_states, restage, unpack_states
 from hyperbit.controller.program import MOST_BYTES, MOST_STAGES, Replacement, Stage
 
 if TYPE_CHECKING:
@@ -96,15 +95,7 @@ class Feed:
         begun: index of the latest stage that has begun; -1 before the first.
         strict: whether no stage may be skipped.
         checked: generation of the obstacles for which the stages are, or are being, checked.
-        proof: of the plan that is fed; None if it has changed since it was proven.
-
-    Args:
-        manipulator: the whole arm.
-        program: number of the program.
-        route: points and times.
-        strict: whether no stage may be skipped.
-        checked: generation of the obstacles for which all stages are clear.
-        proof: of the plan; None for a jog.
+        proof: of the plan that is fed; None for a jog, or if it has changed since it was proven.
     """
 
     def __init__(
@@ -155,7 +146,6 @@ class Feed:
         return self._points[mark].deviation if 0 <= mark < len(self._points) else None
 
     def note_deviations(self, values: Sequence[float | None]) -> None:
-        """Takes the deviations of all points."""
         self._points = [
             point if value is None else point._replace(deviation=value)
             for point, value in zip(self._points, values, strict=True)
@@ -178,7 +168,6 @@ class Feed:
 
     @property
     def waits_for_check(self) -> bool:
-        """Whether stages wait for their check among the present obstacles."""
         return self._clear is not None
 
     def to_check(self) -> Unchecked | None:
@@ -280,11 +269,9 @@ class Feed:
     # --- the flat list of stages
 
     def _before(self, stage: int) -> bytes:
-        """Returns the packed states before a stage."""
         return self._stages[stage - 1].states if stage else self._route.start
 
     def _point(self, stage: int) -> int:
-        """Returns the index of the point that a stage belongs to."""
         return bisect_right(self._ends, stage)
 
     def _extend(self, count: int) -> None:

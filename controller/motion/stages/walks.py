@@ -40,11 +40,7 @@ TOWARDS = 0.3  # share of the targets that are configurations of the other tree
 
 
 class Walk(NamedTuple):
-    """What a kernel needs to walk in the graph.
-
-    Attributes:
-        switches, arm, surroundings: of the arm.
-    """
+    """What a kernel needs to walk in the graph."""
 
     switches: ArmSwitches
     arm: ArmBodies

@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from hyperbit.controller.motion.decoding.goal import Coordinate, Time
-from hyperbit.controller.motion.decoding.setpoint import parse
+from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.motion.tracking.kalman import kalman_filter
 from hyperbit.controller.motion.tracking.tracking import GATES
 from hyperbit.controller.refusals.reasons import Reason
@@ -63,7 +63,6 @@ class RandomWalk:
     """A Kalman filter of a bias that is a random walk."""
 
     def __init__(self, dimension: int, tracker: Tracker) -> None:
-        """Builds the matrices, and imports filterpy."""
         self._dimension, self._tracker = dimension, tracker
         self._kalman = kalman_filter(dimension, dimension)
         self._kalman.F = self._kalman.H = np.eye(dimension)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.motion.plans.transitions import sweep_for
 from hyperbit.controller.motion.stages.pacing import Blocked, Pace, Stager
-from hyperbit.controller.motion.stages.restaging import restage
+from hyperbit.controller.motion.stages.program import restage
 from hyperbit.controller.obstacles.keep_out import KeepOutSet, States
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
 from hyperbit.controller.search.solution import SearchTime, Solution
