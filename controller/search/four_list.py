@@ -97,7 +97,6 @@ class FourList:
 
     @property
     def count(self) -> int:
-        """Number of listed rows."""
         return sum(len(side.costs) for side in (self.a, self.b[0], self.c[0], self.d))
 
     def index(self, radius: float, chord: float) -> Index:
@@ -158,7 +157,6 @@ class FourListProof:
 
     @property
     def begun(self) -> bool:
-        """Whether there are streams."""
         return len(self._streams) > 0
 
     def add(self, two: TwoList, floors: tuple[float, float], starts: tuple[float, float], most: float) -> None:

@@ -131,7 +131,6 @@ class MinimumSwitch:
                 self._wander(problem, incumbent, most)
 
     def _two_lists(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Matches the two lists near the seed."""
         if problem.unreachable:
             incumbent.prove(np.inf)
         elif not incumbent.late:

@@ -33,7 +33,6 @@ class SearchTime(NamedTuple):
     by_work: bool = False  # whether all times are work, see WorkClock
 
     def clock(self) -> Clock:
-        """Returns a clock for one search."""
         return WorkClock() if self.by_work else WALL
 
     def allowed(self, gap: float) -> float:
@@ -85,7 +84,6 @@ class Incumbent:
 
     @property
     def late(self) -> bool:
-        """Whether the deadline has passed."""
         return self.remaining() < 0.0
 
     @property
@@ -119,7 +117,6 @@ class Incumbent:
         return False
 
     def prove(self, bound: float) -> None:
-        """Raises the bound to `bound` if it is lower."""
         self.bound = max(self.bound, bound)
         self._postpone()
 

@@ -86,7 +86,6 @@ class TwoList:
 
     @property
     def count(self) -> int:
-        """Number of listed rows."""
         return len(self.lower.costs) + len(self.upper.costs)
 
     def match(self, target: SearchTarget, incumbent: Incumbent) -> tuple[bool, float]:
