@@ -19,15 +19,10 @@ class CsvRow(NamedTuple):
 
 
 class CsvFile(NamedTuple):
-    """The content of a file.
+    """The content of a file."""
 
-    Attributes:
-        columns: names in the first line; empty for an empty file.
-        rows: rows in the file's order, without empty lines.
-    """
-
-    columns: list[str]
-    rows: list[CsvRow]
+    columns: list[str]  # names in the first line; empty for an empty file
+    rows: list[CsvRow]  # rows in the file's order, without empty lines
 
     def records(self) -> Iterator[tuple[int, dict[str, str]]]:
         """Yields line number and fields by column of each row; missing fields are empty, further fields are ignored."""

@@ -11,21 +11,13 @@ GREATEST_NODE = 126  # 127 is the master's
 
 
 class Terminal(NamedTuple):
-    """One output or input of a board.
+    """One output or input of a board."""
 
-    Attributes:
-        field: name of its field, e.g. "output_off".
-        bus: name of its bus.
-        node: node id of its board.
-        bit: its number on the board.
-        inverted: whether it is electrically 0 for 1.
-    """
-
-    field: str
-    bus: str
-    node: int
-    bit: int
-    inverted: bool
+    field: str  # name of its field, e.g. "output_off".
+    bus: str  # name of its bus
+    node: int  # id of its board
+    bit: int  # its number on the board
+    inverted: bool  # whether it is electrically 0 for 1
 
     @property
     def kind(self) -> str:

@@ -55,54 +55,31 @@ class PoseResiduals:
 
 @dataclass(frozen=True, eq=False)
 class ParameterChange:
-    """The change of one parameter.
-
-    Attributes:
-        parameter: the parameter.
-        before: value, or quaternion, in the file.
-        after: new value or quaternion.
-        deviation: standard deviation of the new value.
-        determined: whether the samples contribute more information than the file.
-    """
+    """The change of one parameter."""
 
     parameter: Parameter
-    before: Any
-    after: Any
-    deviation: float
-    determined: bool
+    before: Any  # value, or quaternion, in the file
+    after: Any  # new value or quaternion
+    deviation: float  # standard deviation of the new value
+    determined: bool  # whether the samples contribute more information than the file
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The result of a calibration. Residuals are over the samples that are no outliers.
-
-    Attributes:
-        samples: number of samples.
-        outliers: lines of the outliers.
-        before: residuals of the arm in the file.
-        base_only: residuals of the arm with only the base fitted.
-        after: residuals of the calibrated arm.
-        held_out: cross-validated residuals: arms fitted to four folds, evaluated on the fifth.
-        held_out_base_only: cross-validated residuals with only the base fitted.
-        better: whether `held_out` beats `held_out_base_only`: in mean square, by more than two standard errors.
-        noise: standard deviation of a coordinate, and of an angle [rad] if orientations were measured.
-        undetermined: number of directions in parameter space that the file determines, not the samples.
-        changes: changes of all parameters.
-        description: `base` and `modules` of the new file.
-    """
+    """The result of a calibration. Residuals are over the samples that are no outliers."""
 
     samples: int
-    outliers: tuple[int, ...]
-    before: PoseResiduals
-    base_only: PoseResiduals
-    after: PoseResiduals
-    held_out: PoseResiduals
-    held_out_base_only: PoseResiduals
-    better: bool
-    noise: Array
-    undetermined: int
+    outliers: tuple[int, ...]  # lines of the outliers
+    before: PoseResiduals  # residuals of the arm in the file
+    base_only: PoseResiduals  # residuals of the arm with only the base fitted
+    after: PoseResiduals  # residuals of the calibrated arm
+    held_out: PoseResiduals  # cross-validated residuals: arms fitted to four folds, evaluated on the fifth
+    held_out_base_only: PoseResiduals  # cross-validated residuals with only the base fitted
+    better: bool  # whether `held_out` beats `held_out_base_only`: in mean square, by more than two standard errors
+    noise: Array  # standard deviation of a coordinate, and of an angle [rad] if orientations were measured
+    undetermined: int  # number of directions in parameter space that the file determines, not the samples
     changes: tuple[ParameterChange, ...]
-    description: Description
+    description: Description  # `base` and `modules` of the new file
 
 
 class FitPair(NamedTuple):
@@ -137,13 +114,9 @@ class FitJob(NamedTuple):
 
 
 def calibrated(arm: Arm, samples: Samples, *, each: bool, spread: Spread = alone) -> Calibration:
-    """Returns the calibration of an arm.
+    """Returns the calibration of an arm, with fits computed by `spread`.
 
-    Args:
-        arm: the arm of the file.
-        samples: the measurements.
-        each: fit each module, and each leg of a truss, by itself.
-        spread: computes the fits.
+    If `each`, each module, and each leg of a truss, is fitted by itself.
 
     Raises:
         CannotFit: there are too few samples or too many parameters, or most samples are far from the arm.
@@ -249,8 +222,6 @@ def held_out(
     fits: Sequence[FitPair],
 ) -> tuple[Compared, Compared]:
     """Returns the models fitted without each fold, with fold and changes; for all parameters and for the base only.
-
-    `fits` has the fits without each fold.
 
     A sample of the fold is an outlier, and dropped for both, only if both fits consider it one.
     """

@@ -28,23 +28,15 @@ class CannotFit(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The result of a fit.
+    """The result of a fit."""
 
-    Attributes:
-        steps: changes of the parameters, shape (P,).
-        deviations: standard deviations of the fitted parameters, shape (P,).
-        determined: share of the information on each parameter that is from the samples, 0 to 1, shape (P,).
-        undetermined: number of directions in parameter space with less information from the samples than from the file.
-        kept: mask of the samples that are no outliers, shape (n,).
-        noise: standard deviation of a coordinate, and of an angle [rad] if orientations were measured.
-    """
-
-    steps: Array
-    deviations: Array
-    determined: Array
+    steps: Array  # changes of the parameters, shape (P,)
+    deviations: Array  # standard deviations of the fitted parameters, shape (P,)
+    determined: Array  # share of the information on each parameter that is from the samples, 0 to 1, shape (P,)
+    # number of directions in parameter space with less information from the samples than from the file
     undetermined: int
-    kept: NDArray[np.bool_]
-    noise: Array
+    kept: NDArray[np.bool_]  # mask of the samples that are no outliers, shape (n,)
+    noise: Array  # standard deviation of a coordinate, and of an angle [rad] if orientations were measured
 
 
 class LeastSquares:
@@ -113,19 +105,13 @@ class LeastSquares:
         """Returns a mask (n,) of the samples whose residuals may be noise."""
         residuals = self.residuals(x)
         square = ((residuals / noise[self.kinds]) ** 2).sum(axis=1)
-        turned = (
-            angles(self.model, self.samples, x * self.priors) > np.pi / 2
-        )  # the residual is a sine and falls beyond this angle
+        # The residual of a rotation is a sine, and falls beyond a right angle.
+        turned = angles(self.model, self.samples, x * self.priors) > np.pi / 2
         return np.asarray((square <= 2 * gammaincinv(residuals.shape[1] / 2, GATE)) & ~turned)
 
 
 def fit(model: Model, samples: Samples, length: float) -> Fit:
-    """Returns the parameters that fit the samples best, without outliers.
-
-    Args:
-        model: model of the arm.
-        samples: the measurements.
-        length: length of the arm.
+    """Returns the parameters that fit the samples of an arm of some length best, without outliers.
 
     Raises:
         CannotFit: there are too few samples, or the least squares fail.

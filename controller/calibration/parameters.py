@@ -29,17 +29,11 @@ LENGTHS, ANGLES = 0.05, 0.05
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number, or one axis of a spatial orientation.
+    """One number, or one axis of a spatial orientation."""
 
-    Attributes:
-        where: keys and indices from the top of the file.
-        prior: prior standard deviation.
-        axis: axis of the frame about which it turns, 0 to 2; None: a number to add to.
-    """
-
-    where: tuple[Key, ...]
-    prior: float
-    axis: int | None = None
+    where: tuple[Key, ...]  # keys and indices from the top of the file
+    prior: float  # standard deviation
+    axis: int | None = None  # axis of the frame about which it turns, 0 to 2; None: a number to add to
 
     @property
     def part(self) -> int:
@@ -56,9 +50,7 @@ class Parameter:
 def described(arm: Arm, *, each: bool) -> Description:
     """Returns the base and modules of an arm's file, with tables written out.
 
-    Args:
-        arm: the arm.
-        each: give each module an entry, and each leg of a truss its own lengths.
+    If `each`, each module has an entry, and each leg of a truss its own lengths.
     """
     planar, modules, entries, place = arm.manipulator.planar, arm.manipulator.modules, list[Description](), 0
     for group in arm.settings.modules:
@@ -98,12 +90,9 @@ def frame_of(settings: Description) -> Frame:
 
 
 def parameters(description: Description, length: float, modules: int) -> tuple[Parameter, ...]:
-    """Returns all parameters. The base has a wide prior, so that it takes changes that modules could take, too.
+    """Returns all parameters of an arm, from its length and number of modules.
 
-    Args:
-        description: description of the arm.
-        length: length of the arm.
-        modules: number of modules.
+    The base has a wide prior, so that it takes changes that modules could take, too.
     """
     found = list(of_frame(("base",), description["base"], length, np.pi))
     for g, entry in enumerate(description["modules"]):

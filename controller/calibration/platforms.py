@@ -48,13 +48,7 @@ def tracked(entry: Description, near: Frame) -> Frame:
 
 
 def pose_derivatives(entry: Description, nudged: Callable[[float], Description], poses: Frame) -> Array:
-    """Returns the derivatives (K, 4, 4) of a platform's poses by one number.
-
-    Args:
-        entry: the platform.
-        nudged: returns the platform with the number changed by a step.
-        poses: poses of its states, shape (K, 4, 4).
-    """
+    """Returns the derivatives (K, 4, 4) of a platform's poses (K, 4, 4) by one number, which `nudged` changes."""
     size = sum(entry["lengths"]) / 2
     legs, lengths = legs_and_lengths(entry, size)
     (less, shorter), (more, longer) = (legs_and_lengths(nudged(sign * NUDGE * size), size) for sign in (-1, 1))

@@ -20,19 +20,12 @@ STATES = ("configuration", "actuators")
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """The measurements.
+    """The measurements."""
 
-    Attributes:
-        configurations: configurations of the arm, shape (n, B).
-        tips: measured frames in the world, shape (n, 4, 4); not turned if only positions were measured.
-        oriented: whether orientations were measured.
-        lines: line of each sample in the file, shape (n,).
-    """
-
-    configurations: NDArray[np.int64]
-    tips: Frame
-    oriented: bool
-    lines: NDArray[np.int64]
+    configurations: NDArray[np.int64]  # configurations of the arm, shape (n, B)
+    tips: Frame  # measured frames in the world, shape (n, 4, 4); not turned if only positions were measured
+    oriented: bool  # whether orientations were measured
+    lines: NDArray[np.int64]  # line of each sample in the file, shape (n,)
 
     def only(self, chosen: NDArray[np.bool_]) -> "Samples":
         """Returns the samples of a mask (n,)."""

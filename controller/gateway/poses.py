@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta, Struct
 
-from hyperbit.controller.motion.decoding.setpoint import parse
+from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.planning.core.events import Payload, done
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal

@@ -18,7 +18,7 @@ from hyperbit.controller.gateway.arrivals import Clocks, FloodBrake, Rate, Repea
 from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.gateway.poses import Poses, decode_poses
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Undecodable
-from hyperbit.controller.motion.decoding.setpoint import parse
+from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.events import Payload, done, refused
 from hyperbit.controller.planning.loop import Receive

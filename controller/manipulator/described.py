@@ -10,10 +10,7 @@ from hyperbit.controller.manipulator.module import Module
 
 
 def described(answer: Mapping[str, Any]) -> Manipulator:
-    """Returns the chain of an arm.
-
-    Args:
-        answer: payload of the answer to `arm`, with its `drawing`.
+    """Returns the chain of an arm from the payload of the answer to `arm`, with its `drawing`.
 
     Raises:
         LookupError, TypeError, ValueError: the answer has another form, as that of another version.

@@ -16,26 +16,19 @@ Rates = Callable[[Array, NDArray[np.int64]], Array]
 
 @dataclass(frozen=True, eq=False)
 class Module:
-    """One module of the chain (section 2.1).
+    """One module of the chain (section 2.1)."""
 
-    Attributes:
-        frames: the configuration set C_i: frame i in frame i-1 for each state, shape (K, 4, 4).
-        bits: actuator states (0 contracted, 1 extended) of each state, shape (K, A).
-        actuators: names of the actuators, in the order of the columns of `bits`.
-        body: line segments of the module's structure in frame i-1, for each state, shape (K, L, 2, 3).
-        planar: whether every frame stays in the plane z = 0.
-        motion: returns frames (n, 4, 4) and bodies (n, L, 2, 3) at displacements (n, A), each from 0 (contracted) to 1
-            (extended); NaN where the position is unknown. None: `blended` from the states around.
-        rates: returns proven bounds (k, 3), see displacement_rates, from the displacements (A,) of the actuators that
-            do not move and the numbers (k,) of those that do. None: by `blended`, or unknown if `motion` is given.
-    """
-
-    frames: Frame
-    bits: NDArray[np.uint8]
-    actuators: tuple[str, ...]
+    frames: Frame  # the configuration set C_i: frame i in frame i-1 for each state, shape (K, 4, 4)
+    bits: NDArray[np.uint8]  # actuator states (0 contracted, 1 extended) of each state, shape (K, A)
+    actuators: tuple[str, ...]  # names of the actuators, in the order of the columns of `bits`
+    # line segments of the module's structure in frame i-1, for each state, shape (K, L, 2, 3)
     body: NDArray[np.float64]
-    planar: bool
+    planar: bool  # whether every frame stays in the plane z = 0
+    # returns frames (n, 4, 4) and bodies (n, L, 2, 3) at displacements (n, A), each from 0 (contracted) to 1
+    # (extended); NaN where the position is unknown. None: `blended` from the states around.
     motion: Motion | None = None
+    # returns proven bounds (k, 3), see displacement_rates, from the displacements (A,) of the actuators that do not
+    # move and the numbers (k,) of those that do. None: by `blended`, or unknown if `motion` is given.
     rates: Rates | None = None
 
     def between(self, displacements: Array) -> tuple[Frame, Array]:

@@ -30,19 +30,12 @@ CLOSE = 0.2  # greatest twist of a Newton step, in middle lengths and radians
 
 @dataclass(frozen=True, eq=False)
 class Legs:
-    """The geometry of a platform, in units of the middle length.
+    """The geometry of a platform, in units of the middle length."""
 
-    Attributes:
-        base: lower joints a_i in the frame below, shape (L, 3).
-        top: upper joints p_i in the frame above, shape (L, 3).
-        normals: normals of the planes in which the legs of a 3-RPS turn, shape (L, 3); otherwise shape (0, 3).
-        free: degrees of freedom of the plate: 0 to 2 along and 3 to 5 about x, y and z.
-    """
-
-    base: Array
-    top: Array
-    normals: Array
-    free: tuple[int, ...]
+    base: Array  # lower joints a_i in the frame below, shape (L, 3)
+    top: Array  # upper joints p_i in the frame above, shape (L, 3)
+    normals: Array  # normals of the planes in which the legs of a 3-RPS turn, shape (L, 3); otherwise shape (0, 3)
+    free: tuple[int, ...]  # degrees of freedom of the plate: 0 to 2 along and 3 to 5 about x, y and z
 
     def joints(self, frames: Frame) -> Array:
         """Returns the upper joints t_i (..., L, 3) in the frame below, for poses (..., 4, 4)."""

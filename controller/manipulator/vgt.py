@@ -21,19 +21,12 @@ ACTUATORS = ("left", "diagonal", "right")
 
 @dataclass(frozen=True, eq=False)
 class Truss:
-    """The geometry of a truss module with base nodes A, B and top nodes C, D, where |AB| = |CD| = `width`.
+    """The geometry of a truss module with base nodes A, B and top nodes C, D, where |AB| = |CD| = `width`."""
 
-    Attributes:
-        diagonal: "BC" (odd modules of the paper) or "AD" (even modules).
-        width: width of base and top.
-        legs: contracted and extended length of the leg AC, the diagonal and the leg BD, shape (3, 2).
-        base_bar: whether the body includes the bar AB. In a chain of trusses AB is the bar CD of the module below.
-    """
-
-    diagonal: Diagonal
-    width: float
-    legs: Array
-    base_bar: bool
+    diagonal: Diagonal  # "BC" (odd modules of the paper) or "AD" (even modules)
+    width: float  # width of base and top
+    legs: Array  # contracted and extended length of the leg AC, the diagonal and the leg BD, shape (3, 2)
+    base_bar: bool  # whether the body includes the bar AB. In a chain of trusses AB is the bar CD of the module below.
 
     def motion(self, displacements: Array) -> tuple[Frame, Array]:
         """Returns frames and bodies in mid-travel, see Module.motion."""
@@ -85,15 +78,10 @@ class Truss:
 def vgt(
     diagonal: Diagonal, width: float, left: Lengths, middle: Lengths, right: Lengths, *, base_bar: bool = False
 ) -> Module:
-    """Returns a truss module, see Truss.
+    """Returns a truss module with the diagonal "BC" or "AD", see Truss.
 
-    Args:
-        diagonal: "BC" or "AD".
-        width: width of base and top.
-        left: contracted and extended length of the leg AC.
-        middle: contracted and extended length of the diagonal.
-        right: contracted and extended length of the leg BD.
-        base_bar: whether the body includes the bar AB.
+    Base and top have the same width. The leg AC (left), the diagonal (middle) and the leg BD (right) have a contracted
+    and an extended length. With `base_bar` the body includes the bar AB.
 
     Raises:
         ValueError: the two triangles of a state do not close.

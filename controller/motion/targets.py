@@ -6,7 +6,6 @@ are in the arm's unit, angles in radians.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperbit.controller.manipulator.frames import angle_between
 from hyperbit.controller.manipulator.notation import format_configuration, pose
 
 if TYPE_CHECKING:
@@ -29,29 +29,19 @@ UNKNOWN: Pose = dict.fromkeys(("configuration", "position", "orientation", "erro
 
 @dataclass(frozen=True, eq=False)
 class GoalTarget:
-    """The target at one point of a goal.
+    """The target at one point of a goal."""
 
-    Attributes:
-        position: of the tip in the world, shape (dimension,).
-        tolerance: greatest distance from the position.
-        rotation: of the tip in the world, shape (3, 3); None: any orientation serves.
-        angle_tolerance: greatest angle from the rotation [rad].
-        configuration: that the arm must have, as text; None: any.
-    """
-
-    position: NDArray[np.float64]
-    tolerance: float
-    rotation: NDArray[np.float64] | None = None
-    angle_tolerance: float = np.inf
-    configuration: str | None = None
+    position: NDArray[np.float64]  # of the tip in the world, shape (dimension,)
+    tolerance: float  # greatest distance from the position
+    rotation: NDArray[np.float64] | None = None  # of the tip in the world, shape (3, 3); None: any orientation serves
+    angle_tolerance: float = np.inf  # greatest angle from the rotation [rad]
+    configuration: str | None = None  # that the arm must have, as text; None: any
 
     def angle(self, tip: Frame) -> float | None:
         """Returns the angle between a tip (4, 4) and the target [rad]; None if any orientation serves."""
         if self.rotation is None:
             return None
-        turned = tip[:3, :3].T @ self.rotation
-        sines = turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]
-        return math.atan2(math.hypot(*sines), np.trace(turned) - 1.0)  # twice the sine, twice the cosine
+        return angle_between(tip, self.rotation)
 
 
 def measured_tip(manipulator: Manipulator, measured: Measured) -> Frame | None:

@@ -30,30 +30,20 @@ IDENTITY = np.eye(3)
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A goal that has passed all checks, as points ordered by time.
+    """A goal that has passed all checks, as points ordered by time."""
 
-    Attributes:
-        stamp: UNIX seconds of t = 0; None: when the executor accepts the program.
-        times: t at which the tip must have settled, shape (n,), increasing [s].
-        positions: of the tip in the world, shape (n, dimension); between waypoints the middle of a line's part.
-        tolerances: greatest distances of the tip from the positions, shape (n,).
-        rotations: of the tip in the world, shape (n, 3, 3); ignored where `turns` is infinite.
-        turns: tolerances of the orientations, shape (n,) [rad]; infinite where any orientation serves.
-        waypoints: indices of the goal's own points, shape (m,), ascending; the last point is one.
-        path_tolerance: greatest distance of a settled tip from the moving target; None: no lines are followed.
-        bias: tip bias by which the positions are corrected, shape (dimension,); None: there is no tracker.
-        fixed: actuator states (A,) of points given as configurations; the positions of these points are their tips.
-    """
-
-    stamp: float | None
-    times: Array
-    positions: Array
-    tolerances: Array
-    rotations: Array
-    turns: Array
-    waypoints: NDArray[np.int64]
+    stamp: float | None  # UNIX seconds of t = 0; None: when the executor accepts the program
+    times: Array  # t at which the tip must have settled, shape (n,), increasing [s]
+    positions: Array  # of the tip in the world, shape (n, dimension); between waypoints the middle of a line's part
+    tolerances: Array  # greatest distances of the tip from the positions, shape (n,)
+    rotations: Array  # of the tip in the world, shape (n, 3, 3); ignored where `turns` is infinite
+    turns: Array  # tolerances of the orientations, shape (n,) [rad]; infinite where any orientation serves
+    waypoints: NDArray[np.int64]  # indices of the goal's own points, shape (m,), ascending; the last point is one
+    # greatest distance of a settled tip from the moving target; None: no lines are followed
     path_tolerance: float | None = None
+    # tip bias by which the positions are corrected, shape (dimension,); None: there is no tracker
     bias: Array | None = None
+    # actuator states (A,) of points given as configurations; the positions of these points are their tips
     fixed: Mapping[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     def corrected(self, bias: Array | None) -> Trajectory:
@@ -94,7 +84,6 @@ class Trajectory:
         return np.asarray(served)
 
     def between(self, point: int) -> bool:
-        """Returns whether a point lies between waypoints."""
         return len(self.waypoints) < len(self.times) and int(self.waypoints[self.next(point)]) != point
 
     def next(self, point: int) -> int:
@@ -133,15 +122,8 @@ def along(
     """Returns the trajectory along the straight lines between waypoints, with points between them.
 
     The target moves along each line at constant speed. A configuration may change at each point. If its tip is within
-    the point's tolerance, it stays within the path tolerance of the target until the next point's time.
-
-    Args:
-        times: of the waypoints, shape (m,) [s].
-        positions: of the waypoints, shape (m, dimension).
-        tolerance: greatest distance of the tip from a waypoint.
-        path_tolerance: greatest distance of the tip from the moving target.
-        pace: of the transitions.
-        stamp: UNIX seconds of t = 0.
+    the point's tolerance, it stays within the path tolerance of the target until the next point's time. Waypoints have
+    times (m,) [s], positions (m, dimension) and a tolerance of their own; `stamp` is t = 0 [UNIX s].
 
     Raises:
         Refusal: a line is too fast, or the lines are too long, for the path tolerance.
@@ -167,13 +149,7 @@ def along(
 
 
 def parts_of_lines(lengths: Array, durations: Array, path_tolerance: float, pace: Pace) -> Array:
-    """Returns the number of parts into which each line is divided, shape (m - 1,).
-
-    Args:
-        lengths: of the lines, shape (m - 1,).
-        durations: of the lines, shape (m - 1,) [s].
-        path_tolerance: greatest distance of the tip from the moving target.
-        pace: of the transitions.
+    """Returns the number of parts into which each line is divided, from lengths and durations [s], all (m - 1,).
 
     Raises:
         Refusal: a line is too fast, or the lines are too long, for the path tolerance.

@@ -33,13 +33,8 @@ class BodyClearance:
     def __init__(
         self, manipulator: Manipulator, obstacles: Obstacles, radius: float = 0.0, *, self_collision: bool = False
     ) -> None:
-        """Builds the padded arrays of the bodies."""
-        self.manipulator, self.obstacles, self.radius, self.self_collision = (
-            manipulator,
-            obstacles,
-            radius,
-            self_collision,
-        )
+        self.manipulator, self.obstacles = manipulator, obstacles
+        self.radius, self.self_collision = radius, self_collision
         self.margin = radius + ROUNDING * manipulator.length
         self.apart = radius + self.margin if self_collision else -1.0
         self.lines = np.array([module.body.shape[1] for module in manipulator.modules])

@@ -11,33 +11,20 @@ from hyperbit.controller.obstacles.distance import SURROUNDINGS, Array, Index, S
 
 
 class ArmBodies(NamedTuple):
-    """Frames and bodies of an arm, for kernels.
+    """Frames and bodies of an arm, for kernels."""
 
-    Attributes:
-        rotations: configuration sets, shape (B, Kmax, 3, 3).
-        translations: configuration sets, shape (B, Kmax, 3).
-        bodies: see Clearance.
-        balls: see Clearance.
-        lines: see Clearance.
-    """
-
-    rotations: Array
-    translations: Array
-    bodies: Array
-    balls: Array
-    lines: Index
+    rotations: Array  # configuration sets, shape (B, Kmax, 3, 3)
+    translations: Array  # configuration sets, shape (B, Kmax, 3)
+    bodies: Array  # see BodyClearance
+    balls: Array  # see BodyClearance
+    lines: Index  # see BodyClearance
 
 
 class WorldBodies(NamedTuple):
-    """The bodies of one configuration in the world, written from base to tip. Only used with self-collision.
+    """The bodies of one configuration in the world, written from base to tip. Only used with self-collision."""
 
-    Attributes:
-        ends: line segments, shape (B, Lmax, 2, 3).
-        balls: centres and radii of balls around them, shape (B, 4).
-    """
-
-    ends: Array
-    balls: Array
+    ends: Array  # line segments, shape (B, Lmax, 2, 3)
+    balls: Array  # centres and radii of balls around them, shape (B, 4)
 
 
 ARM_BODIES = named(ArmBodies, F4, F3, F5, F3, I1)

@@ -55,11 +55,8 @@ class Displacements:
         The columns are the translation of the frame above, its rotation, and the movement of the body's points. All
         are for a displacement from 0 to 1. The rotation is the chord at unit distance. The bounds are proven if
         `Module.proven`. Otherwise, for platforms, they are sampled: the greatest rate of the samples, plus half of its
-        change from one sample to the next in every direction.
-
-        Args:
-            states: states of the module's actuators, shape (A,); those of moving actuators are ignored.
-            moving: numbers of the actuators that move, shape (k,).
+        change from one sample to the next in every direction. The states (A,) of the `moving` actuators (k,) do not
+        count.
         """
         fixed = states.copy()
         fixed[moving] = 0.0

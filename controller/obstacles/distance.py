@@ -21,23 +21,14 @@ SPHERE, BOX, HALF_SPACE = 0, 1, 2
 
 
 class Surroundings(NamedTuple):
-    """What bodies must not touch, for kernels.
+    """What bodies must not touch, for kernels."""
 
-    Attributes:
-        kinds: see Obstacles.
-        axes: see Obstacles.
-        centres: see Obstacles.
-        sizes: see Obstacles.
-        margin: distance from an obstacle that counts as touching.
-        apart: distance between modules that counts as touching; negative without self-collision.
-    """
-
-    kinds: Index
-    axes: Array
-    centres: Array
-    sizes: Array
-    margin: float
-    apart: float
+    kinds: Index  # see Obstacles
+    axes: Array  # see Obstacles
+    centres: Array  # see Obstacles
+    sizes: Array  # see Obstacles
+    margin: float  # distance from an obstacle that counts as touching
+    apart: float  # distance between modules that counts as touching; negative without self-collision
 
 
 SURROUNDINGS = named(Surroundings, I1, F3, F2, F2, float64, float64)

@@ -20,15 +20,10 @@ REMEMBERED = 20_000  # results of stage checks
 
 @dataclass(frozen=True, eq=False)
 class KeepOutSet:
-    """The obstacles between two changes, with the results of stage checks among them. For any thread.
+    """The obstacles between two changes, with the results of stage checks among them. For any thread."""
 
-    Attributes:
-        clearance: of the whole arm.
-        sent: the obstacles that were sent, without those of the arm's file.
-    """
-
-    clearance: BodyClearance
-    sent: Obstacles = NONE
+    clearance: BodyClearance  # of the whole arm
+    sent: Obstacles = NONE  # the obstacles that were sent, without those of the arm's file
     _known: dict[bytes, str | None] = field(init=False, default_factory=dict)
 
     @property
@@ -44,14 +39,10 @@ class KeepOutSet:
     def first_collision(
         self, states: States, stages: Iterable[States], proceed: Callable[[], object] = lambda: None
     ) -> str | None:
-        """Returns the first collision of consecutive stages, in words; None if all are clear.
+        """Returns the first collision of consecutive stages from states (A,), in words; None if all are clear.
 
-        The first check of a stage takes up to a third of a second.
-
-        Args:
-            states: actuator states before, shape (A,).
-            stages: actuator states after each stage, each of shape (A,).
-            proceed: called before each stage; it raises if the check is no longer needed.
+        The first check of a stage takes up to a third of a second. `proceed` is called before each stage; it raises if
+        the check is no longer needed.
         """
         for stage in () if self.free else stages:
             proceed()

@@ -13,13 +13,9 @@ PLANAR, SPATIAL = ("disc", "box", "half_plane"), ("sphere", "box", "half_space")
 
 
 def parse_obstacles(listed: Sequence[ObstacleSettings], dimension: int, path: str, faults: list[str]) -> Obstacles:
-    """Returns the valid obstacles of a list.
+    """Returns the valid obstacles of a list, whose path in the file is such as "obstacles".
 
-    Args:
-        listed: the entries of the list.
-        dimension: of the arm, 2 or 3.
-        path: path of the list, such as "obstacles".
-        faults: a sentence is appended for each invalid entry.
+    A sentence is appended to `faults` for each invalid entry.
     """
     parts = list[Obstacles]()
     for k, entry in enumerate(listed):

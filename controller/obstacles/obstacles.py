@@ -17,21 +17,13 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Obstacles:
-    """Obstacles, one after the other.
+    """Obstacles, one after the other."""
 
-    Attributes:
-        names: for messages, such as "disc 'pillar'".
-        kinds: SPHERE, BOX or HALF_SPACE, shape (n,).
-        axes: the rows are the axes of a box; the first row is the outward normal of a half-space; shape (n, 3, 3).
-        centres: centres of spheres and boxes, or a point on the plane of a half-space, shape (n, 3).
-        sizes: half the sides of a box; a sphere has its radius in the first column; shape (n, 3).
-    """
-
-    names: tuple[str, ...]
-    kinds: Index
-    axes: Array
-    centres: Array
-    sizes: Array
+    names: tuple[str, ...]  # for messages, such as "disc 'pillar'"
+    kinds: Index  # SPHERE, BOX or HALF_SPACE, shape (n,)
+    axes: Array  # the rows are the axes of a box; the first row is the outward normal of a half-space; shape (n, 3, 3)
+    centres: Array  # centres of spheres and boxes, or a point on the plane of a half-space, shape (n, 3)
+    sizes: Array  # half the sides of a box; a sphere has its radius in the first column; shape (n, 3)
 
     def __len__(self) -> int:
         """Returns the number of obstacles."""

@@ -22,25 +22,15 @@ Integers = NDArray[np.int64]
 
 
 class Scene(NamedTuple):
-    """An arm among obstacles, with scratch arrays for one configuration. Only one search at a time may use it.
+    """An arm among obstacles, with scratch arrays for one configuration. Only one search at a time may use it."""
 
-    Attributes:
-        arm: frames and bodies.
-        surroundings: what the arm must not touch.
-        states: scratch: the configuration, shape (B,).
-        frame_rotations: scratch: rotations of frames F_0 to F_B in the world, shape (B + 1, 3, 3).
-        positions: scratch: positions of frames F_0 to F_B in the world, shape (B + 1, 3).
-        world: scratch: bodies in the world.
-        checks: scratch: number of configurations that may still be checked, and number of those checked so far, shape
-            (2,).
-    """
-
-    arm: ArmBodies
-    surroundings: Surroundings
-    states: Integers
-    frame_rotations: Array
-    positions: Array
-    world: WorldBodies
+    arm: ArmBodies  # frames and bodies
+    surroundings: Surroundings  # what the arm must not touch
+    states: Integers  # scratch: the configuration, shape (B,)
+    frame_rotations: Array  # scratch: rotations of frames F_0 to F_B in the world, shape (B + 1, 3, 3)
+    positions: Array  # scratch: positions of frames F_0 to F_B in the world, shape (B + 1, 3)
+    world: WorldBodies  # scratch: bodies in the world
+    # scratch: number of configurations that may still be checked, and number of those checked so far, shape (2,)
     checks: Integers
 
 

@@ -41,71 +41,48 @@ class ModuleSwitches(NamedTuple):
     """The single switches of one module.
 
     Attributes:
-        following: state after a switch, -1 if there is none or its motion is unknown, shape (K, A).
-        rows: rows of a switch in the arrays below, the same in both directions, shape (K, A).
         rotations, translations: of the frame above the module in the middle of each part, shapes (E, M, 3, 3) and
             (E, M, 3).
-        bodies: line segments of the module there, shape (E, M, L, 2, 3).
-        rates: see Displacements.rates, shape (E, 3).
     """
 
-    following: Index
-    rows: Index
+    following: Index  # state after a switch, -1 if there is none or its motion is unknown, shape (K, A)
+    rows: Index  # rows of a switch in the arrays below, the same in both directions, shape (K, A)
     rotations: Array
     translations: Array
-    bodies: Array
-    rates: Array
+    bodies: Array  # line segments of the module there, shape (E, M, L, 2, 3)
+    rates: Array  # see Displacements.rates, shape (E, 3)
 
 
 class ArmSwitches(NamedTuple):
-    """The single switches of an arm, for kernels. See ModuleSwitches.
+    """The single switches of an arm, for kernels. See ModuleSwitches."""
 
-    Attributes:
-        owners: module of each actuator, shape (A,).
-        places: number of each actuator in its module, shape (A,).
-        following: of each module, padded with -1, shape (B, Kmax, Amax).
-        rows: likewise.
-        rotations: of all modules, shape (E, M, 3, 3).
-        translations: shape (E, M, 3).
-        bodies: padded with 0, shape (E, M, Lmax, 2, 3).
-        balls: centres and radii of balls around them, shape (E, M, 4).
-        rates: shape (E, 3).
-        base_rotation: of the arm, shape (3, 3).
-        base_position: of the arm, shape (3,).
-    """
-
-    owners: Index
-    places: Index
-    following: Index
-    rows: Index
-    rotations: Array
-    translations: Array
-    bodies: Array
-    balls: Array
-    rates: Array
-    base_rotation: Array
-    base_position: Array
+    owners: Index  # module of each actuator, shape (A,)
+    places: Index  # number of each actuator in its module, shape (A,)
+    following: Index  # of each module, padded with -1, shape (B, Kmax, Amax)
+    rows: Index  # likewise
+    rotations: Array  # of all modules, shape (E, M, 3, 3)
+    translations: Array  # shape (E, M, 3)
+    bodies: Array  # padded with 0, shape (E, M, Lmax, 2, 3)
+    balls: Array  # centres and radii of balls around them, shape (E, M, 4)
+    rates: Array  # shape (E, 3)
+    base_rotation: Array  # of the arm, shape (3, 3)
+    base_position: Array  # of the arm, shape (3,)
 
 
 class SwitchScratch(NamedTuple):
     """Scratch of the kernel; only one search at a time may use it.
 
     Attributes:
-        chains: the arm, as one box.
-        motion: of this box.
-        switching: the actuator that switches.
         suspects, reports: see swept_check.
-        waiting: parts of the travel to check, shape (n,).
-        collided: written: whether the arm collides in the middle of a part, shape (1,).
     """
 
-    chains: Chains
-    motion: BoxMotion
-    switching: Switching
+    chains: Chains  # the arm, as one box
+    motion: BoxMotion  # of this box
+    switching: Switching  # the actuator that switches
     suspects: NDArray[np.bool_]
     reports: Index
-    waiting: Index
-    collided: NDArray[np.bool_]
+    waiting: Index  # parts of the travel to check, shape (n,)
+    collided: NDArray[np.bool_]  # written: whether the arm collides in the middle of a part, shape (1,)
 
 
 I3: Any = int64[:, :, ::1]

@@ -19,25 +19,17 @@ BOXES = 512  # most boxes of displacements; a stage that they do not prove clear
 
 @dataclass(frozen=True)
 class Collision:
-    """A collision, or one that the check cannot exclude.
+    """A collision, or one that the check cannot exclude."""
 
-    Attributes:
-        module: the first module.
-        obstacle: the obstacle that it touches; -1 for none.
-        other: the module that it touches; -1 for none. If both are -1, its position in mid-travel is unknown.
-    """
-
-    module: int
-    obstacle: int = -1
-    other: int = -1
+    module: int  # the first module
+    obstacle: int = -1  # the obstacle that it touches; -1 for none
+    other: int = -1  # the module that it touches; -1 for none. If both are -1, its position in mid-travel is unknown.
 
 
 class Sweep:
-    """Collision checks of one arm while actuators switch.
+    """Collision checks of the lowest modules of an arm, or of all, while actuators switch.
 
-    Args:
-        clearance: bodies and obstacles of the arm.
-        modules: number of the lowest modules that are checked; None: all. States are those of their actuators.
+    States are those of the actuators of these modules.
     """
 
     def __init__(self, clearance: BodyClearance, modules: int | None = None) -> None:
@@ -63,10 +55,6 @@ class Sweep:
 
         Each actuator may be at any displacement, independently of the others. "Clear" is proven if `proven`, for
         modules that move as Module.motion says. Otherwise it relies on samples, see Displacements.rates.
-
-        Args:
-            states: before, shape (A,).
-            actuators: that switch, shape (k,).
         """
         if self._clearance.free:
             return None

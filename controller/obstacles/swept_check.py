@@ -25,55 +25,32 @@ CLEAR, COLLIDING = -1, -2
 
 
 class Chains(NamedTuple):
-    """The arm in the middle of n boxes of displacements.
+    """The arm in the middle of n boxes of displacements."""
 
-    Attributes:
-        rotations: of the base and of every module, shape (n, B + 1, 3, 3).
-        translations: likewise, shape (n, B + 1, 3).
-        bodies: line segments of every module, shape (n, B, Lmax, 2, 3).
-        balls: centres and radii of balls around them, shape (n, B, 4).
-        lines: number of line segments of each module, shape (B,).
-    """
-
-    rotations: Array
-    translations: Array
-    bodies: Array
-    balls: Array
-    lines: Index
+    rotations: Array  # of the base and of every module, shape (n, B + 1, 3, 3)
+    translations: Array  # likewise, shape (n, B + 1, 3)
+    bodies: Array  # line segments of every module, shape (n, B, Lmax, 2, 3)
+    balls: Array  # centres and radii of balls around them, shape (n, B, 4)
+    lines: Index  # number of line segments of each module, shape (B,)
 
 
 class Switching(NamedTuple):
-    """The actuators that switch.
+    """The actuators that switch."""
 
-    Attributes:
-        owners: module of each actuator, shape (k,).
-        rates: see Displacements.rates, shape (k, 3).
-        half_widths: half the width of each box along each displacement, shape (n, k).
-    """
-
-    owners: Index
-    rates: Array
-    half_widths: Array
+    owners: Index  # module of each actuator, shape (k,)
+    rates: Array  # see Displacements.rates, shape (k, 3)
+    half_widths: Array  # half the width of each box along each displacement, shape (n, k)
 
 
 class BoxMotion(NamedTuple):
-    """Scratch: the arm in the middle of one box, and bounds on its motion in the box.
+    """Scratch: the arm in the middle of one box, and bounds on its motion in the box."""
 
-    Attributes:
-        rotations: rotations of frames F_0 to F_B in the world, shape (B + 1, 3, 3).
-        positions: positions of frames F_0 to F_B in the world, shape (B + 1, 3).
-        moves: translation of each module's top frame, shape (B,).
-        turns: rotation of each module's top frame, shape (B,).
-        swells: movement of the points of each module's body, shape (B,).
-        segments: two line segments in the world, shape (2, 2, 3).
-    """
-
-    rotations: Array
-    positions: Array
-    moves: Array
-    turns: Array
-    swells: Array
-    segments: Array
+    rotations: Array  # rotations of frames F_0 to F_B in the world, shape (B + 1, 3, 3)
+    positions: Array  # positions of frames F_0 to F_B in the world, shape (B + 1, 3)
+    moves: Array  # translation of each module's top frame, shape (B,)
+    turns: Array  # rotation of each module's top frame, shape (B,)
+    swells: Array  # movement of the points of each module's body, shape (B,)
+    segments: Array  # two line segments in the world, shape (2, 2, 3)
 
 
 CHAINS = named(Chains, F4, F3, F5, F3, I1)

@@ -18,7 +18,7 @@ from hyperbit.controller.manipulator.manipulator import Configuration, Manipulat
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
 from hyperbit.controller.search.clock import MAPS as MAPS_PRICE
 from hyperbit.controller.search.clock import NODE, WALL, Clock
-from hyperbit.controller.search.frame_rows import motions
+from hyperbit.controller.search.segment import motions
 from hyperbit.controller.search.solution import EPSILON, Incumbent
 from hyperbit.controller.search.target import QUERY, SearchQuery, SearchTarget, reaches, search_radius
 from hyperbit.controller.workspace.cost_to_go import MAPS, UNREACHABLE, CostToGo, Maps, in_levels
@@ -33,45 +33,26 @@ RISE = 4  # least rise of a threshold in levels of the maps: half the least cost
 
 
 class Tree(NamedTuple):
-    """The configuration tree of a planar arm.
+    """The configuration tree of a planar arm."""
 
-    Attributes:
-        motions: frames of all states as rows, see frame_rows, shape (B * Kmax, 4).
-        states: K_i, shape (B,).
-        ranked: states of each module, cheapest first, shape (B * Kmax,).
-        costs: cost of each module's states, shape (B, Kmax).
-        per: pixels of the maps per unit of length, by level, shape (B + 1,).
-    """
-
-    motions: Array
-    states: Integers
-    ranked: Integers
-    costs: Array
-    per: Array
+    motions: Array  # frames of all states as rows, see segment, shape (B * Kmax, 4)
+    states: Integers  # K_i, shape (B,)
+    ranked: Integers  # states of each module, cheapest first, shape (B * Kmax,)
+    costs: Array  # cost of each module's states, shape (B, Kmax)
+    per: Array  # pixels of the maps per unit of length, by level, shape (B + 1,)
 
 
 class Walk(NamedTuple):
-    """The state of an interrupted search.
+    """The state of an interrupted search."""
 
-    Attributes:
-        points: position of the goal in the frame of each level's node, shape (B + 1, 2).
-        headings: heading of the goal in this frame, in parts of the circle, shape (B + 1,).
-        prices: cost of each level's node, shape (B + 1,).
-        tried: number of children of each level's node that were tried, shape (B + 1,).
-        configuration: configuration of the current path, or the one found, shape (B,).
-        level: level of the current node, shape (1,); -1 after a complete search.
-        bounds: threshold, least lower bound passed over, cost of the incumbent, shape (3,).
-        nodes: number of nodes that the last call searched, shape (1,).
-    """
-
-    points: Array
-    headings: Integers
-    prices: Array
-    tried: Integers
-    configuration: Integers
-    level: Integers
-    bounds: Array
-    nodes: Integers
+    points: Array  # position of the goal in the frame of each level's node, shape (B + 1, 2)
+    headings: Integers  # heading of the goal in this frame, in parts of the circle, shape (B + 1,)
+    prices: Array  # cost of each level's node, shape (B + 1,)
+    tried: Integers  # number of children of each level's node that were tried, shape (B + 1,)
+    configuration: Integers  # configuration of the current path, or the one found, shape (B,)
+    level: Integers  # level of the current node, shape (1,); -1 after a complete search
+    bounds: Array  # threshold, least lower bound passed over, cost of the incumbent, shape (3,)
+    nodes: Integers  # number of nodes that the last call searched, shape (1,)
 
 
 PLACE: Any = types.UniTuple(float64, 2)  # type: ignore[no-untyped-call]
@@ -80,12 +61,7 @@ WALK = named(Walk, F2, I1, F1, I1, I1, I1, F1, I1)
 
 
 class BranchAndBound:
-    """Branch and bound for one planar arm, with its maps.
-
-    Args:
-        manipulator: the arm.
-        hull: hull of its tips.
-    """
+    """Branch and bound for one planar arm, with its maps."""
 
     def __init__(self, manipulator: Manipulator, hull: Hull) -> None:
         self._m, self._motions = manipulator, motions(manipulator)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, S1, named
 from hyperbit.controller.search.clock import INDEXED
-from hyperbit.controller.search.frame_rows import SIDE, Side
+from hyperbit.controller.search.segment import SIDE, Side
 
 Array = NDArray[np.float64]
 Index32 = NDArray[np.int32]
@@ -26,66 +26,39 @@ MARGIN = 1 + 1e-6  # factor of the side: rounding must not put two near points m
 
 
 class Grid(NamedTuple):
-    """Cells of one width along all coordinates of a point, at most six. A border of empty cells surrounds all points.
+    """Cells of one width along all coordinates of a point, at most six. Empty cells surround all points."""
 
-    Attributes:
-        origin: least corner of the points.
-        shape: number of cells along each coordinate, less one.
-        strides: difference of the numbers of adjacent cells along each coordinate.
-        per: cells per unit of length.
-        cells: number of cells.
-    """
-
-    origin: tuple[float, ...]
-    shape: tuple[float, ...]
-    strides: tuple[int, ...]
-    per: float
-    cells: int
+    origin: tuple[float, ...]  # least corner of the points
+    shape: tuple[float, ...]  # number of cells along each coordinate, less one
+    strides: tuple[int, ...]  # difference of the numbers of adjacent cells along each coordinate
+    per: float  # cells per unit of length
+    cells: int  # number of cells
 
 
 class SortedPoints(NamedTuple):
-    """Points in the order of their cells, as the kernel writes them.
+    """Points in the order of their cells, as the kernel writes them."""
 
-    Attributes:
-        starts: first point of each cell, shape (cells + 2,).
-        order: number of each point before, shape (n,).
-        points: shape (n, size).
-        costs: shape (n,).
-    """
-
-    starts: Index32
-    order: Index32
-    points: Array
-    costs: Array
+    starts: Index32  # first point of each cell, shape (cells + 2,)
+    order: Index32  # number of each point before, shape (n,)
+    points: Array  # shape (n, size)
+    costs: Array  # shape (n,)
 
 
 class Index(NamedTuple):
-    """Points in the order of their cells.
+    """Points in the order of their cells."""
 
-    Attributes:
-        points: shape (n, size).
-        costs: costs of the points, shape (n,).
-        starts: first point of each cell, shape (cells + 2,).
-        order: row of each point in the side, shape (n,).
-        near: least cost level of the cells that a match compares: a cell and the next one along each coordinate;
-            NOTHING if they are empty. Not used for six coordinates.
-        bounds: least cost of each level, shape (256,).
-        grid: the cells.
-        rotation_scale: length of a rotation axis of unit size; 0 for cells of positions only.
-        least: least cost.
-        side: the configurations.
-    """
-
-    points: Array
-    costs: Array
-    starts: Index32
-    order: Index32
+    points: Array  # shape (n, size)
+    costs: Array  # costs of the points, shape (n,)
+    starts: Index32  # first point of each cell, shape (cells + 2,)
+    order: Index32  # row of each point in the side, shape (n,)
+    # least cost level of the cells that a match compares: a cell and the next one along each coordinate; NOTHING if
+    # they are empty. Not used for six coordinates.
     near: NDArray[np.uint8]
-    bounds: Array
-    grid: Grid
-    rotation_scale: float
-    least: float
-    side: Side
+    bounds: Array  # least cost of each level, shape (256,)
+    grid: Grid  # the cells
+    rotation_scale: float  # length of a rotation axis of unit size; 0 for cells of positions only
+    least: float  # least cost
+    side: Side  # the configurations
 
 
 SIX: Any = types.UniTuple(float64, 6)  # type: ignore[no-untyped-call]
@@ -95,15 +68,14 @@ INDEX = named(Index, F2, F1, S1, S1, uint8[::1], F1, GRID, float64, float64, SID
 
 
 class Cells:
-    """Memory for an index. It is reused, as page faults of fresh memory would take longer than the writes.
+    """Memory for an index of up to `most` points in up to `cells` cells; positions have `size` coordinates.
 
-    Args:
-        most: greatest number of points.
-        size: coordinates of a position, 2 or 3.
-        cells: greatest number of cells.
+    It is reused, as page faults of fresh memory would take longer than the writes.
     """
 
     def __init__(self, most: int, size: int, cells: int = CELLS) -> None:
+        self._index: Index | None = None
+        self._asked: tuple[float | None, ...] = ()  # of the index
         self._starts, self._cells = np.empty(cells + 2, dtype=np.int32), np.empty(most, dtype=np.int32)
         self._near = np.empty(cells + 1, dtype=np.uint8)
         self._order, self._costs = np.empty(most, dtype=np.int32), np.empty(most)
@@ -112,6 +84,7 @@ class Cells:
 
     def claim(self, most: int | None = None) -> None:
         """Touches the memory for `most` positions, or for all, so that no search waits for page faults."""
+        self._index = None
         self._starts.fill(0)
         self._near.fill(0)
         for array in (self._cells, self._order, self._costs):
@@ -119,7 +92,7 @@ class Cells:
         self._points[: most and most * self._size].fill(0)
 
     def fill(self, side: Side, radius: float, chord: float = np.inf, cells: int | None = None) -> Index:
-        """Returns the index of a side. The side must not change while the index is in use.
+        """Returns the index of a side, whose frames must not change; the last one if all is the same.
 
         Args:
             side: n configurations.
@@ -127,6 +100,10 @@ class Cells:
             chord: greatest squared chord of a match, see SearchTarget; infinite without orientation.
             cells: number of cells to aim at; None: in proportion to the points.
         """
+        last, asked = self._index, (radius, chord, cells)
+        if last is not None and last.side.frames is side.frames and self._asked == asked:
+            return last
+        self._index = None  # until it is done
         n, size, scale, points = len(side.costs), self._size, 0.0, side.frames
         if chord < np.inf:
             size, scale = self._whole, radius / np.sqrt(chord)
@@ -142,7 +119,9 @@ class Cells:
         near = self._near if size < 6 else self._near[:1]
         if size < 6:
             mark_levels(grid, size, self._cells[:n], side.costs, bounds, near)
-        return Index(table.points, table.costs, table.starts, table.order, near, bounds, grid, scale, least, side)
+        found = Index(table.points, table.costs, table.starts, table.order, near, bounds, grid, scale, least, side)
+        self._index, self._asked = found, asked
+        return found
 
 
 def filling(index: Index) -> float:

@@ -23,60 +23,36 @@ MOST_CHECKS = 1 << 12  # most collision checks of a branch
 
 
 class DistalTable(NamedTuple):
-    """All tips of modules depth+1 to B in frame F_depth, sorted into cells.
+    """All tips of modules depth+1 to B in frame F_depth, sorted into cells."""
 
-    Attributes:
-        root: number of modules that the densities decide; all states of modules root+1 to depth are tried.
-        depth: number of modules below the table.
-        points: positions of the tips, shape (n, 3). A row's number has the module states as mixed-radix digits, the
-            first module most significant.
-        rotations: rotations of the tips, shape (n, 3, 3).
-        cell: side of a cell.
-        corner: least corner of all cells, shape (3,).
-        shape: number of cells along x, y, z, shape (3,).
-        starts: first point of each cell in `order`, shape (cells + 1,).
-        order: rows of `points`, cell by cell, shape (n,).
-    """
-
-    root: int
-    depth: int
+    root: int  # number of modules that the densities decide; all states of modules root+1 to depth are tried
+    depth: int  # number of modules below the table
+    # positions of the tips, shape (n, 3). A row's number has the module states as mixed-radix digits, the first module
+    # most significant.
     points: Array
-    rotations: Array
-    cell: float
-    corner: Array
-    shape: Index
-    starts: Index
-    order: Index
+    rotations: Array  # rotations of the tips, shape (n, 3, 3)
+    cell: float  # side of a cell
+    corner: Array  # least corner of all cells, shape (3,)
+    shape: Index  # number of cells along x, y, z, shape (3,)
+    starts: Index  # first point of each cell in `order`, shape (cells + 1,)
+    order: Index  # rows of `points`, cell by cell, shape (n,)
 
 
 class Wanted(NamedTuple):
-    """Rotation and tolerances of a goal.
+    """Rotation and tolerances of a goal."""
 
-    Attributes:
-        rotation: shape (3, 3).
-        tolerance: greatest distance.
-        chord: greatest squared chord of the rotations.
-        weight: weight of rotations, see SearchTarget.
-    """
-
-    rotation: Array
-    tolerance: float
-    chord: float
-    weight: float
+    rotation: Array  # shape (3, 3)
+    tolerance: float  # greatest distance
+    chord: float  # greatest squared chord of the rotations
+    weight: float  # weight of rotations, see SearchTarget
 
 
 class DistalSearch(NamedTuple):
-    """What a search of the distal table goes by.
+    """What a search of the distal table goes by."""
 
-    Attributes:
-        table: the distal table.
-        costs: cost of each module's states, shape (B, Kmax).
-        arm: configuration sets.
-    """
-
-    table: DistalTable
-    costs: Array
-    arm: ReachTables
+    table: DistalTable  # the distal table
+    costs: Array  # cost of each module's states, shape (B, Kmax)
+    arm: ReachTables  # configuration sets
 
 
 DISTAL = named(DistalTable, int64, int64, F2, F3, float64, F1, I1, I1, I1)

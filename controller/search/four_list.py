@@ -14,12 +14,21 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.search.cells import Cells, Index, filling
-from hyperbit.controller.search.frame_rows import Side, compose_all, coordinates, invert_all, motions
 from hyperbit.controller.search.matching import Sides, Span
-from hyperbit.controller.search.segment import Segment, Sets, build_segment, room, step
+from hyperbit.controller.search.segment import (
+    Segment,
+    Sets,
+    Side,
+    build_segment,
+    compose_all,
+    coordinates,
+    invert_all,
+    motions,
+    step,
+)
 from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.target import SearchTarget
-from hyperbit.controller.search.two_list import BAND_CELLS, TwoList, improve, middle, rows
+from hyperbit.controller.search.two_list import BAND_CELLS, TwoList, improve, middle, room_for
 
 Array = NDArray[np.float64]
 
@@ -34,18 +43,13 @@ LOOKUP = 3  # time to look up a pair in a full index, relative to an index of fe
 class FourList:
     """The rows of all quarters, in memory that is reused for each seed.
 
-    Attributes:
-        unexplored: least cost of a configuration of the lower and of the upper half that the quarters do not list.
-        unit: width of a layer.
-        layers: approximate number of configurations of lower and upper half by cost in units, shape (2, BINS).
-
-    Args:
-        manipulator: the arm.
-        cut: number of modules in the lower half.
+    The lower half has `cut` modules.
     """
 
+    # least cost of a configuration of the lower and of the upper half that the quarters do not list
     unexplored: tuple[float, float]
-    unit: float
+    unit: float  # width of a layer
+    # approximate number of configurations of lower and upper half by cost in units, shape (2, BINS)
     layers: tuple[Array, Array]
 
     def __init__(self, manipulator: Manipulator, cut: int) -> None:
@@ -53,15 +57,13 @@ class FourList:
         count, size = len(self._states), coordinates(self._motions)
         first, second = middle(manipulator, 0, cut), middle(manipulator, cut, count)
         self._ends = ((0, first), (first, cut), (cut, second), (second, count))
-        self._rows = [room(rows(manipulator, *ends, ROWS), self._motions.shape[1]) for ends in self._ends]
+        self._rows = [room_for(manipulator, *ends, ROWS) for ends in self._ends]
         self._above, self.below = (Cells(len(self._rows[k].costs), size) for k in (3, 0))
-        self._key: tuple[NDArray[np.generic], ...] = ()
-        self._sorted: tuple[float, ...] = ()
+        self._key: tuple[bytes, ...] = ()  # what is listed
         self.a: Side  # first quarter, inverse frames
         self.b: tuple[Side, Side]  # frames, and inverse frames
         self.c: tuple[Side, Side]
         self.d: Side
-        self._index: Index
 
     def claim(self) -> None:
         """Touches all memory, so that no search waits for page faults."""
@@ -69,18 +71,16 @@ class FourList:
             quarter.claim()
         self._above.claim()
         self.below.claim()
-        self._key = self._sorted = ()
+        self._key = ()
 
     def list(self, seed: Configuration, costs: Array) -> None:
         """Lists the cheapest configurations of the quarters; returns at once if they are listed already.
 
-        Args:
-            seed: the configuration of cost 0, shape (B,).
-            costs: cost of each module's states, shape (B, Kmax).
+        The seed (B,) costs 0, the states of the modules `costs` (B, Kmax).
         """
-        if self._key and all(map(np.array_equal, (seed, costs), self._key)):
+        if self._key == (seed.tobytes(), costs.tobytes()):
             return
-        self._key, self._sorted = (), ()  # until it is done
+        self._key = ()  # until it is done
         parts = [
             build_segment(Sets(self._motions, self._states, seed, costs, costs), quarter, *ends)
             for quarter, ends in zip(self._rows, self._ends, strict=True)
@@ -93,20 +93,15 @@ class FourList:
         most = max(float(low.costs[-1] + high.costs[-1]) for low, high in ((a, b), (c, self.d)))
         self.unit = max(least if least < np.inf else 1.0, most / (BINS - 2), 1e-300)
         self.layers = self._sizes(a, b), self._sizes(c, self.d)
-        self._key = (seed.copy(), costs.copy())
+        self._key = (seed.tobytes(), costs.tobytes())
 
     @property
     def count(self) -> int:
-        """Number of listed rows."""
         return sum(len(side.costs) for side in (self.a, self.b[0], self.c[0], self.d))
 
     def index(self, radius: float, chord: float) -> Index:
-        """Returns the index of the uppermost quarter, see Cells.fill; cached until the rows change."""
-        if self._sorted != (radius, chord):
-            self._sorted = ()
-            self._index = self._above.fill(self.d, radius, chord)
-            self._sorted = (radius, chord)
-        return self._index
+        """Returns the index of the uppermost quarter, see Cells.fill."""
+        return self._above.fill(self.d, radius, chord)
 
     def _sizes(self, low: Side, high: Side) -> Array:
         first, second = (
@@ -132,23 +127,14 @@ def seen(frame: Array, side: Side) -> Side:
 
 @dataclass(eq=False)
 class HalfStream:
-    """The configurations of one half in layers of rising cost, against cheap rows of the other half (the band).
+    """The configurations of one half in layers of rising cost, against cheap rows of the other half (the band)."""
 
-    Attributes:
-        upper: whether the upper half is streamed.
-        band: rows of the other half in the order of their costs, with the goal in their frames, or with their tips.
-        floor: least cost of the band.
-        done: cost up to which the half was streamed.
-        cells: memory for the index of the band.
-        index: index of the band; None until it is needed.
-    """
-
-    upper: bool
-    band: Side
-    floor: float
-    done: float
-    cells: Cells
-    index: Index | None = None
+    upper: bool  # whether the upper half is streamed
+    band: Side  # rows of the other half in the order of their costs, with the goal in their frames, or with their tips
+    floor: float  # least cost of the band
+    done: float  # cost up to which the half was streamed
+    cells: Cells  # memory for the index of the band
+    index: Index | None = None  # index of the band; None until it is needed
 
     @property
     def bound(self) -> float:
@@ -157,15 +143,10 @@ class HalfStream:
 
 
 class FourListProof:
-    """The streams for one goal. The stream with the lowest bound continues first.
+    """The streams for one goal and a seed (B,) of cost 0. The stream with the lowest bound continues first.
 
     Attributes:
         rest: least cost of a pair that is in no stream.
-
-    Args:
-        four: the quarters, listed for the seed.
-        target: the goal.
-        seed: the configuration of cost 0, shape (B,).
     """
 
     def __init__(self, four: FourList, target: SearchTarget, seed: Configuration) -> None:
@@ -176,7 +157,6 @@ class FourListProof:
 
     @property
     def begun(self) -> bool:
-        """Whether there are streams."""
         return len(self._streams) > 0
 
     def add(self, two: TwoList, floors: tuple[float, float], starts: tuple[float, float], most: float) -> None:

@@ -18,7 +18,7 @@ from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNT
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
 from hyperbit.controller.search.cells import GRID, INDEX, Grid, Index, corner_offsets, write_point
-from hyperbit.controller.search.frame_rows import SIDE, Side, compose
+from hyperbit.controller.search.segment import SIDE, Side, compose
 from hyperbit.controller.search.solution import EPSILON
 from hyperbit.controller.search.target import QUERY, SearchQuery, reaches
 
@@ -30,17 +30,11 @@ LOOKUP, VERIFIED, CLEARED = 4, 200, 1600
 
 
 class Matches(NamedTuple):
-    """The cheapest matches found so far.
+    """The cheapest matches found so far."""
 
-    Attributes:
-        rows: rows in outer, inner and index, shape (n, 3).
-        costs: shape (n,); infinite for an empty place.
-        squares: squared errors, shape (n,).
-    """
-
-    rows: Integers
-    costs: Array
-    squares: Array
+    rows: Integers  # rows in outer, inner and index, shape (n, 3)
+    costs: Array  # shape (n,); infinite for an empty place
+    squares: Array  # squared errors, shape (n,)
 
 
 class Sides(NamedTuple):
@@ -62,23 +56,14 @@ class Pair(NamedTuple):
 
 
 class Span(NamedTuple):
-    """The part of outer and inner to match. The rows of inner must be in the order of their costs.
+    """The part of outer and inner to match. The rows of inner must be in the order of their costs."""
 
-    Attributes:
-        outer: first row of outer.
-        outer_end: row after the last of outer.
-        inner: first row of inner.
-        inner_end: row after the last of inner.
-        low: least sum of the costs of an outer and an inner row.
-        high: the sum must be less.
-    """
-
-    outer: int
-    outer_end: int
-    inner: int
-    inner_end: int
-    low: float
-    high: float
+    outer: int  # first row of outer
+    outer_end: int  # row after the last of outer
+    inner: int  # first row of inner
+    inner_end: int  # row after the last of inner
+    low: float  # least sum of the costs of an outer and an inner row
+    high: float  # the sum must be less
 
 
 MATCHES = named(Matches, I2, F1, F1)

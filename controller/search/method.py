@@ -30,10 +30,7 @@ StageCosts = NDArray[np.float64]
 def stage_costs(method: PaperMethod | Variant, manipulator: Manipulator, previous: ArrayLike) -> StageCosts:
     """Returns the secondary criterion of a method: the cost of each module's states, shape (B, Kmax).
 
-    Args:
-        method: POP has no secondary criterion, so that all costs are 0.
-        manipulator: the arm.
-        previous: configuration to stay close to, shape (B,).
+    POP has no secondary criterion: all costs are 0. Others stay close to the configuration `previous` (B,).
     """
     bits, counts = manipulator.bits, np.zeros(manipulator.bits.shape[:2])
     if method == "ipop-previous":
@@ -48,35 +45,24 @@ def stage_costs(method: PaperMethod | Variant, manipulator: Manipulator, previou
 
 
 def cost_of_switches(switches: ArrayLike, weights: NDArray[np.float64], axis: int | tuple[int, ...] = (-2, -1)) -> Any:
-    """Returns the cost of switches: the sum of all weights, each times how often its actuator switches.
+    """Returns the cost of switches (..., B, Amax): the sum of all weights, each times how often its actuator switches.
 
-    Args:
-        switches: number of switches of each actuator, shape (..., B, Amax).
-        weights: cost of a switch of each actuator, shape (B, Amax), or with further axes to match `switches`.
-        axis: axes to sum over.
+    The weights have shape (B, Amax), or further axes to match `switches`. The sum is over `axis`.
     """
     return (np.asarray(switches) * weights).sum(axis=axis, dtype=float)
 
 
 def switch_costs(manipulator: Manipulator, previous: ArrayLike, weights: NDArray[np.float64]) -> StageCosts:
-    """Returns the cost of each module's states (B, Kmax): that of the switches to it.
+    """Returns the cost of each module's states (B, Kmax): that of the switches from a configuration (B,).
 
-    Args:
-        manipulator: the arm.
-        previous: configuration before, shape (B,).
-        weights: cost of a switch of each actuator, shape (B, Amax).
+    The weights (B, Amax) are the cost of a switch of each actuator.
     """
     own = manipulator.bits[np.arange(len(manipulator.modules)), np.asarray(previous)]
     return np.asarray(cost_of_switches(manipulator.bits != own[:, None], weights[:, None], axis=2))
 
 
 def costs_between_states(manipulator: Manipulator, weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns the cost of the switches between any two states of each module, shape (B, Kmax, Kmax).
-
-    Args:
-        manipulator: the arm.
-        weights: cost of a switch of each actuator, shape (B, Amax).
-    """
+    """Returns the cost of the switches between any two states of each module (B, Kmax, Kmax), for weights (B, Amax)."""
     bits = manipulator.bits
     return np.ascontiguousarray(cost_of_switches(bits[:, :, None] != bits[:, None], weights[:, None, None], axis=3))
 

@@ -17,14 +17,13 @@ from hyperbit.controller.obstacles.scene import collides
 from hyperbit.controller.search.branch_and_bound import BranchAndBound
 from hyperbit.controller.search.clock import CHANGED, INDEXED, LISTED, WALL, Clock
 from hyperbit.controller.search.four_list import FourList, FourListProof
-from hyperbit.controller.search.frame_rows import motions
 from hyperbit.controller.search.matching import load, put
 from hyperbit.controller.search.method import distances
 from hyperbit.controller.search.paths import Paths
-from hyperbit.controller.search.segment import Sets, build_segment, room
+from hyperbit.controller.search.segment import Sets, build_segment, motions
 from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.target import SearchTarget, search_radius
-from hyperbit.controller.search.two_list import TwoList, rows
+from hyperbit.controller.search.two_list import TwoList, room_for
 from hyperbit.controller.workspace.hull import Hull
 
 Array = NDArray[np.float64]
@@ -42,29 +41,16 @@ FAR = 1.0, 1.2  # above these multiples of the unexplored cost of pairs, beam se
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A goal and the costs of configurations.
+    """A goal and the costs of configurations."""
 
-    Attributes:
-        target: the goal.
-        seed: the configuration of cost 0, shape (B,).
-        costs: cost of each module's states, at least 0, shape (B, Kmax).
-        unreachable: whether the goal is known to be unreachable.
-    """
-
-    target: SearchTarget
-    seed: Configuration
-    costs: Array
-    unreachable: bool = False
+    target: SearchTarget  # the goal
+    seed: Configuration  # the configuration of cost 0, shape (B,)
+    costs: Array  # cost of each module's states, at least 0, shape (B, Kmax)
+    unreachable: bool = False  # whether the goal is known to be unreachable
 
 
 class MinimumSwitch:
-    """The minimum-switch search of one manipulator, with its memory.
-
-    Args:
-        manipulator: the arm.
-        hull: hull of its tips.
-        paths: POP, IPOP and beam search of this arm.
-    """
+    """The minimum-switch search of one manipulator, with its memory."""
 
     def __init__(self, manipulator: Manipulator, hull: Hull, paths: Paths) -> None:
         load(manipulator.planar)
@@ -145,7 +131,6 @@ class MinimumSwitch:
                 self._wander(problem, incumbent, most)
 
     def _two_lists(self, problem: Problem, incumbent: Incumbent) -> None:
-        """Matches the two lists near the seed."""
         if problem.unreachable:
             incumbent.prove(np.inf)
         elif not incumbent.late:
@@ -274,17 +259,12 @@ class MinimumSwitch:
 
 
 class Nearest:
-    """Local search for the nearest tip, by changes of few actuators at a time.
-
-    Args:
-        manipulator: the arm.
-        two: two lists that may be overwritten.
-    """
+    """Local search for the nearest tip, by changes of few actuators at a time; overwrites the two lists."""
 
     def __init__(self, manipulator: Manipulator, two: TwoList) -> None:
         self._m, self._motions, self._two = manipulator, motions(manipulator), two
         self._free = np.zeros(manipulator.bits.shape[:2])
-        self._rows = room(rows(manipulator, 0, len(manipulator.modules), NEAR), self._motions.shape[1])
+        self._rows = room_for(manipulator, 0, len(manipulator.modules), NEAR)
 
     def claim(self) -> None:
         """Touches all memory, so that no search waits for page faults."""

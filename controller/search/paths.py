@@ -3,35 +3,213 @@
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import float64, int64, njit, types
 from numpy.typing import NDArray
 
+from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, I2, UNCOUNTED, named
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-from hyperbit.controller.obstacles.scene import Scene
+from hyperbit.controller.obstacles.scene import Scene, for_scenes, module_collides, set_state
 from hyperbit.controller.search.clock import CHECKED, DESCENT, FINISHED, GROWN, WALL, Clock
-from hyperbit.controller.search.descent import Beam, DescentTables, beam_search, descend
 from hyperbit.controller.search.distal_table import DistalSearch, Wanted, build_distal_table, finish
 from hyperbit.controller.search.method import PaperMethod, StageCosts, Variant, mean_cost, stage_costs
 from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.target import SearchTarget
 from hyperbit.controller.workspace.densities import Densities
-from hyperbit.controller.workspace.reachability import levels_of, tables_of
+from hyperbit.controller.workspace.reachability import (
+    LEVELS,
+    POINT,
+    TABLES,
+    Levels,
+    ReachTables,
+    levels_of,
+    measure,
+    seen_from,
+    tables_of,
+)
 
-Vector = NDArray[np.float64]
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Point = tuple[float, float, float]
 
 # Thresholds of the primary criterion: expected number of configurations that end within the tolerance. A low threshold
 # leaves more choice to the secondary criterion. The next is tried if the tolerance was not reached. Infinity is POP.
 ENOUGH: tuple[float, ...] = (30.0, 1_000.0, 10_000.0, np.inf)
 
-BEAM, BEAM_TIME = 64, 0.05  # width and time [s] of the beam search if obstacles end the descents
+BEAM_WIDTH, BEAM_TIME = 64, 0.05  # width and time [s] of the beam search if obstacles end the descents
+UNREACHABLE = 1e12  # score of a node that cannot reach the goal: worse than that of any node that can
+
+
+class DescentTables(NamedTuple):
+    """What a descent goes by."""
+
+    arm: ReachTables  # configuration sets
+    levels: Levels  # densities
+    costs: Array  # cost of each module's states, shape (B, Kmax)
+    depth: int  # number of modules to decide
+
+
+class Beam(NamedTuple):
+    """The nodes of one level of a beam search, the best first."""
+
+    configurations: Index  # shape (W, B)
+    wanted: Array  # position of the goal in the frame of each node, shape (W, 3)
+    costs: Array  # cost of each node, shape (W,)
+
+
+class Children(NamedTuple):
+    """Scratch: the children of a beam's nodes."""
+
+    parents: Index  # node of each child, shape (n,)
+    choices: Index  # its state of the last module, shape (n,)
+    scores: Array  # shape (n,)
+    wanted: Array  # position of the goal in its frame, shape (n, 3)
+    costs: Array  # shape (n,)
+
+
+DESCENT_TABLES = named(DescentTables, TABLES, LEVELS, F2, int64)
+BEAM = named(Beam, I2, F2, F1)
+CHILDREN = named(Children, I1, I1, F1, F2, F1)
+CHOICE: Any = types.Tuple((int64, POINT))  # type: ignore[no-untyped-call]
+
+
+@njit(
+    for_scenes(lambda scene: CHOICE(DESCENT_TABLES, int64, POINT, float64, scene)),
+    **UNCOUNTED,
+    error_model="numpy",
+)
+def best_state(tables: DescentTables, i: int, goal: Point, threshold: float, scene: Scene | None) -> tuple[int, Point]:
+    """Returns the best clear state of module i, -1 if all collide, and the goal in the frame above it.
+
+    Among states whose measure is at least the threshold, the one with the least cost is the best. Ties are broken by
+    the greater measure. If no state reaches the threshold, the one with the greatest measure is the best.
+    """
+    rotations, translations, states = tables.arm
+    best, best_measure, best_cost, best_passes, best_goal = -1, 0.0, 0.0, False, goal
+    for j in range(states[i]):
+        seen = seen_from(rotations[i, j], translations[i, j], goal[0], goal[1], goal[2])
+        m, cost = measure(tables.levels, i + 1, seen[0], seen[1], seen[2]), tables.costs[i, j]
+        passes = m >= threshold
+        if best < 0:
+            better = True
+        elif passes != best_passes:
+            better = passes
+        elif passes and cost != best_cost:
+            better = cost < best_cost
+        else:
+            better = m > best_measure
+        if scene is not None and better:
+            scene.states[i] = j
+            better = not module_collides(scene, i)
+        if better:
+            best, best_measure, best_cost, best_passes, best_goal = j, m, cost, passes, seen
+    return best, best_goal
+
+
+@njit(
+    for_scenes(lambda scene: POINT(POINT, DESCENT_TABLES, F1, I1, scene)),
+    **UNCOUNTED,
+    error_model="numpy",
+)
+def descend(goal: Point, tables: DescentTables, thresholds: Array, configuration: Index, scene: Scene | None) -> Point:
+    """Decides modules 1 to `depth`; writes their states to `configuration` (B,), returns the goal in frame F_depth.
+
+    Each module takes its best state, see best_state. If all states of a module collide, the descent ends and returns
+    NaN. `goal` is in frame F_0. `thresholds` (B+1,) of the primary criterion are those of the levels; POP has infinite
+    thresholds. The costs of the tables are the secondary criterion.
+    """
+    for i in range(tables.depth):
+        best, goal = best_state(tables, i, goal, thresholds[i + 1], scene)
+        if scene is not None:
+            if best < 0:
+                return np.nan, np.nan, np.nan
+            set_state(scene, i, best)
+        configuration[i] = best
+    return goal
+
+
+@njit(
+    for_scenes(lambda scene: int64(DESCENT_TABLES, int64, float64, BEAM, int64, CHILDREN, scene)),
+    **UNCOUNTED,
+    error_model="numpy",
+)
+def expand(
+    tables: DescentTables, i: int, worth: float, beam: Beam, count: int, children: Children, scene: Scene | None
+) -> int:
+    """Writes the clear children of the first `count` nodes, which decide module i; returns their number."""
+    rotations, translations, states = tables.arm
+    configurations, wanted, costs = beam
+    born = 0
+    for n in range(count):
+        if scene is not None:
+            for k in range(i):
+                set_state(scene, k, configurations[n, k])
+        for j in range(states[i]):
+            if scene is not None:
+                scene.states[i] = j
+                if module_collides(scene, i):
+                    continue
+            x, y, z = seen_from(rotations[i, j], translations[i, j], wanted[n, 0], wanted[n, 1], wanted[n, 2])
+            m, cost = measure(tables.levels, i + 1, x, y, z), costs[n] + tables.costs[i, j]
+            children.parents[born], children.choices[born], children.costs[born] = n, j, cost
+            children.wanted[born, 0], children.wanted[born, 1], children.wanted[born, 2] = x, y, z
+            children.scores[born] = cost - worth * m if m >= 0 else UNREACHABLE - m
+            born += 1
+    return born
+
+
+@njit(types.void(CHILDREN, I1, int64, BEAM, I2), cache=True, nogil=True)
+def replace_nodes(children: Children, chosen: Index, i: int, beam: Beam, before: Index) -> None:
+    """Replaces the nodes of a beam by chosen children (n,), which decide module i; `before` (W, B) is scratch."""
+    configurations, wanted, costs = beam
+    for n in range(len(costs)):
+        for j in range(i):
+            before[n, j] = configurations[n, j]
+    for n in range(len(chosen)):
+        child = chosen[n]
+        for j in range(i):
+            configurations[n, j] = before[children.parents[child], j]
+        configurations[n, i], costs[n] = children.choices[child], children.costs[child]
+        for a in range(3):
+            wanted[n, a] = children.wanted[child, a]
+
+
+@njit(
+    for_scenes(lambda scene: int64(F1, DESCENT_TABLES, float64, BEAM, scene)),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def beam_search(goal: Array, tables: DescentTables, worth: float, beam: Beam, scene: Scene | None) -> int:
+    """Decides modules 1 to `depth` of up to W configurations at once: a beam search of the configuration tree.
+
+    The score of a node is its cost less `worth` times its measure. Of all clear children of a level, the W with the
+    least scores survive. Returns the number of configurations that can reach the goal (3,), given in frame F_0.
+    `worth` is the cost of one unit of the measure. The beam is written, with the goal in frame F_depth.
+    """
+    width, before = len(beam.costs), np.zeros_like(beam.configurations)
+    most = width * tables.arm.states.max()
+    whole, parts = np.empty((2, most), dtype=np.int64), np.empty((2, most))
+    children = Children(whole[0], whole[1], parts[0], np.empty((most, 3)), parts[1])
+    beam.wanted[0, 0], beam.wanted[0, 1], beam.wanted[0, 2] = goal[0], goal[1], goal[2]
+    beam.costs[0], count = 0.0, 1
+    for i in range(tables.depth):
+        born = expand(tables, i, worth, beam, count, children, scene)
+        order = np.argsort(children.scores[:born])
+        count = min(born, width)
+        if i == tables.depth - 1:  # drop configurations that cannot reach the goal
+            while count > 0 and children.scores[order[count - 1]] >= UNREACHABLE:
+                count -= 1
+        replace_nodes(children, order[:count], i, beam, before)
+    return count
 
 
 class Paths:
     """POP, IPOP and a beam search of one manipulator; holds the distal table."""
 
     def __init__(self, manipulator: Manipulator, densities: Densities) -> None:
-        """Builds the distal table."""
         self.manipulator = manipulator
         self.densities = densities
         self.table = build_distal_table(manipulator)
@@ -44,13 +222,7 @@ class Paths:
         """Returns the first configuration within the tolerances as the threshold rises, otherwise the nearest found.
 
         With obstacles the descents and a beam search first accept only configurations within the tolerances, then the
-        nearest. The result is `previous` if all paths are blocked.
-
-        Args:
-            target: the goal.
-            previous: configuration to stay close to, shape (B,).
-            method: the algorithm, and for IPOP the secondary criterion.
-            clock: of the search.
+        nearest. The result is `previous` (B,) if all paths are blocked; the secondary criteria stay close to it.
         """
         best, aim, ladder = previous, target, ENOUGH
         most = least = np.inf if target.scene is None else within_squares(target)
@@ -71,18 +243,10 @@ class Paths:
         return best
 
     def widen(self, target: SearchTarget, costs: StageCosts, width: int, incumbent: Incumbent) -> None:
-        """Offers the configurations of a beam search to the incumbent.
-
-        Args:
-            target: the goal.
-            costs: cost of each module's states, shape (B, Kmax).
-            width: width of the beam.
-            incumbent: the best so far.
-        """
+        """Offers the configurations of a beam search to the incumbent; `costs` (B, Kmax) are those of the states."""
         modules = np.arange(len(self.manipulator.modules))
         most, worth, clock = within_squares(target), mean_cost(self.manipulator, costs), incumbent.clock
-        clock.charge(self._growth(width))
-        for configuration, wanted, price in self._beam(target.position, target.scene, costs, worth, width):
+        for configuration, wanted, price in self._beam(target.position, target.scene, costs, worth, width, clock):
             if price < incumbent.cost:
                 square, within = self.finish(wanted, target, costs, configuration, most, clock)
                 cost = float(costs[modules, configuration].sum())
@@ -91,7 +255,7 @@ class Paths:
 
     def finish(
         self,
-        wanted: Vector,
+        wanted: Array,
         target: SearchTarget,
         costs: StageCosts,
         configuration: Configuration,
@@ -112,16 +276,10 @@ class Paths:
     ) -> tuple[Configuration, float]:
         """Returns the first configuration of a beam with a squared error below `most`, and this error.
 
-        Args:
-            target: the goal.
-            costs: the secondary criterion, shape (B, Kmax).
-            best: returned with `most` if there is none, shape (B,).
-            most: squared error.
-            clock: of the search.
+        If there is none, `best` and `most` are returned.
         """
         towards, until = self._towards(target.position), clock.now() + BEAM_TIME
-        clock.charge(self._growth(BEAM))
-        for configuration, wanted, _ in self._beam(towards, target.scene, costs, 1.0, BEAM):
+        for configuration, wanted, _ in self._beam(towards, target.scene, costs, 1.0, BEAM_WIDTH, clock):
             square, _ = self.finish(wanted, target, costs, configuration, most, clock)
             if square < most:
                 return configuration, square
@@ -130,31 +288,19 @@ class Paths:
         return best, most
 
     def _beam(
-        self, goal: Vector, scene: Scene | None, costs: StageCosts, worth: float, width: int
-    ) -> Iterator[tuple[Configuration, Vector, float]]:
+        self, goal: Array, scene: Scene | None, costs: StageCosts, worth: float, width: int, clock: Clock
+    ) -> Iterator[tuple[Configuration, Array, float]]:
         """Yields the configurations of a beam search below the table, the goal in frame F_root, and the costs so far.
 
-        Args:
-            goal: position in frame F_0, shape (3,).
-            scene: obstacles.
-            costs: cost of each module's states, shape (B, Kmax).
-            worth: cost that one unit of the measure is worth.
-            width: width of the beam.
+        `goal` (3,) is in frame F_0, `worth` the cost that one unit of the measure is worth.
         """
+        clock.charge(GROWN * width * int(self.manipulator.states[: self.table.root].sum()))
         configurations = np.zeros((width, len(self.manipulator.modules)), dtype=np.int64)
         beam = Beam(configurations, np.zeros((width, 3)), np.zeros(width))
-        count = beam_search(goal, self._tables(costs), worth, beam, scene)
+        count = beam_search(goal, DescentTables(self._arm, self._levels, costs, self.table.root), worth, beam, scene)
         yield from zip(configurations[:count], beam.wanted, beam.costs.tolist(), strict=False)
 
-    def _growth(self, width: int) -> float:
-        """Returns the price of a beam of some width."""
-        return GROWN * width * int(self.manipulator.states[: self.table.root].sum())
-
-    def _tables(self, costs: StageCosts) -> DescentTables:
-        """Returns what a descent to the distal table's root goes by."""
-        return DescentTables(self._arm, self._levels, costs, self.table.root)
-
-    def _towards(self, goal: Vector) -> Vector:
+    def _towards(self, goal: Array) -> Array:
         """Returns `goal`, or for a goal outside the box of W_0 the centre (3,) of the nearest pixel with points.
 
         Outside the box all densities are 0, and distances to the boxes would mislead the descent.
@@ -175,7 +321,8 @@ class Paths:
         x, y, z = self._towards(target.position).tolist()
         thresholds = self._thresholds(target, enough)
         clock.charge(DESCENT)
-        wanted = descend((x, y, z), self._tables(costs), thresholds, configuration, target.scene)
+        tables = DescentTables(self._arm, self._levels, costs, self.table.root)
+        wanted = descend((x, y, z), tables, thresholds, configuration, target.scene)
         if math.isnan(wanted[0]):
             return configuration, most, False
         square, within = self.finish(np.array(wanted), target, costs, configuration, most, clock)

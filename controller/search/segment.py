@@ -1,4 +1,7 @@
-"""Lists of a segment's configurations with their frames: breadth-first from a seed, up to a budget of distance."""
+"""Lists of a segment's configurations with their frames: breadth-first from a seed, up to a budget of distance.
+
+A frame is a row of numbers: (x, y, cos, sin) for planar arms, (x, y, z, R row by row) for spatial arms.
+"""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -7,9 +10,8 @@ import numpy as np
 from numba import float64, int32, int64, njit, types
 from numpy.typing import NDArray
 
-from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, named
-from hyperbit.controller.manipulator.manipulator import Configuration
-from hyperbit.controller.search.frame_rows import Side, compose, invert
+from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, S1, named
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -18,31 +20,103 @@ Index32 = NDArray[np.int32]
 BINS = 512
 
 
+class Side(NamedTuple):
+    """Configurations of one segment of the arm, modules first+1 to last, for kernels."""
+
+    frames: Array  # frames to compare, shape (n, 4) or (n, 12)
+    costs: Array  # shape (n,)
+    rows: NDArray[np.int64]  # row of each configuration in the segment, shape (n,)
+    first: int  # number of modules below the segment
+    last: int  # number of modules up to its end
+    parents: Index32  # see Segment
+    modules: Index32  # see Segment
+    choices: Index32  # see Segment
+
+
+SIDE = named(Side, F2, F1, I1, int64, int64, S1, S1, S1)
+NO_ROWS = np.zeros(1, dtype=np.int32)
+
+
+def fixed(frame: Array) -> Side:
+    """Returns the side of a single frame (4,) or (12,) without modules, such as the goal."""
+    return Side(frame[None].copy(), np.zeros(1), np.zeros(1, dtype=np.int64), 0, 0, NO_ROWS, NO_ROWS, NO_ROWS)
+
+
+def motions(manipulator: Manipulator) -> Array:
+    """Returns the frames of all states as rows, module by module, shape (B * Kmax, 4) or (B * Kmax, 12)."""
+    r, b = manipulator.rotations.reshape(-1, 3, 3), manipulator.translations.reshape(-1, 3)
+    parts = (b[:, :2], r[:, :2, 0]) if manipulator.planar else (b, r.reshape(-1, 9))
+    return np.concatenate(parts, axis=1)
+
+
+def coordinates(frames: Array) -> int:
+    """Returns the number of coordinates of a position for frames as rows (..., 4 or 12)."""
+    return 2 if frames.shape[-1] == 4 else 3
+
+
+# The next two kernels take array and row number: numba would count references of slices.
+@njit("void(f8[:,::1], i8, f8[:,::1], i8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
+def compose(a: Array, i: int, b: Array, j: int, out: Array, k: int) -> None:
+    """Writes the product of frames a[i] and b[j] to out[k], which must be another row."""
+    if out.shape[1] == 4:
+        x, y, c, s = a[i, 0], a[i, 1], a[i, 2], a[i, 3]
+        out[k, 0] = x + c * b[j, 0] - s * b[j, 1]
+        out[k, 1] = y + s * b[j, 0] + c * b[j, 1]
+        out[k, 2] = c * b[j, 2] - s * b[j, 3]
+        out[k, 3] = s * b[j, 2] + c * b[j, 3]
+    else:
+        for m in range(3):
+            p, q, r = a[i, 3 + 3 * m], a[i, 4 + 3 * m], a[i, 5 + 3 * m]
+            out[k, m] = a[i, m] + p * b[j, 0] + q * b[j, 1] + r * b[j, 2]
+            for n in range(3):
+                out[k, 3 + 3 * m + n] = p * b[j, 3 + n] + q * b[j, 6 + n] + r * b[j, 9 + n]
+
+
+@njit("void(f8[:,::1], i8, f8[:,::1], i8)", cache=True, nogil=True, inline="always")
+def invert(a: Array, i: int, out: Array, k: int) -> None:
+    """Writes the inverse of frame a[i] to out[k], which must be another row."""
+    if out.shape[1] == 4:
+        x, y, c, s = a[i, 0], a[i, 1], a[i, 2], a[i, 3]
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = -c * x - s * y, s * x - c * y, c, -s
+    else:
+        for m in range(3):
+            out[k, m] = -a[i, 3 + m] * a[i, 0] - a[i, 6 + m] * a[i, 1] - a[i, 9 + m] * a[i, 2]
+            for n in range(3):
+                out[k, 3 + 3 * m + n] = a[i, 3 + 3 * n + m]
+
+
+@njit("void(f8[:,::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True, fastmath={"contract"})
+def compose_all(frames: Array, frame: Array, out: Array) -> None:
+    """Writes the products of frames (n, 4 or 12) and frame[0] to `out`."""
+    for n in range(len(frames)):
+        compose(frames, n, frame, 0, out, n)
+
+
+@njit("void(f8[:,::1])", cache=True, nogil=True)
+def invert_all(frames: Array) -> None:
+    """Replaces frames (n, 4 or 12) by their inverses."""
+    other = np.empty((1, frames.shape[1]))
+    for n in range(len(frames)):
+        invert(frames, n, other, 0)
+        for a in range(frames.shape[1]):
+            frames[n, a] = other[0, a]
+
+
 @dataclass(frozen=True, eq=False)
 class Segment:
     """All configurations of modules first+1 to last within some distance of the seed.
 
     Row 0 is the seed. Each other row changes one module of its parent row, above all modules changed there.
-
-    Attributes:
-        first: number of modules below the segment.
-        last: number of modules up to its end.
-        parents: parent row, shape (n,).
-        modules: the changed module, counted from 0, shape (n,).
-        choices: the new state of this module, shape (n,).
-        costs: sum of the costs of the segment's states, shape (n,).
-        frames: F_last in F_first, see frame_rows, shape (n, 4) or (n, 12).
-        unexplored: least distance of a configuration that is not listed; infinite if all are.
     """
 
-    first: int
-    last: int
-    parents: Index32
-    modules: Index32
-    choices: Index32
-    costs: Array
-    frames: Array
-    unexplored: float
+    first: int  # number of modules below the segment
+    last: int  # number of modules up to its end
+    parents: Index32  # parent row, shape (n,)
+    modules: Index32  # the changed module, counted from 0, shape (n,)
+    choices: Index32  # the new state of this module, shape (n,)
+    costs: Array  # sum of the costs of the segment's states, shape (n,)
+    frames: Array  # F_last in F_first, see segment, shape (n, 4) or (n, 12)
+    unexplored: float  # least distance of a configuration that is not listed; infinite if all are
 
     def side(self, rows: Index | None = None) -> Side:
         """Returns the segment, or some of its rows (n,), for kernels."""
@@ -53,23 +127,14 @@ class Segment:
 
 
 class Rows(NamedTuple):
-    """Memory for the rows of a segment. It is reused, as page faults of fresh memory would take longer than the writes.
+    """Memory for the rows of a segment. It is reused: page faults of fresh memory would take longer than the writes."""
 
-    Attributes:
-        parents: see Segment.
-        modules: see Segment.
-        choices: see Segment.
-        lengths: distances from the seed, shape (n,).
-        costs: see Segment.
-        frames: see Segment.
-    """
-
-    parents: Index32
-    modules: Index32
-    choices: Index32
-    lengths: Array
-    costs: Array
-    frames: Array
+    parents: Index32  # see Segment
+    modules: Index32  # see Segment
+    choices: Index32  # see Segment
+    lengths: Array  # distances from the seed, shape (n,)
+    costs: Array  # see Segment
+    frames: Array  # see Segment
 
     def claim(self, rows: int | None = None) -> None:
         """Touches the memory of `rows` rows, or of all, so that no search waits for page faults."""
@@ -78,44 +143,26 @@ class Rows(NamedTuple):
 
 
 class Sets(NamedTuple):
-    """The input of a segment.
+    """The input of a segment."""
 
-    Attributes:
-        motions: frames of all states as rows, shape (B * Kmax, 4) or (B * Kmax, 12).
-        states: K_i, shape (B,).
-        seed: configuration, shape (B,).
-        distances: distance of each module's states from the seed's state, shape (B, Kmax).
-        costs: cost of each module's states, shape (B, Kmax).
-    """
-
-    motions: Array
-    states: Index
-    seed: Configuration
-    distances: Array
-    costs: Array
+    motions: Array  # frames of all states as rows, shape (B * Kmax, 4) or (B * Kmax, 12)
+    states: Index  # K_i, shape (B,)
+    seed: Configuration  # configuration, shape (B,)
+    distances: Array  # distance of each module's states from the seed's state, shape (B, Kmax)
+    costs: Array  # cost of each module's states, shape (B, Kmax)
 
 
 class Ranked(NamedTuple):
-    """Scratch: for each module of a segment the states other than the seed's, nearest first.
+    """Scratch: for each module of a segment the states other than the seed's, nearest first."""
 
-    Attributes:
-        states: shape (size, Kmax).
-        distances: distance from the seed's state, infinite after the last, shape (size, Kmax).
-        costs: additional cost, shape (size, Kmax).
-        frames: from the module's bottom to the segment's end, with all modules above at the seed, shape
-            (size * Kmax, 4 or 12).
-        nearest: least distance of a change of this module or a later one, shape (size + 1,).
-        rest: frames from each module's bottom to the segment's end at the seed, shape (size + 1, 4 or 12).
-        back: their inverses.
-    """
-
-    states: Index32
-    distances: Array
-    costs: Array
+    states: Index32  # shape (size, Kmax)
+    distances: Array  # distance from the seed's state, infinite after the last, shape (size, Kmax)
+    costs: Array  # additional cost, shape (size, Kmax)
+    # from the module's bottom to the segment's end, with all modules above at the seed, shape (size * Kmax, 4 or 12)
     frames: Array
-    nearest: Array
-    rest: Array
-    back: Array
+    nearest: Array  # least distance of a change of this module or a later one, shape (size + 1,)
+    rest: Array  # frames from each module's bottom to the segment's end at the seed, shape (size + 1, 4 or 12)
+    back: Array  # their inverses
 
 
 RANKED = named(Ranked, int32[:, ::1], F2, F2, F2, F1, F2, F2)
@@ -131,14 +178,10 @@ def room(rows: int, width: int) -> Rows:
 
 
 def build_segment(sets: Sets, rows: Rows, first: int, last: int, most: int | None = None) -> Segment:
-    """Returns the configurations nearest to the seed; all configurations of one distance, or none of them.
+    """Returns the configurations of modules first+1 to last nearest to the seed.
 
-    Args:
-        sets: modules, seed, distances and costs.
-        rows: overwritten; the segment refers to this memory.
-        first: number of modules below the segment.
-        last: number of modules up to its end.
-        most: most configurations besides the seed; None: as many as fit.
+    All configurations of one distance are listed, or none of them; beside the seed at most `most`, or as many as fit.
+    `rows` is overwritten: the segment refers to this memory.
     """
     size = len(rows.costs) if most is None else min(most + 1, len(rows.costs))
     # Distances are counted in eighths of the least: exact for equal weights, nearly exact for others.

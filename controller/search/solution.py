@@ -24,31 +24,21 @@ def proves(bound: float, cost: float) -> bool:
 
 
 class SearchTime(NamedTuple):
-    """How long one minimum-switch search may take, from its start [s]. A proof ends it sooner.
+    """How long one minimum-switch search may take, from its start [s]. A proof ends it sooner."""
 
-    Attributes:
-        first: time in any case, except for `most`.
-        per_switch: further time for each switch that, by the lower bound, may still be saved.
-        unfound: time as long as no configuration within the tolerances is found.
-        most: the deadline.
-        by_work: whether all times are work, see WorkClock.
-    """
-
-    first: float
-    per_switch: float = 0.0
-    unfound: float = 0.0
-    most: float = math.inf
-    by_work: bool = False
+    first: float  # time in any case, except for `most`
+    per_switch: float = 0.0  # further time for each switch that, by the lower bound, may still be saved
+    unfound: float = 0.0  # time as long as no configuration within the tolerances is found
+    most: float = math.inf  # the deadline
+    by_work: bool = False  # whether all times are work, see WorkClock
 
     def clock(self) -> Clock:
-        """Returns a clock for one search."""
         return WorkClock() if self.by_work else WALL
 
     def allowed(self, gap: float) -> float:
-        """Returns the time of a search [s].
+        """Returns the time of a search [s] for the number of switches that may still be saved.
 
-        Args:
-            gap: number of switches that may still be saved; infinite if no configuration is found.
+        The gap is infinite if no configuration is found.
         """
         found = self.first + gap * self.per_switch if gap < math.inf else max(self.first, self.unfound)
         return min(found, self.most)
@@ -94,7 +84,6 @@ class Incumbent:
 
     @property
     def late(self) -> bool:
-        """Whether the deadline has passed."""
         return self.remaining() < 0.0
 
     @property
@@ -128,44 +117,30 @@ class Incumbent:
         return False
 
     def prove(self, bound: float) -> None:
-        """Raises the bound to `bound` if it is lower."""
         self.bound = max(self.bound, bound)
         self._postpone()
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The answer of a search for one goal.
+    """The answer of a search for one goal."""
 
-    Attributes:
-        configuration: module states, base first, shape (B,).
-        tip: frame of the tip in the world, shape (4, 4).
-        error: distance of the tip from the goal.
-        switches: number of actuators that differ from the previous configuration; in a plan the number of all switches
-            of the transition, those of a detour included.
-        within_tolerance: whether error and angle are within the tolerances, and the configuration is clear.
-        seconds: time of the search [s].
-        cost: weighted number of `switches`.
-        bound: proven lower bound of the cost of all clear configurations within the tolerances, on any way to them;
-            infinite if there are none, 0 if nothing is proven.
-        angle: angle between the orientations of tip and goal [rad]; 0 for a goal without orientation.
-        clear: whether the arm collides with nothing. If not, the search has found no clear configuration.
-        dimension: 2 for a planar arm, 3 for a spatial arm.
-        effort: work of the search, if it was limited by work; None: it was limited by time.
-    """
-
-    configuration: Configuration
-    tip: Frame
-    error: float
+    configuration: Configuration  # module states, base first, shape (B,)
+    tip: Frame  # frame of the tip in the world, shape (4, 4)
+    error: float  # distance of the tip from the goal
+    # number of actuators that differ from the previous configuration; in a plan the number of all switches of the
+    # transition, those of a detour included
     switches: int
-    within_tolerance: bool
-    seconds: float
-    cost: float
+    within_tolerance: bool  # whether error and angle are within the tolerances, and the configuration is clear
+    seconds: float  # time of the search [s]
+    cost: float  # weighted number of `switches`
+    # proven lower bound of the cost of all clear configurations within the tolerances, on any way to them; infinite if
+    # there are none, 0 if nothing is proven
     bound: float = 0.0
-    angle: float = 0.0
-    clear: bool = True
-    dimension: int = 3
-    effort: float | None = None
+    angle: float = 0.0  # angle between the orientations of tip and goal [rad]; 0 for a goal without orientation
+    clear: bool = True  # whether the arm collides with nothing. If not, the search has found no clear configuration.
+    dimension: int = 3  # 2 for a planar arm, 3 for a spatial arm
+    effort: float | None = None  # work of the search, if it was limited by work; None: it was limited by time
 
     @property
     def position(self) -> Array:

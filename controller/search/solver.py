@@ -20,15 +20,14 @@ from hyperbit.controller.search.minimum_switch import MinimumSwitch, Problem
 from hyperbit.controller.search.paths import Paths
 from hyperbit.controller.search.solution import EPSILON, UNFOUND, Incumbent, SearchTime, Solution
 from hyperbit.controller.search.target import SearchTarget, distance
-from hyperbit.controller.search.two_list import Candidates
+from hyperbit.controller.search.two_list import TwoList
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.hull import build_hull
 
 Vector = NDArray[np.float64]
 
-IDENTITY = np.eye(4)
-
 TIMEOUT = 0.05  # [s]
+CANDIDATE_ROWS = 1 << 12  # rows of each half among which candidates are matched
 
 
 class Solver:
@@ -52,11 +51,8 @@ class Solver:
     ) -> None:
         """Builds the tables.
 
-        Args:
-            manipulator: the arm.
-            densities: densities of its intermediate workspaces.
-            weights: cost of a switch of each actuator, positive, shape (A,); None: all 1.
-            clearance: obstacles of this arm. The answers are clear even if the previous configuration is not.
+        `weights` (A,) are the positive costs of a switch of each actuator; None: all 1. Answers are clear of the
+        obstacles of `clearance` even if the previous configuration is not.
         """
         self.manipulator = manipulator
         self.clearance, self._scene = clearance, scene_of(manipulator, clearance)
@@ -69,7 +65,6 @@ class Solver:
         self._paths = Paths(manipulator, densities)
         self._hull = build_hull(manipulator)
         self._to_base = inverse(manipulator.base)
-        self._candidates: tuple[int, Candidates] | None = None
 
     def avoiding(self, clearance: BodyClearance | None) -> "Solver":
         """Returns a solver with other obstacles.
@@ -83,8 +78,9 @@ class Solver:
     def another(self) -> "Solver":
         """Returns a solver with the same tables but its own memory. Both may search at the same time."""
         other = copy(self)
-        vars(other).pop("_minimum", None)
-        other._candidates, other._scene = None, scene_of(self.manipulator, self.clearance)
+        for memory in ("_minimum", "_candidate_lists"):
+            vars(other).pop(memory, None)
+        other._scene = scene_of(self.manipulator, self.clearance)
         return other
 
     def prepare(self) -> None:
@@ -92,11 +88,9 @@ class Solver:
         self._minimum.claim()
 
     def expect(self, previous: ArrayLike, tolerance: float) -> Iterator[None]:
-        """Prepares a minimum-switch search from a configuration, step by step, before its goal is known.
+        """Prepares a minimum-switch search from a configuration (B,), step by step, before its goal is known.
 
-        Args:
-            previous: configuration before the goal, shape (B,).
-            tolerance: expected tolerance of the goal.
+        `tolerance` is the one that is expected.
         """
         seed = np.asarray(previous, dtype=np.int64)
         costs = switch_costs(self.manipulator, seed, self.weights)
@@ -113,16 +107,15 @@ class Solver:
         Raises:
             ValueError: the goal has the wrong number of coordinates, or leaves the plane of a planar arm.
         """
-        given, frame = np.asarray(goal, dtype=float), IDENTITY.copy()
-        arm = "planar" if self.manipulator.planar else "spatial"
+        given, frame, size = np.asarray(goal, dtype=float), np.eye(4), self.manipulator.dimension
         if given.shape == (4, 4):
             frame = np.ascontiguousarray(given)
             if self.manipulator.planar and not np.allclose(frame[2], (0, 0, 1, 0), atol=1e-9):
                 raise ValueError("the arm is planar, but the goal's frame is not in the plane z = 0")
-        elif given.shape == (self.manipulator.dimension,):
-            frame[: len(given), 3] = given
+        elif given.shape == (size,):
+            frame[:size, 3] = given
         else:
-            size = self.manipulator.dimension
+            arm = "planar" if self.manipulator.planar else "spatial"
             raise ValueError(
                 f"a goal of a {arm} arm is a position ({size},) or a frame (4, 4), got shape {given.shape}"
             )
@@ -184,10 +177,9 @@ class Solver:
         The search is limited to configurations near `previous`; it may find none. The last value is whether there are
         no others.
         """
-        if self._candidates is None or self._candidates[0] != most:
-            self._candidates = (most, Candidates(self.manipulator, most))
-        costs = switch_costs(self.manipulator, previous, self.weights)
-        return self._candidates[1].find(target, np.asarray(previous, dtype=np.int64), costs)
+        seed, costs = np.asarray(previous, dtype=np.int64), switch_costs(self.manipulator, previous, self.weights)
+        self._candidate_lists.list(seed, costs, costs)
+        return self._candidate_lists.cheapest(target, most)
 
     def described(self, configuration: Configuration, target: SearchTarget, previous: Configuration) -> Solution:
         """Returns a given configuration (B,) as the solution of a target, without a bound; see solve."""
@@ -231,6 +223,10 @@ class Solver:
         return float(cost_of_switches(self.manipulator.per_module(counts), self.weights))
 
     @cached_property
+    def _candidate_lists(self) -> TwoList:
+        return TwoList(self.manipulator, CANDIDATE_ROWS)
+
+    @cached_property
     def _minimum(self) -> MinimumSwitch:
         return MinimumSwitch(self.manipulator, self._hull, self._paths)
 
@@ -245,7 +241,6 @@ def search_time(first: float, per_switch: float = 0.0, deadline: float | None = 
 def search_effort(effort: float) -> SearchTime:
     """Returns the work of a search that goes on until that of UNFOUND as long as nothing is found.
 
-    Args:
-        effort: work of the search for fewest switches; one unit takes about EFFORT seconds on an ordinary computer.
+    One unit of `effort` takes about EFFORT seconds on an ordinary computer.
     """
     return search_time(effort * EFFORT)._replace(by_work=True)

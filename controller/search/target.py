@@ -24,27 +24,16 @@ SLACK = 1e-11
 
 
 class SearchQuery(NamedTuple):
-    """A goal for kernels.
+    """A goal for kernels."""
 
-    Attributes:
-        base: frame F_0 in the world, shape (4, 4).
-        frames: configuration sets, shape (B, Kmax, 4, 4).
-        goal: frame in the world, shape (4, 4).
-        tolerance: greatest distance.
-        angle_tolerance: greatest angle [rad]; infinite without orientation.
-        radius: search radius, slightly more than the tolerance.
-        chord: greatest squared chord of the search, slightly more than that of the angle tolerance.
-        weight: weight of rotations, see SearchTarget.
-    """
-
-    base: Array
-    frames: Array
-    goal: Array
-    tolerance: float
-    angle_tolerance: float
-    radius: float
-    chord: float
-    weight: float
+    base: Array  # frame F_0 in the world, shape (4, 4)
+    frames: Array  # configuration sets, shape (B, Kmax, 4, 4)
+    goal: Array  # frame in the world, shape (4, 4)
+    tolerance: float  # greatest distance
+    angle_tolerance: float  # greatest angle [rad]; infinite without orientation
+    radius: float  # search radius, slightly more than the tolerance
+    chord: float  # greatest squared chord of the search, slightly more than that of the angle tolerance
+    weight: float  # weight of rotations, see SearchTarget
 
 
 QUERY = named(SearchQuery, F2, F4, F2, float64, float64, float64, float64, float64)
@@ -56,24 +45,16 @@ class SearchTarget:
 
     The error of a tip is sqrt(|b - b'|^2 + (weight * chord)^2). The chord of the angle between two rotations is
     2 sin(angle / 2).
-
-    Attributes:
-        frame: goal in frame F_0, shape (4, 4); its rotation has no meaning without orientation.
-        goal: goal in the world, shape (4, 4).
-        manipulator: the arm.
-        tolerance: greatest distance of the tip.
-        angle_tolerance: greatest angle between the orientations of tip and goal [rad]; infinite without orientation.
-        weight: weight of rotations, a length; 0 without orientation.
-        scene: obstacles, None if there are none.
     """
 
-    frame: Frame
-    goal: Frame
-    manipulator: Manipulator
-    tolerance: float
+    frame: Frame  # goal in frame F_0, shape (4, 4); its rotation has no meaning without orientation
+    goal: Frame  # goal in the world, shape (4, 4)
+    manipulator: Manipulator  # the arm
+    tolerance: float  # greatest distance of the tip
+    # greatest angle between the orientations of tip and goal [rad]; infinite without orientation
     angle_tolerance: float = math.inf
-    weight: float = 0.0
-    scene: Scene | None = None
+    weight: float = 0.0  # weight of rotations, a length; 0 without orientation
+    scene: Scene | None = None  # obstacles, None if there are none
 
     @property
     def oriented(self) -> bool:
@@ -87,7 +68,7 @@ class SearchTarget:
 
     @cached_property
     def row(self) -> Array:
-        """The goal in frame F_0 as a row, see frame_rows, shape (4,) or (12,)."""
+        """The goal in frame F_0 as a row, see segment, shape (4,) or (12,)."""
         planar = self.manipulator.planar
         rotation = self.frame[:2, 0] if planar else self.frame[:3, :3].ravel()
         return np.concatenate((self.frame[: self.manipulator.dimension, 3], rotation))

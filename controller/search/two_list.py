@@ -8,49 +8,49 @@ from numpy.typing import NDArray
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.search.cells import Cells, Index, filling
 from hyperbit.controller.search.clock import COMPARED
-from hyperbit.controller.search.frame_rows import coordinates, fixed, invert_all, motions
 from hyperbit.controller.search.matching import Matches, Sides, Span, match, put
-from hyperbit.controller.search.segment import Segment, Sets, build_segment, room
+from hyperbit.controller.search.segment import (
+    Rows,
+    Segment,
+    Sets,
+    build_segment,
+    coordinates,
+    fixed,
+    invert_all,
+    motions,
+    room,
+)
 from hyperbit.controller.search.solution import Incumbent
 from hyperbit.controller.search.target import SearchTarget
 
 Array = NDArray[np.float64]
 
-CANDIDATE_ROWS = 1 << 12  # rows of each half for Candidates
 BAND_CELLS = 1 << 16  # cells of an index of few rows, in which many others are looked up
 AT_ONCE = 1 << 15  # lower rows matched between two checks of the deadline
 
 
 class TwoList:
-    """The rows of both halves, in memory that is reused for each seed.
+    """At most `most` rows of each half, in memory that is reused for each seed.
 
     Attributes:
         cut: number of modules in the lower half.
-        lower: rows of the modules below the cut, with inverse frames: F_0 in F_cut.
-        upper: rows of the modules above the cut, with frames F_B in F_cut.
         bands: memory for an index of upper rows, and of lower rows, see four_list.
-
-    Args:
-        manipulator: the arm.
-        most: greatest number of rows of a half.
     """
 
-    lower: Segment
-    upper: Segment
+    lower: Segment  # rows of the modules below the cut, with inverse frames: F_0 in F_cut
+    upper: Segment  # rows of the modules above the cut, with frames F_B in F_cut
 
     def __init__(self, manipulator: Manipulator, most: int) -> None:
         self._states, self._motions = manipulator.states, motions(manipulator)
         count = len(self._states)
         self.cut = middle(manipulator, 0, count)
         self._ends = ((0, self.cut), (self.cut, count))
-        self._rows = [room(rows(manipulator, *ends, most), self._motions.shape[1]) for ends in self._ends]
+        self._rows = [room_for(manipulator, *ends, most) for ends in self._ends]
         size = coordinates(self._motions)
         self._cells = Cells(len(self._rows[1].costs), size)
         self.bands = tuple(Cells(len(half.costs), size, BAND_CELLS) for half in self._rows[::-1])
         self._key: tuple[bytes | int | None, ...] = ()  # what is listed
         self._seed = np.empty(0, dtype=np.int64)
-        self._sorted: tuple[float, ...] = ()
-        self._index: Index
 
     def claim(self, most: int | None = None) -> None:
         """Touches the memory of `most` rows, or of all, so that no search waits for page faults."""
@@ -58,13 +58,13 @@ class TwoList:
             half.claim(most)
         for cells in (self._cells, *self.bands):
             cells.claim(most)
-        self._key = self._sorted = ()
+        self._key = ()
 
     def list(self, seed: Configuration, distances: Array, costs: Array, most: int | None = None) -> None:
-        """Lists the configurations nearest to the seed; returns at once if they are listed already.
+        """Lists the configurations nearest to the seed (B,); returns at once if they are listed already.
 
         Args:
-            seed: shape (B,).
+            seed: the nearest itself.
             distances: distance of each module's states from the seed's state, shape (B, Kmax).
             costs: cost of each module's states, shape (B, Kmax).
             most: greatest number of rows of a half; None: as many as fit.
@@ -72,7 +72,7 @@ class TwoList:
         key = (seed.tobytes(), distances.tobytes(), costs.tobytes(), most)
         if key == self._key:
             return
-        self._key, self._sorted = (), ()  # until it is done
+        self._key = ()  # until it is done
         self.lower, self.upper = (
             build_segment(Sets(self._motions, self._states, seed, distances, costs), half, *ends, most)
             for half, ends in zip(self._rows, self._ends, strict=True)
@@ -81,16 +81,11 @@ class TwoList:
         self._key, self._seed = key, np.array(seed, dtype=np.int64)
 
     def index(self, radius: float, chord: float) -> Index:
-        """Returns the index of the upper rows, see Cells.fill; cached until the rows change."""
-        if self._sorted != (radius, chord):
-            self._sorted = ()
-            self._index = self._cells.fill(self.upper.side(), radius, chord)
-            self._sorted = (radius, chord)
-        return self._index
+        """Returns the index of the upper rows, see Cells.fill."""
+        return self._cells.fill(self.upper.side(), radius, chord)
 
     @property
     def count(self) -> int:
-        """Number of listed rows."""
         return len(self.lower.costs) + len(self.upper.costs)
 
     def match(self, target: SearchTarget, incumbent: Incumbent) -> tuple[bool, float]:
@@ -108,6 +103,22 @@ class TwoList:
             improve(incumbent, Sides(lower, goal, index), span, target, self._seed)
         return True, unexplored
 
+    def cheapest(self, target: SearchTarget, most: int) -> tuple[NDArray[np.int64], Array, bool]:
+        """Returns at most `most` of the cheapest clear configurations (n, B) within the tolerances among the rows.
+
+        Returns their costs (n,), too, and whether there are no others.
+        """
+        sides = Sides(self.lower.side(), fixed(target.row), self.index(target.radius, target.chord))
+        matches = Matches(np.full((most, 3), -1), np.full(most, np.inf), np.full(most, np.inf))
+        span = Span(0, len(sides.outer.costs), 0, 1, -np.inf, np.inf)
+        match(sides, span, target.query, self._seed, target.scene, matches)
+        chosen = np.flatnonzero(matches.rows[:, 0] >= 0)
+        configurations = np.tile(self._seed, (len(chosen), 1))
+        for configuration, found in zip(configurations, matches.rows[chosen].tolist(), strict=True):
+            put_match(configuration, self._seed, sides, found)
+        listed = self.lower.unexplored == self.upper.unexplored == np.inf
+        return configurations, matches.costs[chosen], listed and len(chosen) < most
+
 
 def improve(
     incumbent: Incumbent,
@@ -118,15 +129,9 @@ def improve(
     *,
     nearer: bool = True,
 ) -> None:
-    """Offers the cheapest match of a span to the incumbent.
+    """Offers the cheapest match of a span to the incumbent, if it is better; `seed` (B,) is that of all sides.
 
-    Args:
-        incumbent: a match must be better.
-        sides: what to match.
-        span: rows of outer and inner to match.
-        target: the goal.
-        seed: seed of all sides, shape (B,).
-        nearer: whether ties of the cost are broken by distance.
+    If `nearer`, ties of the cost are broken by distance.
     """
     square = incumbent.square if nearer else -np.inf
     matches = Matches(np.full((1, 3), -1), np.array([incumbent.cost]), np.array([square]))
@@ -143,45 +148,13 @@ def put_match(states: Configuration, seed: Configuration, sides: Sides, rows: Se
         put(states, seed, side, row)
 
 
-class Candidates:
-    """Finds the cheapest configurations near a seed; holds the memory for them.
-
-    Args:
-        manipulator: the arm.
-        most: greatest number of configurations.
-    """
-
-    def __init__(self, manipulator: Manipulator, most: int) -> None:
-        self._two, self._most = TwoList(manipulator, CANDIDATE_ROWS), most
-
-    def find(self, target: SearchTarget, seed: Configuration, costs: Array) -> tuple[NDArray[np.int64], Array, bool]:
-        """Returns clear configurations (n, B) within the tolerances, their costs (n,), and whether these are all.
-
-        Args:
-            target: the goal.
-            seed: the configuration of cost 0, shape (B,).
-            costs: cost of each module's states, shape (B, Kmax).
-        """
-        two = self._two
-        two.list(seed, costs, costs)
-        sides = Sides(two.lower.side(), fixed(target.row), two.index(target.radius, target.chord))
-        matches = Matches(np.full((self._most, 3), -1), np.full(self._most, np.inf), np.full(self._most, np.inf))
-        span = Span(0, len(sides.outer.costs), 0, 1, -np.inf, np.inf)
-        match(sides, span, target.query, seed, target.scene, matches)
-        chosen = np.flatnonzero(matches.rows[:, 0] >= 0)
-        configurations = np.tile(seed, (len(chosen), 1))
-        for configuration, rows in zip(configurations, matches.rows[chosen].tolist(), strict=True):
-            put_match(configuration, seed, sides, rows)
-        listed = two.lower.unexplored == two.upper.unexplored == np.inf
-        return configurations, matches.costs[chosen], listed and len(chosen) < self._most
-
-
 def middle(manipulator: Manipulator, first: int, last: int) -> int:
     """Returns the cut of modules first+1 to last into two parts with nearly equal numbers of configurations."""
     sizes = np.concatenate([[0.0], np.cumsum(np.log2(manipulator.states[first:last]))])
     return first + int(np.argmin(np.abs(sizes - sizes[-1] / 2)))
 
 
-def rows(manipulator: Manipulator, first: int, last: int, most: int) -> int:
-    """Returns the number of rows for `most` configurations of modules first+1 to last, or for all if they are fewer."""
-    return int(min(most, np.prod(manipulator.states[first:last].astype(float)))) + 1
+def room_for(manipulator: Manipulator, first: int, last: int, most: int) -> Rows:
+    """Returns memory for `most` configurations of modules first+1 to last, or for all if they are fewer."""
+    count = int(min(most, np.prod(manipulator.states[first:last].astype(float)))) + 1
+    return room(count, 4 if manipulator.planar else 12)

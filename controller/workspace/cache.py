@@ -43,14 +43,8 @@ def load_or_map(
 ) -> Densities:
     """Returns the densities from the cache, or maps and stores them.
 
-    A damaged or wrong file is replaced. If the folder cannot be written, a warning is logged.
-
-    Args:
-        manipulator: the arm.
-        pixel: see map_densities.
-        level_pixels: see map_densities.
-        directory: folder of the cache; it is created if needed.
-        progress: see map_densities; not called if the densities are in the cache.
+    A damaged or wrong file is replaced. The folder is created if needed. If it cannot be written, a warning is logged.
+    For the arguments see map_densities; `progress` is not called if the densities are in the cache.
     """
     wanted = key(manipulator, pixel, level_pixels)
     path = directory / f"{wanted[:24]}.npz"

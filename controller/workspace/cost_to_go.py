@@ -36,27 +36,17 @@ MOST_SIDE = 800  # most pixels along a side; each adds at most 2 ** -FRACTION to
 
 
 class Maps(NamedTuple):
-    """Cost-to-go maps of levels `first` to B.
+    """Cost-to-go maps of levels `first` to B."""
 
-    Attributes:
-        first: lowest level with a map.
-        unit: cost of one level of `values`.
-        radius: greatest distance of the tip from a point.
-        values: cost of each pixel in units, level by level, x slowest; at least UNREACHABLE for pixels without a tip.
-        offsets: first pixel of each level in `values`, shape (B + 1,).
-        shapes: number of pixels along x and y, shape (B + 1, 2).
-        corners: least corner of each level's box, shape (B + 1, 2).
-        pixels: side of the pixels of each level, shape (B + 1,).
-    """
-
-    first: int
-    unit: float
-    radius: float
+    first: int  # lowest level with a map
+    unit: float  # cost of one level of `values`
+    radius: float  # greatest distance of the tip from a point
+    # cost of each pixel in units, level by level, x slowest; at least UNREACHABLE for pixels without a tip
     values: Levels
-    offsets: Integers
-    shapes: Integers
-    corners: Array
-    pixels: Array
+    offsets: Integers  # first pixel of each level in `values`, shape (B + 1,)
+    shapes: Integers  # number of pixels along x and y, shape (B + 1, 2)
+    corners: Array  # least corner of each level's box, shape (B + 1, 2)
+    pixels: Array  # side of the pixels of each level, shape (B + 1,)
 
 
 MAPS = named(Maps, int64, float64, float64, int16[::1], I1, I2, F2, F1)
@@ -65,9 +55,7 @@ MAPS = named(Maps, int64, float64, float64, int16[::1], I1, I2, F2, F1)
 class CostToGo:
     """Computes the cost-to-go maps of one planar arm; holds their memory.
 
-    Args:
-        manipulator: the arm.
-        boxes: least and greatest x and y of all tips in frames F_0 to F_B, shape (B + 1, 4), see Hull.
+    Boxes (B + 1, 4) are the least and greatest x and y of all tips in frames F_0 to F_B, see Hull.
     """
 
     def __init__(self, manipulator: Manipulator, boxes: Boxes) -> None:

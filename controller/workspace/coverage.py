@@ -39,43 +39,26 @@ class Range(NamedTuple):
 
 
 class Coverage(NamedTuple):
-    """Where the tip can be within a radius, and by how many configurations.
+    """Where the tip can be within a radius, and by how many configurations."""
 
-    Attributes:
-        method: how configurations near a position were counted, see NearbyCounts.
-        positions: number of positions drawn.
-        log10_configurations: log10 of the number of all configurations.
-        area: area (planar) or volume of the positions with at least one configuration's tip within the radius.
-        log10_median: log10 of the median number of configurations within the radius, over that area.
-        log10_greatest: log10 of the greatest number found at a drawn position.
-        densest: that position in the world, shape (dimension,).
-    """
-
-    method: CountMethod
-    positions: int
-    log10_configurations: float
-    area: Range
-    log10_median: Range
-    log10_greatest: float
-    densest: Array
+    method: CountMethod  # how configurations near a position were counted, see NearbyCounts
+    positions: int  # number of positions drawn
+    log10_configurations: float  # log10 of the number of all configurations
+    area: Range  # area (planar) or volume of the positions with at least one configuration's tip within the radius
+    log10_median: Range  # log10 of the median number of configurations within the radius, over that area
+    log10_greatest: float  # log10 of the greatest number found at a drawn position
+    densest: Array  # that position in the world, shape (dimension,)
 
 
 class WorkspaceCells(NamedTuple):
-    """Cells that contain the workspace, each no smaller than the radius.
+    """Cells that contain the workspace, each no smaller than the radius."""
 
-    Attributes:
-        logs: ln of the number of configurations in each cell by the densities, minus infinity: none, shape (z, y, x).
-        near: whether a cell or a neighbour has configurations, shape (z, y, x).
-        corner: least corner (x, y, z) of the first cell, shape (3,).
-        side: of a cell; 0 along z for planar arms, shape (3,).
-        size: area or volume of all cells in `near`.
-    """
-
+    # ln of the number of configurations in each cell by the densities, minus infinity: none, shape (z, y, x)
     logs: Array
-    near: NDArray[np.bool_]
-    corner: Array
-    side: Array
-    size: float
+    near: NDArray[np.bool_]  # whether a cell or a neighbour has configurations, shape (z, y, x)
+    corner: Array  # least corner (x, y, z) of the first cell, shape (3,)
+    side: Array  # of a cell; 0 along z for planar arms, shape (3,)
+    size: float  # area or volume of all cells in `near`
 
     def draw(self, count: int, random: np.random.Generator) -> Array:
         """Returns positions (count, 3) in frame F_0, uniform in the cells in `near`."""
@@ -104,13 +87,12 @@ class CountJob(NamedTuple):
 
     Attributes:
         manipulator, pixel, level_pixels: of the densities, which are in the cache or are mapped.
-        radius: see `coverage_of`.
     """
 
     manipulator: Manipulator
     pixel: float
     level_pixels: int
-    radius: float
+    radius: float  # see `coverage_of`
 
     def prepare(self) -> Run:
         """Lists tips; returns what counts the configurations near a part's positions."""
@@ -143,16 +125,9 @@ def coverage_of(
 ) -> Coverage:
     """Returns where the tip can be within a radius, and by how many configurations.
 
-    Arms of up to 2^21 configurations are listed; the only error is that of the drawn positions, about 1 %.
-
-    Args:
-        manipulator: the arm.
-        densities: densities of its intermediate workspaces.
-        radius: greatest distance of the tip from a covered position.
-        positions: number of positions to draw; None: by the cost of a position.
-        seed: seed of the random numbers.
-        spread: counts the parts of the positions.
-        job: for other processes, as densities are too large to be sent; None: this process counts.
+    Arms of up to 2^21 configurations are listed; the only error is that of the drawn positions, about 1 %. Without a
+    number of positions, it depends on the cost of a position. `spread` counts the parts of the positions: with `job` in
+    other processes, as densities are too large to be sent; None: this process counts.
     """
     random, size = np.random.default_rng(seed), manipulator.dimension
     counts = NearbyCounts(manipulator, densities, radius)

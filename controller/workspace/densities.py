@@ -13,20 +13,13 @@ class Densities:
     Pixel (z, y, x) of level i has its centre at `references[i] + pixels[i] * (x, y, z)` in frame i. Its value is the
     natural logarithm of the number of points in it, at least 0. An empty pixel has minus the distance to the nearest
     pixel with points.
-
-    Attributes:
-        values: pixels of all levels, level 0 first, float32.
-        offsets: first pixel of each level in `values`, shape (B+2,).
-        shapes: number of pixels along z, y, x, shape (B+1, 3).
-        references: centre (x, y, z) of the first pixel of each level, shape (B+1, 3).
-        pixels: side of the pixels of each level, shape (B+1,).
     """
 
-    values: NDArray[np.float32]
-    offsets: NDArray[np.int64]
-    shapes: NDArray[np.int64]
-    references: NDArray[np.float64]
-    pixels: NDArray[np.float64]
+    values: NDArray[np.float32]  # pixels of all levels, level 0 first, float32
+    offsets: NDArray[np.int64]  # first pixel of each level in `values`, shape (B+2,)
+    shapes: NDArray[np.int64]  # number of pixels along z, y, x, shape (B+1, 3)
+    references: NDArray[np.float64]  # centre (x, y, z) of the first pixel of each level, shape (B+1, 3)
+    pixels: NDArray[np.float64]  # side of the pixels of each level, shape (B+1,)
 
     def level(self, i: int) -> NDArray[np.float32]:
         """Returns the values of intermediate workspace i, shape (z, y, x)."""

@@ -25,15 +25,11 @@ CIRCLE = BINS * PARTS
 
 
 class Headings(NamedTuple):
-    """The costs to go of the heading.
+    """The costs to go of the heading."""
 
-    Attributes:
-        turns: rotation of each state in parts of the circle, shape (B * Kmax,).
-        values: cost by level and bin, shape (B + 1, BINS), in units of the maps; at least UNREACHABLE if no tip has the
-            heading. Shape (0, BINS) without orientation.
-    """
-
-    turns: Integers
+    turns: Integers  # rotation of each state in parts of the circle, shape (B * Kmax,)
+    # cost by level and bin, shape (B + 1, BINS), in units of the maps; at least UNREACHABLE if no tip has the heading.
+    # Shape (0, BINS) without orientation.
     values: Levels
 
 
@@ -46,11 +42,7 @@ def parts(sine: Array, cosine: Array) -> Integers:
 
 
 class HeadingToGo:
-    """Computes the costs to go of the heading of one planar arm; holds their memory.
-
-    Args:
-        manipulator: the arm.
-    """
+    """Computes the costs to go of the heading of one planar arm; holds their memory."""
 
     def __init__(self, manipulator: Manipulator) -> None:
         self._states = manipulator.states

@@ -22,9 +22,6 @@ class Hull:
 
     Attributes:
         boxes: least and greatest x, least and greatest y, ... of the tips in frames F_0 to F_B, shape (B+1, 2 * size).
-
-    Args:
-        manipulator: the arm.
     """
 
     def __init__(self, manipulator: Manipulator) -> None:

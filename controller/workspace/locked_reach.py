@@ -27,47 +27,32 @@ PIXELS = {2: 1 << 16, 3: 1 << 17}  # most pixels of the box of W_0, by dimension
 
 
 class Reach(NamedTuple):
-    """Reach and redundancy of one arm.
+    """Reach and redundancy of one arm."""
 
-    Attributes:
-        locked: state in which each actuator is locked, -1 if it is free, shape (A,).
-        reach: area or volume of the pixels that contain a tip. It depends on the pixel, so compare it with the free
-            arm's only.
-        covered: expected area or volume of the positions with a configuration within the tolerance, if the tips in a
-            pixel are spread at random over it.
-        log10_redundancy: log10 of the expected number of configurations within the tolerance of a position: the median
-            over the area that the free arm covers; minus infinity if more than half of it is lost.
-    """
-
-    locked: LockedStates
+    locked: LockedStates  # state in which each actuator is locked, -1 if it is free, shape (A,)
+    # area or volume of the pixels that contain a tip. It depends on the pixel, so compare it with the free arm's only.
     reach: float
+    # expected area or volume of the positions with a configuration within the tolerance, if the tips in a pixel are
+    # spread at random over it
     covered: float
+    # log10 of the expected number of configurations within the tolerance of a position: the median over the area that
+    # the free arm covers; minus infinity if more than half of it is lost
     log10_redundancy: float
 
 
 class LockedReach(NamedTuple):
-    """Reach of the free arm and of the arm with each choice of locked actuators.
+    """Reach of the free arm and of the arm with each choice of locked actuators."""
 
-    Attributes:
-        free: reach of the free arm.
-        choices: reach for each choice of locked actuators and states.
-        every: whether `choices` has all choices, not a sample.
-        impossible: number of choices that leave a module without a state.
-        pixel: side of the pixels.
-        reference: centre (x, y, z) of the first pixel in the base frame.
-        free_counts: ln of the number of configurations of the free arm within the tolerance of each pixel; minus
-            infinity if there are none, shape (z, y, x).
-        least_counts: the least over all choices, shape (z, y, x).
-    """
-
-    free: Reach
-    choices: tuple[Reach, ...]
-    every: bool
-    impossible: int
-    pixel: float
-    reference: Array
+    free: Reach  # reach of the free arm
+    choices: tuple[Reach, ...]  # reach for each choice of locked actuators and states
+    every: bool  # whether `choices` has all choices, not a sample
+    impossible: int  # number of choices that leave a module without a state
+    pixel: float  # side of the pixels
+    reference: Array  # centre (x, y, z) of the first pixel in the base frame
+    # ln of the number of configurations of the free arm within the tolerance of each pixel; minus infinity if there are
+    # none, shape (z, y, x)
     free_counts: Array
-    least_counts: Array
+    least_counts: Array  # the least over all choices, shape (z, y, x)
 
     def worst(self, figure: str) -> Reach:
         """Returns the choice with the least `reach`, `covered` or `log10_redundancy`."""
@@ -79,35 +64,21 @@ class LockedReach(NamedTuple):
 
 
 class LockChoices(NamedTuple):
-    """Choices of locked actuators.
+    """Choices of locked actuators."""
 
-    Attributes:
-        actuators: number of actuators to lock, at least 1.
-        samples: most choices if more than one actuator is locked; for one all choices are tried.
-        seed: of the random choices.
-    """
-
-    actuators: int
-    samples: int
-    seed: int = 0
+    actuators: int  # number of actuators to lock, at least 1
+    samples: int  # most choices if more than one actuator is locked; for one all choices are tried
+    seed: int = 0  # of the random choices
 
 
 class FreeArm(NamedTuple):
-    """The intermediate workspaces of the free arm, and its numbers of configurations.
+    """The intermediate workspaces of the free arm, and its numbers of configurations."""
 
-    Attributes:
-        levels: intermediate workspaces, base first; the first is the whole arm's.
-        most: most pixels of each level.
-        ball: ln of the pixels in a ball of the tolerance.
-        volume: of a pixel.
-        counts: ln of the number of configurations within the tolerance of each pixel, shape (z, y, x).
-    """
-
-    levels: list[Level]
-    most: int
-    ball: float
-    volume: float
-    counts: Array
+    levels: list[Level]  # intermediate workspaces, base first; the first is the whole arm's
+    most: int  # most pixels of each level
+    ball: float  # ln of the pixels in a ball of the tolerance
+    volume: float  # of a pixel
+    counts: Array  # ln of the number of configurations within the tolerance of each pixel, shape (z, y, x)
 
     def reach(self, locked: LockedStates, counts: Array) -> Reach:
         """Returns the reach of an arm from the ln of its numbers of configurations within the tolerance."""
@@ -132,31 +103,24 @@ def covered_share(counts: Array) -> Array:
 
 
 class ChoiceReach(NamedTuple):
-    """The result of one choice.
+    """The result of one choice."""
 
-    Attributes:
-        reach: None if the choice leaves a module without a state.
-        least: with the last choice of a share: the least counts over the share, see `LockedReach`.
-    """
-
-    reach: Reach | None
-    least: Array | None
+    reach: Reach | None  # None if the choice leaves a module without a state
+    least: Array | None  # with the last choice of a share: the least counts over the share, see `LockedReach`
 
 
 class LocksJob(NamedTuple):
     """Maps an arm with locked actuators; what all choices have in common.
 
     Attributes:
-        manipulator: the free arm.
         low, high, pixel: box of its workspace in the densities, and its pixel.
-        tolerance: see `reach_when_locked`.
     """
 
-    manipulator: Manipulator
+    manipulator: Manipulator  # the free arm
     low: Array
     high: Array
     pixel: float
-    tolerance: float
+    tolerance: float  # see `reach_when_locked`
 
     def prepare(self) -> Run:
         """Maps the free arm; returns what maps the choices (A,) of a share."""
@@ -198,14 +162,9 @@ def reach_when_locked(
     locks: LockChoices,
     spread: Spread = alone,
 ) -> LockedReach:
-    """Returns reach and redundancy over choices of locked actuators.
+    """Returns reach and redundancy over choices of locked actuators, which `spread` maps.
 
-    Args:
-        manipulator: the arm.
-        densities: densities of the arm, for the box of its workspace.
-        tolerance: greatest distance of the tip from a goal.
-        locks: the choices.
-        spread: maps the choices.
+    The box of the workspace is that of the densities; `tolerance` is the greatest distance of the tip from a goal.
 
     Raises:
         ValueError: the arm has fewer actuators with two states.

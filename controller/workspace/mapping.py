@@ -29,21 +29,13 @@ PEAK, SHIFT, FLOOR = 2.0**960, 900, 2.0**-1000
 
 
 class Level(NamedTuple):
-    """One intermediate workspace during the mapping.
+    """One intermediate workspace during the mapping."""
 
-    Attributes:
-        counts: number of configurations in each pixel, divided by two to the power of `exponent`, shape (z, y, x).
-        centroids: mean position of the points of each pixel, shape (z, y, x, 3).
-        exponent: see `counts`.
-        reference: centre of the first pixel, shape (3,).
-        pixel: side of the pixels.
-    """
-
-    counts: Counts
-    centroids: Counts
-    exponent: int
-    reference: Vector
-    pixel: float
+    counts: Counts  # number of configurations in each pixel, divided by two to the power of `exponent`, shape (z, y, x)
+    centroids: Counts  # mean position of the points of each pixel, shape (z, y, x, 3)
+    exponent: int  # see `counts`
+    reference: Vector  # centre of the first pixel, shape (3,)
+    pixel: float  # side of the pixels
 
 
 LEVEL = named(Level, F3, F4, int64, F1, float64)
@@ -55,13 +47,10 @@ def map_densities(
     level_pixels: int,
     progress: Callable[[int], None] = lambda levels: None,
 ) -> Densities:
-    """Returns the densities of all intermediate workspaces (section 3.1.1).
+    """Returns the densities of all intermediate workspaces (section 3.1.1); the base frame is not used.
 
-    Args:
-        manipulator: the arm; the base frame is not used.
-        pixel: finest side of a pixel, in the arm's unit of length.
-        level_pixels: most pixels of one level; the pixels of larger levels are coarser.
-        progress: called with the number of levels done, at last B+1.
+    `pixel` is the finest side of a pixel, in the arm's unit of length. A level has at most `level_pixels`; the pixels
+    of larger levels are coarser. `progress` is called with the number of levels done, at last B+1.
 
     Raises:
         ValueError: a bound is not positive.

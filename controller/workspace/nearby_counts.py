@@ -11,12 +11,11 @@ import numpy as np
 from numba import float64, int64, njit
 from numpy.typing import NDArray
 
-from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, named
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.mapping import coarsened, grid
-from hyperbit.controller.workspace.orientations import OrientationSamples, draw
+from hyperbit.controller.workspace.orientations import OrientationSamples, draw, frames_of, listed_from
 from hyperbit.controller.workspace.reachability import levels_of, tables_of
 
 Array = NDArray[np.float64]
@@ -30,21 +29,13 @@ AT_ONCE = 1 << 19  # positions in frames of the listed modules, at once in memor
 
 
 class TipCells(NamedTuple):
-    """Tips of the last modules in the frame below them, sorted by cubic cells.
+    """Tips of the last modules in the frame below them, sorted by cubic cells."""
 
-    Attributes:
-        tips: shape (n, 3).
-        offsets: first tip of each cell, x fastest, shape (cells+1,).
-        shape: number of cells along z, y, x, shape (3,).
-        reference: centre (x, y, z) of the first cell, shape (3,).
-        side: of a cell, at least the radius.
-    """
-
-    tips: Array
-    offsets: NDArray[np.int64]
-    shape: NDArray[np.int64]
-    reference: Array
-    side: float
+    tips: Array  # shape (n, 3)
+    offsets: NDArray[np.int64]  # first tip of each cell, x fastest, shape (cells+1,)
+    shape: NDArray[np.int64]  # number of cells along z, y, x, shape (3,)
+    reference: Array  # centre (x, y, z) of the first cell, shape (3,)
+    side: float  # of a cell, at least the radius
 
 
 CELLS = named(TipCells, F2, I1, I1, F1, float64)
@@ -58,11 +49,6 @@ class NearbyCounts:
             one; both counts are exact. "draws": the others are drawn; the expected count is exact.
         compared: configurations of the modules before the listed ones that are compared or drawn for a position.
         tests: number of distances computed so far.
-
-    Args:
-        manipulator: the arm.
-        densities: of its intermediate workspaces, for draws.
-        radius: greatest distance of a tip.
     """
 
     def __init__(self, manipulator: Manipulator, densities: Densities, radius: float) -> None:
@@ -106,28 +92,12 @@ class NearbyCounts:
         return float(np.logaddexp.reduce(samples.logs + np.log(counts))) - math.log(DRAWS)
 
 
-def listed_from(manipulator: Manipulator, most: int) -> int:
-    """Returns the number of modules before the last ones, which have at most `most` configurations."""
-    depth, count = len(manipulator.modules), 1
-    while depth > 0 and (count := count * int(manipulator.states[depth - 1])) <= most:
-        depth -= 1
-    return depth
-
-
 def last_tips(manipulator: Manipulator, depth: int) -> Array:
     """Returns all tips (n, 3) of the modules after the first `depth`, in the frame of the module before them."""
     tips = np.zeros((1, 3))
     for module in reversed(manipulator.modules[depth:]):
         tips = np.concatenate([tips @ frame[:3, :3].T + frame[:3, 3] for frame in module.frames])
     return tips
-
-
-def frames_of(manipulator: Manipulator, depth: int) -> Frame:
-    """Returns the frames F_depth (n, 4, 4) in F_0 of all configurations of the first `depth` modules."""
-    frames = np.eye(4)[None]
-    for module in manipulator.modules[:depth]:
-        frames = (frames[:, None] @ module.frames).reshape(-1, 4, 4)
-    return frames
 
 
 def sorted_tips(tips: Array, radius: float, dimension: int) -> TipCells:

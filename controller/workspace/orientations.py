@@ -44,21 +44,13 @@ ACCURACY = 0.02  # relative standard error of the count at which sampling stops
 
 
 class Orientations(NamedTuple):
-    """Orientations of the tip at a point.
+    """Orientations of the tip at a point."""
 
-    Attributes:
-        rotations: orientations in the world, shape (n, 3, 3).
-        counts: number of configurations that each represents, shape (n,).
-        total: estimated number of configurations within the radius, the sum of `counts`.
-        deviation: standard error of `total`; 0 if all configurations were enumerated.
-        draws: number of samples; 0 if all configurations were enumerated.
-    """
-
-    rotations: Array
-    counts: Array
-    total: float
-    deviation: float
-    draws: int
+    rotations: Array  # orientations in the world, shape (n, 3, 3)
+    counts: Array  # number of configurations that each represents, shape (n,)
+    total: float  # estimated number of configurations within the radius, the sum of `counts`
+    deviation: float  # standard error of `total`; 0 if all configurations were enumerated
+    draws: int  # number of samples; 0 if all configurations were enumerated
 
     @property
     def mean(self) -> Array:
@@ -75,17 +67,11 @@ class Orientations(NamedTuple):
 
 
 class OrientationSamples(NamedTuple):
-    """Sampled configurations of the modules before the enumerated ones.
+    """Sampled configurations of the modules before the enumerated ones."""
 
-    Attributes:
-        turns: rotations of frame F_depth in F_0, shape (n, 3, 3).
-        points: the goal in frame F_depth, shape (n, 3).
-        logs: ln of the inverse probability of each sample, shape (n,).
-    """
-
-    turns: Array
-    points: Array
-    logs: Array
+    turns: Array  # rotations of frame F_depth in F_0, shape (n, 3, 3)
+    points: Array  # the goal in frame F_depth, shape (n, 3)
+    logs: Array  # ln of the inverse probability of each sample, shape (n,)
 
 
 SAMPLES = named(OrientationSamples, F3, F2, F1)
@@ -99,22 +85,18 @@ def orientations_at(
     most: int = 100_000,
     seed: int = 0,
 ) -> Orientations:
-    """Returns the orientations of the tip at a point.
+    """Returns the orientations of the tip within a radius of a point in the world, shape (2,) or (3,).
 
-    Args:
-        manipulator: the arm.
-        densities: densities of its intermediate workspaces.
-        point: position in the world, shape (2,) or (3,).
-        radius: greatest distance of the tip from the point.
-        most: greatest number of samples.
-        seed: seed of the random numbers.
+    At most `most` samples are drawn, from the random numbers of the seed.
     """
     from scipy.spatial import cKDTree  # takes as long to import as the rest of the library
 
     goal, to_base = np.zeros(3), inverse(manipulator.base)
     goal[: manipulator.dimension] = point
     goal = to_base[:3, :3] @ goal + to_base[:3, 3]
-    depth, ends = last_modules(manipulator)
+    depth, ends = listed_from(manipulator, ENUMERATED), np.eye(4)[None]
+    for module in reversed(manipulator.modules[depth:]):
+        ends = (module.frames[:, None] @ ends).reshape(-1, 4, 4)
     tree, base = cKDTree(ends[:, :3, 3]), manipulator.base[:3, :3]
     if math.prod(manipulator.states[:depth].tolist()) <= ENUMERATED:
         turns, counts, _ = match_ends(enumerate_frames(manipulator, depth, goal), ends, tree, radius)
@@ -134,13 +116,7 @@ def orientations_at(
 
 
 def match_ends(samples: OrientationSamples, ends: Frame, tree: "cKDTree", radius: float) -> tuple[Array, Array, Array]:
-    """Returns the pairs of samples and ends whose tip is within `radius` of the goal.
-
-    Args:
-        samples: of the modules before the ends, n of them.
-        ends: frames of the tip in the frames of the samples, shape (m, 4, 4).
-        tree: of the positions of `ends`.
-        radius: greatest distance of the tip from the goal.
+    """Returns the pairs of n samples and of ends (m, 4, 4), in their frames, whose tip is within `radius` of the goal.
 
     Returns:
         Rotation of the tip in frame F_0 and weight of each pair, shapes (p, 3, 3) and (p,), and sum of the weights of
@@ -156,20 +132,25 @@ def match_ends(samples: OrientationSamples, ends: Frame, tree: "cKDTree", radius
 
 def enumerate_frames(manipulator: Manipulator, depth: int, goal: Array) -> OrientationSamples:
     """Returns all configurations of modules 1 to `depth` as samples of probability 1; `goal` (3,) is in frame F_0."""
-    frames = np.eye(4)[None]
-    for module in manipulator.modules[:depth]:
-        frames = (frames[:, None] @ module.frames).reshape(-1, 4, 4)
+    frames = frames_of(manipulator, depth)
     turns = np.ascontiguousarray(frames[:, :3, :3])
     return OrientationSamples(turns, np.einsum("nba,nb->na", turns, goal - frames[:, :3, 3]), np.zeros(len(frames)))
 
 
-def last_modules(manipulator: Manipulator) -> tuple[int, Frame]:
-    """Returns the number of modules before the enumerated ones, and all tips (n, 4, 4) of the enumerated ones."""
-    depth, ends = len(manipulator.modules), np.eye(4)[None]
-    while depth > 0 and len(ends) * len(manipulator.modules[depth - 1].frames) <= ENUMERATED:
+def frames_of(manipulator: Manipulator, depth: int) -> Frame:
+    """Returns the frames F_depth (n, 4, 4) in F_0 of all configurations of the first `depth` modules."""
+    frames = np.eye(4)[None]
+    for module in manipulator.modules[:depth]:
+        frames = (frames[:, None] @ module.frames).reshape(-1, 4, 4)
+    return frames
+
+
+def listed_from(manipulator: Manipulator, most: int) -> int:
+    """Returns the number of modules before the last ones, which have at most `most` configurations."""
+    depth, count = len(manipulator.modules), 1
+    while depth > 0 and (count := count * int(manipulator.states[depth - 1])) <= most:
         depth -= 1
-        ends = (manipulator.modules[depth].frames[:, None] @ ends).reshape(-1, 4, 4)
-    return depth, ends
+    return depth
 
 
 @njit(void(F1, TABLES, LEVELS, F2, SAMPLES), cache=True, nogil=True, error_model="numpy")

@@ -15,17 +15,11 @@ Index = NDArray[np.int64]
 
 
 class ReachTables(NamedTuple):
-    """Configuration sets of an arm.
+    """Configuration sets of an arm."""
 
-    Attributes:
-        rotations: shape (B, Kmax, 3, 3).
-        translations: shape (B, Kmax, 3).
-        states: K_i, shape (B,).
-    """
-
-    rotations: Array
-    translations: Array
-    states: Index
+    rotations: Array  # shape (B, Kmax, 3, 3)
+    translations: Array  # shape (B, Kmax, 3)
+    states: Index  # K_i, shape (B,)
 
 
 class Levels(NamedTuple):

@@ -11,7 +11,7 @@ WITHOUT = (  # what the planner's core and clients use
     *(f"hyperbit.controller.manipulator.{name}" for name in ("frames", "locked", "notation")),
     *("hyperbit.controller.motion.targets", "hyperbit.controller.motion.trajectory"),
     *("hyperbit.controller.motion.decoding.goal", "hyperbit.controller.motion.decoding.setpoint"),
-    *(f"hyperbit.controller.motion.stages.{name}" for name in ("feed", "program", "restaging")),
+    *(f"hyperbit.controller.motion.stages.{name}" for name in ("feed", "program")),
     *("hyperbit.controller.motion.tracking.bias", "hyperbit.controller.motion.tracking.tracking"),
     "hyperbit.controller.planning.core.core",
 )

@@ -46,7 +46,7 @@ def warm_up() -> None:
     import zenoh  # noqa: F401
 
     import hyperbit.controller.arm.arm
-    import hyperbit.controller.motion.stages.stage_sequencer
+    import hyperbit.controller.motion.stages.pacing
     import hyperbit.controller.motion.tracking.tracking
     import hyperbit.controller.search.solver
     import hyperbit.controller.workspace.cache  # noqa: F401

@@ -1,4 +1,7 @@
-"""Goals from the network: strict decoding into a message, then into a trajectory."""
+"""Goals from the network: strict decoding into a message, then into a trajectory.
+
+Functions import the kernels, which take a second to import. Clients that only decode messages need not wait for them.
+"""
 
 from __future__ import annotations
 
@@ -8,25 +11,26 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from hyperbit.controller.armfile.strict import check
-from hyperbit.controller.motion.decoding.destinations import destination, rotation
+from hyperbit.controller.armfile.strict import UNIT
+from hyperbit.controller.motion.decoding.payloads import check_size, converted, object_in
 from hyperbit.controller.motion.trajectory import MOST_POINTS, Trajectory, along, through
 from hyperbit.controller.refusals.reasons import Reason
-from hyperbit.controller.refusals.refusal import Refusal, all_faults
+from hyperbit.controller.refusals.refusal import Refusal
 
-if TYPE_CHECKING:  # its kernels take a second to import; clients that only decode messages need not wait
+if TYPE_CHECKING:
     from hyperbit.controller.manipulator.manipulator import Manipulator
     from hyperbit.controller.motion.stages.pacing import Pace
 
 MOST_BYTES = 1_000_000
 BEGIN_WITHIN = 8.0  # [s] from the arrival of a request to its acceptance; Zenoh's queries end after 10 s
+LONGEST = 200  # characters of a quoted message
 FARTHEST_AHEAD = 86_400.0  # [s]; a stamp in milliseconds would lie centuries ahead
 
 # The bounds exclude infinity and NaN. Greater lengths are mistakes of the unit and overflow when they are squared.
@@ -82,15 +86,10 @@ class GoalMessage(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Jog(NamedTuple):
-    """A decoded jog.
+    """A decoded jog."""
 
-    Attributes:
-        states: new state of each actuator, 0 contracted and 1 extended, by index.
-        patience: longest time from its arrival to its acceptance [s].
-    """
-
-    states: dict[int, int]
-    patience: float = BEGIN_WITHIN
+    states: dict[int, int]  # new state of each actuator, 0 contracted and 1 extended, by index
+    patience: float = BEGIN_WITHIN  # longest time from its arrival to its acceptance [s]
 
 
 _NAMES = [b'"%s"' % name.encode() for kind in (GoalMessage, Waypoint, Tolerance) for name in kind.__struct_fields__]
@@ -103,7 +102,7 @@ def parse(payload: bytes) -> GoalMessage:
     Raises:
         Refusal: too large, not UTF-8, not JSON, or not a goal. No other exception is raised.
     """
-    check_size(len(payload))
+    check_size(payload, "goal", MOST_BYTES)
     message = parse_quickly(payload)
     if message is None:
         if decoded(payload) is None:
@@ -122,13 +121,11 @@ class Undecodable(Refusal):
 
     @property
     def reason(self) -> Reason:
-        """Why the payload is no goal."""
         self._find()
         return super().reason
 
     @property
     def facts(self) -> dict[str, str]:
-        """The facts as texts."""
         self._find()
         return super().facts
 
@@ -160,26 +157,10 @@ def decoded(payload: bytes) -> GoalMessage | None:
 
 def parse_strictly(payload: bytes) -> GoalMessage:
     """Returns the message in a payload as `parse` does, without the check of destinations."""
-    try:
-        value: Any = json.loads(payload.decode("utf-8"), object_pairs_hook=once)
-    except UnicodeDecodeError as error:
-        byte = f"{payload[error.start]:02x}"
-        raise Refusal(Reason.NOT_UTF8, what="goal", byte=error.start, value=byte) from None
-    except (ValueError, RecursionError) as error:
-        raise Refusal(Reason.NOT_JSON, what="goal", error=str(error)) from None
-    if not isinstance(value, dict):
-        raise Refusal(Reason.NO_OBJECT, what="goal", fields="`waypoints`")
+    value = object_in(payload, GoalMessage, "goal")
     if isinstance(value.get("waypoints"), list) and len(value["waypoints"]) > MOST_POINTS:
         raise Refusal(Reason.TOO_MANY_WAYPOINTS, count=len(value["waypoints"]), most=MOST_POINTS)
-    try:
-        message = msgspec.convert(value, GoalMessage)
-    except (
-        msgspec.ValidationError,
-        RecursionError,
-        UnicodeError,
-    ):  # the slower check names each fault by its field
-        raise refusal_of(value, GoalMessage, "goal") from None
-    return message
+    return converted(value, GoalMessage, "goal")
 
 
 def check_destinations(message: GoalMessage) -> None:
@@ -202,13 +183,10 @@ def check_destinations(message: GoalMessage) -> None:
 
 
 def check_reach(message: GoalMessage, base: Sequence[float], farthest: float, tolerance: float) -> None:
-    """Checks the distances of a goal's positions from the base.
+    """Checks the distances of a goal's positions from the arm's base (dimension,).
 
-    Args:
-        message: the goal.
-        base: position of the arm's base, shape (dimension,). Positions of another dimension are not checked.
-        farthest: greatest distance of the tip from the base.
-        tolerance: default tolerance of the position.
+    The tip is at most `farthest` from the base. `tolerance` is the default of the position. Positions of another
+    dimension are not checked.
 
     Raises:
         Refusal: a position is farther than the tip can be; the message names the field.
@@ -223,65 +201,19 @@ def check_reach(message: GoalMessage, base: Sequence[float], farthest: float, to
             raise Refusal(Reason.BEYOND_LENGTH, message.id, where=where, position=numbers, away=away, farthest=farthest)
 
 
-def check_size(size: int) -> None:
-    """Checks a payload's size in bytes.
-
-    Raises:
-        Refusal: the payload is too large.
-    """
-    if size > MOST_BYTES:
-        raise Refusal(Reason.TOO_LARGE, what="goal", size=size, most=MOST_BYTES)
-
-
-def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Returns the object of name-value pairs; json.loads would silently keep the last of equal names.
-
-    Raises:
-        ValueError: a name occurs twice.
-    """
-    fields = dict(pairs)
-    if len(fields) < len(pairs):
-        seen: set[str] = set()
-        twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
-        raise ValueError(f"{twice!r} occurs twice in one object")
-    return fields
-
-
-def refusal_of(value: Any, kind: type[Struct], name: str) -> Refusal:
-    """Returns the refusal of a value that is no message of a kind, which is called `name`; it names the fields."""
-    faults: list[str] = []
-    try:
-        check(value, kind, faults)
-    except RecursionError:
-        return Refusal(Reason.NESTED_TOO_DEEPLY, what=name)
-    return Refusal(Reason.INVALID_FIELDS, faults=all_faults(faults))
-
-
 class GoalRules(NamedTuple):
-    """What the trajectories of an arm's goals depend on.
+    """What the trajectories of an arm's goals depend on."""
 
-    Attributes:
-        dimension: number of coordinates of a position, 2 or 3.
-        tolerance: default tolerance of the position.
-        angle_tolerance: default tolerance of the orientation [rad].
-        pace: of the actuators.
-        manipulator: the whole arm, for waypoints that are configurations; None: such waypoints are refused.
-    """
-
-    dimension: int
-    tolerance: float
-    angle_tolerance: float
-    pace: Pace
+    dimension: int  # number of coordinates of a position, 2 or 3
+    tolerance: float  # default tolerance of the position
+    angle_tolerance: float  # default tolerance of the orientation [rad]
+    pace: Pace  # of the actuators
+    # the whole arm, for waypoints that are configurations; None: such waypoints are refused
     manipulator: Manipulator | None = None
 
 
 def schedule(message: GoalMessage, rules: GoalRules, now: float) -> Trajectory:
-    """Returns the trajectory of a goal.
-
-    Args:
-        message: the goal.
-        rules: of the arm.
-        now: time of arrival [UNIX s].
+    """Returns the trajectory of a goal that arrives `now` [UNIX s].
 
     Raises:
         Refusal: the goal is invalid; the message names the field.
@@ -315,6 +247,47 @@ def schedule(message: GoalMessage, rules: GoalRules, now: float) -> Trajectory:
         trajectory = through(times, positions, own, stamp, rotations, turns)
         return replace(trajectory, fixed=fixed) if fixed else trajectory
     return along(times, positions, own, message.path_tolerance, pace, stamp)
+
+
+def destination(
+    text: str, manipulator: Manipulator | None, where: str
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Returns the tip's position (dimension,) and the actuator states (A,) of a configuration.
+
+    Raises:
+        Refusal: the text is no configuration of this arm.
+    """
+    from hyperbit.controller.manipulator.notation import parse_configuration
+
+    if manipulator is None:
+        raise Refusal(Reason.POSITIONS_ONLY, where=where)
+    try:
+        configuration = parse_configuration(manipulator, text)
+    except ValueError as error:
+        raise Refusal(Reason.NO_CONFIGURATION, where=where, error=str(error)[:LONGEST]) from None
+    tip = manipulator.tip(configuration)
+    return tip[: manipulator.dimension, 3], manipulator.actuator_states(configuration)
+
+
+def rotation(orientation: float | list[float] | None, dimension: int, where: str) -> NDArray[np.float64]:
+    """Returns the rotation (3, 3) of an orientation; the identity if it is absent.
+
+    Raises:
+        Refusal: a planar arm needs an angle, a spatial arm a unit quaternion.
+    """
+    from hyperbit.controller.manipulator import frames
+
+    if orientation is None:
+        return np.eye(3)
+    if dimension == 2:
+        if isinstance(orientation, list):
+            raise Refusal(Reason.NO_ANGLE, where=where, count=len(orientation))
+        return frames.planar(0.0, 0.0, orientation)[:3, :3]
+    length = math.hypot(*orientation) if isinstance(orientation, list) and len(orientation) == 4 else 0.0
+    if not isinstance(orientation, list) or abs(length - 1.0) > UNIT:
+        got = f"one of length {length:.4g}" if length else f"{json.dumps(orientation)[:60]}"
+        raise Refusal(Reason.NO_QUATERNION, where=where, got=got)
+    return frames.spatial((0.0, 0.0, 0.0), orientation)[:3, :3]
 
 
 def check_times(times: Sequence[float], stamp: float, shortest: float, now: float) -> None:

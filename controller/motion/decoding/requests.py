@@ -7,7 +7,7 @@ from msgspec import Meta, Struct
 
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN, BeginSeconds, Jog
-from hyperbit.controller.motion.decoding.setpoint import parse
+from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.obstacles.notation import ObstacleList, parse_obstacles
 from hyperbit.controller.obstacles.obstacles import Obstacles
 from hyperbit.controller.refusals.reasons import Reason
@@ -43,11 +43,7 @@ class FaultMessage(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 def decode_jog(payload: bytes, actuators: Sequence[str]) -> Jog:
-    """Returns the jog in a payload.
-
-    Args:
-        payload: JSON.
-        actuators: labels, in the order of the state vectors.
+    """Returns the jog in a JSON payload. `actuators` are all labels, in the order of the state vectors.
 
     Raises:
         Refusal: the payload is invalid; the message names the field. No other exception is raised.
@@ -79,11 +75,7 @@ def decode_fault(payload: bytes) -> FaultMessage:
 
 
 def decode_obstacles(payload: bytes, dimension: int) -> Obstacles:
-    """Returns the obstacles in an `obstacles` payload.
-
-    Args:
-        payload: JSON.
-        dimension: of the arm, 2 or 3.
+    """Returns the obstacles in an `obstacles` payload, for an arm of 2 or 3 dimensions.
 
     Raises:
         Refusal: the payload is invalid; the message names the field. No other exception is raised.

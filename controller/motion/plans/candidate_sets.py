@@ -18,15 +18,13 @@ from hyperbit.controller.motion.plans.halves import (
     CellMemory,
     Changes,
     Place,
-    Source,
     States,
     index_half,
     match,
 )
 from hyperbit.controller.obstacles.scene import Scene, for_scenes
-from hyperbit.controller.search.frame_rows import motions
 from hyperbit.controller.search.method import costs_between_states
-from hyperbit.controller.search.segment import ROWS, Rows, Sets, grow, room
+from hyperbit.controller.search.segment import ROWS, Rows, Sets, grow, motions, room
 from hyperbit.controller.search.target import SearchTarget
 from hyperbit.controller.search.two_list import middle
 
@@ -81,14 +79,14 @@ def list_candidates(
             seed[i] = sources[n, i]
             for j in range(prices.shape[1]):
                 near[i, j] = prices[i, seed[i], j]
-        source, sets = Source(seed, near, budget), Sets(changes.motions, changes.states, seed, near, near)
+        sets = Sets(changes.motions, changes.states, seed, near, near)
         for lower in (False, True):
             rows, start, end = (halves[0], 0, changes.cut) if lower else (halves[1], changes.cut, modules)
             known, _ = grow(sets, start, end, budget / 2, most_rows, rows)
             lacks = 1 if known == most_rows else 0
             if lacks == 0:
                 half = index_half(lower, rows, known, place, memory)
-                lacks = 0 if match(changes, place, scene, source, half, listed) else 2
+                lacks = 0 if match(sets, changes.cut, budget, place, scene, half, listed) else 2
             if lacks > 0:
                 listed.written[0] = begun
                 return n, lacks
@@ -97,12 +95,7 @@ def list_candidates(
 
 
 class CandidateSets:
-    """Lists complete candidate sets of one arm; holds the memory for them.
-
-    Args:
-        manipulator: the arm.
-        weights: of the actuators' switches, see Manipulator.per_module, shape (B, Amax).
-    """
+    """Lists complete candidate sets of one arm, by weights of switches (B, Amax); holds the memory for them."""
 
     def __init__(self, manipulator: Manipulator, weights: Array) -> None:
         cut = max(middle(manipulator, 0, len(manipulator.modules)), 1)
@@ -118,16 +111,9 @@ class CandidateSets:
         most: int,
         late: Callable[[], bool],
     ) -> CandidateList | None:
-        """Returns all clear configurations within the tolerances that cost at most a budget from a source.
+        """Returns all clear configurations within the tolerances that cost at most a budget (n,) from a source (n, B).
 
         Returns None if they are more than `most`, if `late()` becomes true, or if a half has too many changes.
-
-        Args:
-            target: the goal.
-            sources: configurations, shape (n, B).
-            budgets: greatest cost from each source, shape (n,).
-            most: greatest number of configurations.
-            late: whether the deadline has passed.
         """
         listed = CandidateList(
             np.empty(most, np.int64), np.empty((most, sources.shape[1]), np.uint16), np.zeros(1, np.int64)

@@ -16,14 +16,7 @@ if TYPE_CHECKING:  # their kernels take seconds to import
 
 
 def describe_solution(whole: Manipulator, reduced: Manipulator, solution: Solution, oriented: bool) -> dict[str, Any]:
-    """Returns the fields of one solution.
-
-    Args:
-        whole: the arm.
-        reduced: the arm reduced by locked actuators, to which the solution belongs.
-        solution: to describe.
-        oriented: whether the goal has an orientation.
-    """
+    """Returns the fields of one solution, of the arm reduced by locked actuators; `oriented`: the goal is a pose."""
     return {
         "configuration": format_configuration(whole, transferred(solution.configuration, reduced, whole)),
         **pose(whole, solution.tip),
@@ -41,11 +34,7 @@ def describe_plan(
 ) -> dict[str, Any]:
     """Returns the fields of a plan: `message`, `waypoints`, its proof, and the tip bias if there is a tracker.
 
-    Args:
-        whole: the arm.
-        reduced: the arm reduced by locked actuators, to which the plan belongs.
-        previous: configuration before, shape (B,).
-        plan: to describe.
+    The plan is of the arm reduced by locked actuators, from the configuration `previous` (B,).
     """
     trajectory, before = plan.trajectory, reduced.actuator_states(previous)
     shift = np.zeros(trajectory.positions.shape[1]) if trajectory.bias is None else trajectory.bias

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, I1, named
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
-from hyperbit.controller.search.frame_rows import compose
-from hyperbit.controller.search.segment import ROWS, Rows
+from hyperbit.controller.search.segment import ROWS, SETS, Rows, Sets, compose, empty_ranks, rank
 from hyperbit.controller.search.target import QUERY, SearchQuery, reaches
 
 Array = NDArray[np.float64]
@@ -22,65 +21,32 @@ CELL = 2.000001  # width of a cell in search radii: rounding must not put near p
 
 
 class Changes(NamedTuple):
-    """The costs of switches, and the arm cut in two.
+    """The costs of switches, and the arm cut in two."""
 
-    Attributes:
-        motions: see frame_rows, shape (B * Kmax, 4) or (B * Kmax, 12).
-        states: K_i, shape (B,).
-        costs: cost of each module's states from each other, shape (B, Kmax, Kmax).
-        cut: number of modules in the lower half.
-    """
-
-    motions: Array
-    states: Integers
-    costs: Array
-    cut: int
+    motions: Array  # see segment, shape (B * Kmax, 4) or (B * Kmax, 12)
+    states: Integers  # K_i, shape (B,)
+    costs: Array  # cost of each module's states from each other, shape (B, Kmax, Kmax)
+    cut: int  # number of modules in the lower half
 
 
 class Place(NamedTuple):
-    """Where the tip must be.
+    """Where the tip must be."""
 
-    Attributes:
-        query: goal and tolerances.
-        position: of the goal in frame F_0, shape (3,).
-    """
-
-    query: SearchQuery
-    position: Array
-
-
-class Source(NamedTuple):
-    """A configuration from which switches are counted.
-
-    Attributes:
-        seed: the configuration, shape (B,).
-        near: costs of all states from the seed, shape (B, Kmax).
-        budget: greatest cost of the changes of both halves together.
-    """
-
-    seed: Configuration
-    near: Array
-    budget: float
+    query: SearchQuery  # goal and tolerances
+    position: Array  # of the goal in frame F_0, shape (3,)
 
 
 class CandidateList(NamedTuple):
-    """Configurations within the tolerances.
+    """Configurations within the tolerances."""
 
-    Attributes:
-        sources: number of the source from which each was found, shape (n,).
-        configurations: shape (n, B).
-        written: number of configurations that are written, shape (1,).
-    """
-
-    sources: Integers
-    configurations: States
-    written: Integers
+    sources: Integers  # number of the source from which each was found, shape (n,)
+    configurations: States  # shape (n, B)
+    written: Integers  # number of configurations that are written, shape (1,)
 
 
 I2, I32, STATES = int64[:, ::1], int32[:, ::1], uint16[:, ::1]
 CHANGES = named(Changes, F2, I1, F3, int64)
 PLACE = named(Place, QUERY, F1)
-SOURCE = named(Source, I1, F2, float64)
 CANDIDATES = named(CandidateList, I1, STATES, I1)
 
 
@@ -123,23 +89,14 @@ def write_changes(rows: Rows, n: int, configuration: Configuration) -> None:
 
 
 class Half(NamedTuple):
-    """Changes of one half of the arm, in hashed cells by their matching points.
+    """Changes of one half of the arm, in hashed cells by their matching points."""
 
-    Attributes:
-        lower: whether it is the lower half.
-        rows: the changes; row 0 is the seed.
-        marks: matching point and cost of each change, shape (n, 4).
-        links: cell of each point, and the next change in the same hash slot, -1 for none, shape (n, 4).
-        heads: first change of each hash slot, -1 for none; the number of slots is a power of two.
-        least: least cost of a change.
-    """
-
-    lower: bool
-    rows: Rows
-    marks: Array
-    links: Index32
-    heads: NDArray[np.int32]
-    least: float
+    lower: bool  # whether it is the lower half
+    rows: Rows  # the changes; row 0 is the seed
+    marks: Array  # matching point and cost of each change, shape (n, 4)
+    links: Index32  # cell of each point, and the next change in the same hash slot, -1 for none, shape (n, 4)
+    heads: NDArray[np.int32]  # first change of each hash slot, -1 for none; the number of slots is a power of two
+    least: float  # least cost of a change
 
 
 class CellMemory(NamedTuple):
@@ -244,58 +201,37 @@ def list_match(
     return True
 
 
-@njit([types.void(CHANGES, SOURCE, int64, F2, F1)], cache=True, nogil=True)
-def follow_seed(changes: Changes, source: Source, first: int, rest: Array, least: Array) -> None:
-    """Writes what follows each module of a half, modules first+1 to first+n.
-
-    Args:
-        changes: the arm.
-        source: the seed.
-        first: number of modules before the half.
-        rest: written: frames from each module to the half's end at the seed, shape (n + 1, 4 or 12); zeros on entry.
-        least: written: least cost of a change of each module or a later one, shape (n + 1,); infinite on entry.
-    """
-    kinds, size, width = source.near.shape[1], len(least) - 1, rest.shape[1]
-    for a in range(2 if width == 4 else 3, width, 2 if width == 4 else 4):
-        rest[size, a] = 1.0
-    for d in range(size - 1, -1, -1):
-        i = first + d
-        compose(changes.motions, i * kinds + source.seed[i], rest, d + 1, rest, d)
-        least[d] = least[d + 1]
-        for j in range(changes.states[i]):
-            if j != source.seed[i]:
-                least[d] = min(least[d], source.near[i, j])
-
-
 @njit(
-    for_scenes(lambda scene: boolean(CHANGES, PLACE, scene, SOURCE, HALF, CANDIDATES)),
+    for_scenes(lambda scene: boolean(SETS, int64, float64, PLACE, scene, HALF, CANDIDATES)),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
 def match(
-    changes: Changes, place: Place, scene: Scene | None, source: Source, half: Half, listed: CandidateList
+    sets: Sets, cut: int, budget: float, place: Place, scene: Scene | None, half: Half, listed: CandidateList
 ) -> bool:
     """Matches all changes of one half of the arm with those of the other half; returns False if there is no room.
 
     The changes of the upper half cost more than half the budget: the others are found with the roles swapped.
 
     Args:
-        changes: the arm.
+        sets: the arm, and the seed from which switches are counted.
+        cut: number of modules in the lower half.
+        budget: greatest cost of the changes of both halves together.
         place: the goal.
         scene: obstacles.
-        source: from which switches are counted.
         half: the other half.
         listed: written, without the sources.
     """
     # Arrays are taken out of tuples before the loops, which would count references for each change.
-    (moves, states, _, cut), (seed, near, budget), (lower, _, marks, links, heads, _) = changes, source, half
+    (moves, states, seed, near, _), (lower, _, marks, links, heads, _) = sets, half
     goal, radius, planar, kinds = place.position, place.query.radius, moves.shape[1] == 4, near.shape[1]
     first, size, above = (cut, len(seed) - cut, budget / 2) if lower else (0, cut, -1.0)
     if size == 0:  # the upper half of an arm of one module has no changes
         return True
-    rest, least = np.zeros((size + 1, moves.shape[1])), np.full(size + 1, np.inf)
-    follow_seed(changes, source, first, rest, least)
+    ranked = empty_ranks(size, kinds, moves.shape[1])
+    rank(sets, first, ranked)
+    rest, least = ranked.rest, ranked.nearest
     frames, costs = np.zeros((size + 2, moves.shape[1])), np.zeros(size + 1)  # from the half's bottom
     frames[0] = rest[size]
     changed, found = np.empty((2, len(seed)), np.int64), np.empty(len(marks), np.int64)

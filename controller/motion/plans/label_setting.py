@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.motion.plans.candidate_sets import CandidateSets
 from hyperbit.controller.motion.plans.lookahead import LookAhead
-from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.plans.points import FARTHEST, TrajectoryPoints
 from hyperbit.controller.motion.trajectory import Trajectory
 from hyperbit.controller.search.solution import EPSILON, SearchTime, proves
 
@@ -29,47 +29,31 @@ GROWTH = 5.0  # expected factor of the time from one width, or one ceiling of a 
 WIDER = 4  # most steps of one least weight by which the ceiling rises to fill a layer
 FIRST = SearchTime(0.01, unfound=0.5)  # to find one configuration that serves a point; its cost is the first ceiling
 MOST = 1 << 18  # configurations of a complete layer
-FARTHEST = 64  # points ahead for which it is checked whether a configuration serves
 
 
 class Layer(NamedTuple):
-    """Configurations that serve a point.
+    """Configurations that serve a point."""
 
-    Attributes:
-        configurations: shape (n, B).
-        costs: of the cheapest sequence to each, shape (n,).
-        before: index of the predecessor in the layer before, shape (n,).
-    """
-
-    configurations: NDArray[np.uint16]
-    costs: Array
-    before: Integers
+    configurations: NDArray[np.uint16]  # shape (n, B)
+    costs: Array  # of the cheapest sequence to each, shape (n,)
+    before: Integers  # index of the predecessor in the layer before, shape (n,)
 
 
 class BestSequence(NamedTuple):
-    """The cheapest sequence found of configurations that serve all points of a trajectory.
+    """The cheapest sequence found of configurations that serve all points of a trajectory."""
 
-    Attributes:
-        configurations: shape (n, B); None if no sequence was found.
-        cost: weighted switches; infinite if no sequence was found.
-        bound: proven lower bound of the cost of any sequence.
-    """
-
-    configurations: Integers | None
-    cost: float
-    bound: float
+    configurations: Integers | None  # shape (n, B); None if no sequence was found
+    cost: float  # weighted switches; infinite if no sequence was found
+    bound: float  # proven lower bound of the cost of any sequence
 
 
 class LabelSetting:
     """The search for fewest switches over one trajectory.
 
+    It begins in the configuration `start` (B,), and ends early if `stop` returns true.
+
     Attributes:
         best: the cheapest sequence found and the proven lower bound.
-
-    Args:
-        points: to serve.
-        start: configuration before the first point, shape (B,).
-        stop: returns whether to stop before the time is over.
     """
 
     def __init__(
@@ -85,7 +69,6 @@ class LabelSetting:
 
     @property
     def optimal(self) -> bool:
-        """Whether the best sequence is proven to be optimal."""
         return proves(self.best.bound, self.best.cost)
 
     def offer(self, configurations: Integers, cost: float, first: float = 0.0) -> None:
@@ -176,7 +159,6 @@ class LabelSetting:
         return True
 
     def _offer_through(self, layers: list[Layer]) -> None:
-        """Offers the cheapest sequence through layers."""
         n = int(np.argmin(layers[-1].costs))
         self.offer(trace(layers, n), float(layers[-1].costs[n]))
 
@@ -189,10 +171,8 @@ class LabelSetting:
         solution = solver.solve(point.target, seed, timeout=FIRST)
         if not solution.within_tolerance or self._late():
             return None
-        found = Layer(
-            solution.configuration.astype(np.uint16)[None], np.array([least + solution.cost]), np.zeros(1, np.int64)
-        )
-        found = found._replace(before=np.array([int(np.argmin(layer.costs))]))
+        row, before = solution.configuration.astype(np.uint16)[None], np.array([np.argmin(layer.costs)])
+        found = Layer(row, np.array([least + solution.cost]), before)
         for more in range(WIDER):
             wider = self._next_layer(layer, k, least + solution.cost + more * solver.least_weight, 64 * width + 1024)
             if wider is None:
@@ -203,25 +183,13 @@ class LabelSetting:
         if self._late():
             return None
         # Of two labels of equal cost the one that serves longer is better: a point is worth the mean cost so far.
-        worth = found.costs - float(found.costs.min()) / (k + 1) * self._points_served(found, k)
+        served = self._points.count_served(found.configurations, k + 1)
+        worth = found.costs - float(found.costs.min()) / (k + 1) * served
         chosen = np.argsort(worth, kind="stable")[:width]
         return Layer(found.configurations[chosen], found.costs[chosen], found.before[chosen])
 
-    def _points_served(self, layer: Layer, k: int) -> Integers:
-        """Returns the number of following points that each configuration of a layer serves, shape (n,)."""
-        tips = self._solver.manipulator.tips(layer.configurations)
-        served = self._trajectory.serve(tips, slice(k + 1, k + 1 + FARTHEST))
-        return np.asarray(np.logical_and.accumulate(served, axis=1).sum(axis=1))
-
     def _next_layer(self, layer: Layer, k: int, ceiling: float, most: int) -> Layer | None:
-        """Returns all configurations for point k within a cost; None if they are too many.
-
-        Args:
-            layer: of the point before.
-            k: index of the point.
-            ceiling: greatest cost of a sequence.
-            most: configurations of the layer.
-        """
+        """Returns all configurations for point k at the end of sequences within a cost; None if more than `most`."""
         solver, point = self._solver, self._points[k]
         if (given := point.configuration) is not None:
             return self._given_layer(layer, given, ceiling)

@@ -6,47 +6,40 @@ extended to the next. After some points all labels share the beginning of their 
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.manipulator import Configuration
+from hyperbit.controller.motion.plans.plan import TrajectoryPlan
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.plans.transitions import TransitionPlanner
 
 WIDTH = 64  # labels kept at a point
 MOST = 32  # successors of a label
-FARTHEST = 64  # points ahead for which it is checked whether a configuration serves
 SPREAD = 1.0  # greatest extra cost of a label's successor over its cheapest one, in least weights
+MARGIN = 0.1  # [s] between the decision of a point and its first switch, at least
+BATCH = 4  # points staged at a time: staging one may take some hundredths of a second, the next are due first
 
 
 @dataclass(frozen=True, eq=False)
 class PathLabel:
-    """A configuration at one point, and the path to it.
+    """A configuration at one point, and the path to it."""
 
-    Attributes:
-        cost: weighted switches of the path.
-        configuration: at the end of the path, shape (B,).
-        until: the first later point that the configuration does not serve, up to FARTHEST ahead.
-        before: label at the point before; None at the first point, and where the path is decided.
-    """
-
-    cost: float
-    configuration: Configuration
-    until: int
-    before: PathLabel | None
+    cost: float  # weighted switches of the path
+    configuration: Configuration  # at the end of the path, shape (B,)
+    until: int  # the first later point that the configuration does not serve, up to FARTHEST ahead
+    before: PathLabel | None  # label at the point before; None at the first point, and where the path is decided
 
 
 class LookAhead:
     """Paths along a trajectory, extended point by point.
 
-    A configuration stays as long as it serves. Switching sooner saves nothing, because costs obey the triangle
-    inequality.
-
-    Args:
-        points: of the trajectory.
-        start: configuration at which all paths begin, shape (B,).
-        first: index of the first point after `start`.
+    All paths begin in the configuration `start` (B,), before the point `first`. A configuration stays as long as it
+    serves. Switching sooner saves nothing, because costs obey the triangle inequality.
     """
 
     def __init__(self, points: TrajectoryPoints, start: Configuration, first: int = 0) -> None:
@@ -91,10 +84,8 @@ class LookAhead:
 
     def _until(self, configurations: NDArray[np.int64]) -> list[int]:
         """Returns the first point after the next that configurations (m,) of the next point do not serve."""
-        following = self._first + self._next + 1
-        tips = self._solver.manipulator.tips(configurations)
-        served = self._points.trajectory.serve(tips, slice(following, following + FARTHEST))
-        return (self._next + 1 + np.logical_and.accumulate(served, axis=1).sum(axis=1)).tolist()  # type: ignore[no-any-return]
+        following = self._next + 1
+        return [following + n for n in self._points.count_served(configurations, self._first + following).tolist()]
 
     def decided(self) -> list[Configuration]:
         """Returns the configurations after the start that all paths share."""
@@ -110,7 +101,6 @@ class LookAhead:
         return self._decided[:count]
 
     def _common(self) -> int:
-        """Returns the number of steps that all paths share."""
         paths = [trace(label) for label in self._labels]
         return sum(all(path[k] is paths[0][k] for path in paths) for k in range(1, len(paths[0])))
 
@@ -129,3 +119,56 @@ def trace(label: PathLabel) -> list[PathLabel]:
     while path[-1].before is not None:
         path.append(path[-1].before)
     return path[::-1]
+
+
+def changed_points(old: TrajectoryPlan, new: TrajectoryPlan) -> slice | None:
+    """Returns the points whose transitions differ between two plans; None if all stages are the same."""
+    pairs = enumerate(zip(old.transitions, new.transitions, strict=True))
+    staged = [k for k, (a, b) in pairs if a is not b]  # others are the same objects
+    differ = (k for k in staged if not np.array_equal(old.transitions[k].stages, new.transitions[k].stages))
+    first = next(differ, None)
+    return None if first is None else slice(first, staged[-1] + 1)
+
+
+class Improvement:
+    """Improves a plan from its second point on; the arm already moves to the first.
+
+    `start` is t = 0 of the trajectory [s, monotonic clock]; infinite: no point is ever due.
+    """
+
+    def __init__(self, planner: TransitionPlanner, plan: TrajectoryPlan, start: float = np.inf) -> None:
+        self._planner, self._plan, self._start = planner, plan, start
+        self._longest = 0.0  # to extend to a point, to stage and to check [s]; nothing is decided meanwhile
+
+    def plans(self) -> Iterator[TrajectoryPlan]:
+        """Yields the plan again and again, improved whenever more points are decided, so that the caller can act.
+
+        A point is due when only MARGIN and the longest time of one iteration are left before its first switch. If an
+        iteration takes longer, the point keeps its earlier plan, which is as accurate but may switch more.
+        """
+        trajectory, handed_over = self._plan.trajectory, 0
+        ahead = LookAhead(self._planner.points, self._plan.solutions[0].configuration, 1)
+        between, actuators = np.diff(trajectory.times, prepend=-np.inf), len(self._planner.solver.manipulator.actuators)
+        strict = any(transition.strict for transition in self._plan.transitions)
+        earliest = trajectory.times - self._planner.pace.longest(between, actuators, strict)
+        for k in range(1, len(trajectory.times)):
+            began = time.perf_counter()
+            ahead.extend()
+            extended = time.perf_counter() - began
+            soon = time.monotonic() + MARGIN + max(self._longest, extended) - self._start
+            due = int(np.searchsorted(earliest, soon)) - 1
+            ahead.decide(k if k == len(trajectory.times) - 1 else min(due, k))
+            decided = ahead.decided()
+            while True:
+                began = time.perf_counter()
+                self._improve(handed_over + 1, decided[handed_over : handed_over + BATCH])
+                handed_over = min(handed_over + BATCH, len(decided))
+                yield self._plan
+                self._longest = max(self._longest, extended + time.perf_counter() - began)
+                if handed_over == len(decided):
+                    break
+
+    def _improve(self, first: int, configurations: list[Configuration]) -> None:
+        """Puts configurations into the plan from point `first` on."""
+        if configurations:
+            self._plan = self._plan.improved(self._planner, first, configurations)

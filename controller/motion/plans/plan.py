@@ -16,19 +16,12 @@ from hyperbit.controller.search.solution import Certificate, Solution, certifica
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryPlan:
-    """A planned trajectory.
+    """A planned trajectory."""
 
-    Attributes:
-        trajectory: the goal.
-        solutions: one for each point; switches, cost and certificate are those of its transition.
-        transitions: to each point's configuration from the one before.
-        bound: proven lower bound of the cost of any plan from this start; 0 if nothing is proven.
-    """
-
-    trajectory: Trajectory
-    solutions: tuple[Solution, ...]
-    transitions: tuple[Staged, ...]
-    bound: float = 0.0
+    trajectory: Trajectory  # the goal
+    solutions: tuple[Solution, ...]  # one for each point; switches, cost and certificate are those of its transition
+    transitions: tuple[Staged, ...]  # to each point's configuration from the one before
+    bound: float = 0.0  # proven lower bound of the cost of any plan from this start; 0 if nothing is proven
 
     @property
     def actuator_states(self) -> NDArray[np.uint8]:
@@ -37,17 +30,14 @@ class TrajectoryPlan:
 
     @property
     def switches(self) -> int:
-        """Number of switches over all points."""
         return sum(solution.switches for solution in self.solutions)
 
     @property
     def cost(self) -> float:
-        """Weighted number of switches over all points."""
         return sum(solution.cost for solution in self.solutions)
 
     @property
     def certificate(self) -> Certificate:
-        """The certificate of the whole plan's cost; see Solution.certificate."""
         return certificate(all(s.within_tolerance for s in self.solutions), self.bound, self.cost)
 
     def proof(self) -> dict[str, str | bool | float | None]:
@@ -68,15 +58,10 @@ class TrajectoryPlan:
         configurations: Sequence[Configuration],
         previous: Configuration | None = None,
     ) -> "TrajectoryPlan":
-        """Returns the plan with other configurations from point `first` on.
+        """Returns the plan with other configurations (B,) from point `first` on.
 
         A part is left as it was if it would miss a point, or if its transitions would not fit into the time.
-
-        Args:
-            planner: of this trajectory's transitions.
-            first: index of the first point to change.
-            configurations: of the points from `first` on, each of shape (B,).
-            previous: configuration before the first point, shape (B,); needed only if `first` is 0.
+        `previous` (B,) is the configuration before the first point, needed only if `first` is 0.
         """
         try:
             return self._changed(planner, first, configurations, previous)

@@ -30,12 +30,8 @@ WAY_TIME = 0.25  # [s] at least, if the cheapest configuration is blocked
 class PointByPoint:
     """Plans one trajectory point by point.
 
-    Args:
-        planner: of the trajectory's transitions.
-        method: the search algorithm.
-        allowed: time of all searches together, except that `unfound` is that of each point. Only the first point's
-            search is extended by its gap, because the others are improved later.
-        threads: that search ways around obstacles at the same time.
+    `allowed` is the time of all searches together, except that `unfound` is that of each point. Only the first point's
+    search is extended by its gap, because the others are improved later. `threads` search ways around obstacles.
     """
 
     def __init__(
@@ -50,16 +46,15 @@ class PointByPoint:
         self._proceed: Callable[[], bool] = lambda: False
 
     def plan(self, previous: Configuration, proceed: Callable[[], bool] = lambda: False) -> TrajectoryPlan:
-        """Returns the plan of the trajectory.
+        """Returns the plan of the trajectory from a configuration (B,).
 
-        Args:
-            previous: configuration of the arm at the start, shape (B,).
-            proceed: called before each point, and during the searches. It returns whether they must end soon; what it
-                raises ends the planning.
+        `proceed` is called before each point, and during the searches. It returns whether they must end soon; what it
+        raises ends the planning.
 
         Raises:
             Refusal: a point is out of reach (the message gives the nearest one found), no collision-free transition
-                was found, the time is too short, or the arm collides where it stands.
+                was found, the time is too short, the arm collides in a given configuration or where it stands, or a
+                locked actuator excludes a given configuration.
         """
         if self._solver.clearance is not None and (where := self._solver.clearance.where(previous)) is not None:
             raise Refusal(Reason.ARM_IN_OBSTACLE, collision=where)
@@ -78,12 +73,7 @@ class PointByPoint:
         return TrajectoryPlan(self._planner.trajectory, solutions, transitions, solutions[0].bound)
 
     def _to_given(self, point: TrajectoryPoint, states: States, previous: Configuration) -> PlannedTransition:
-        """Returns the transition to a point that is given as a configuration.
-
-        Raises:
-            Refusal: a locked actuator excludes the configuration, the arm collides in it, the time is too short, or no
-                collision-free transition was found.
-        """
+        """Returns the transition to a point that is given as a configuration."""
         try:
             configuration = self._solver.manipulator.configuration(states)
         except ValueError as error:
@@ -97,11 +87,7 @@ class PointByPoint:
             return self._around(point, previous, solution, blocked)
 
     def _to_found(self, point: TrajectoryPoint, previous: Configuration) -> PlannedTransition:
-        """Returns the transition to a configuration that is searched for a point.
-
-        Raises:
-            Refusal: the point is out of reach, the time is too short, or no collision-free transition was found.
-        """
+        """Returns the transition to a configuration that is searched for a point."""
         remaining, with_deviation = self._remaining(), self._with_deviation()
         allowed = self._time(point, min(self._longest, remaining))
         solution = self._solver.solve(point.target, previous, self._method, allowed, self._proceed)
@@ -122,11 +108,7 @@ class PointByPoint:
     def _around(
         self, point: TrajectoryPoint, previous: Configuration, cheapest: Solution, blocked: Blocked
     ) -> PlannedTransition:
-        """Returns the transition to another configuration, or a detour, because that to the cheapest is blocked.
-
-        Raises:
-            Refusal: there is none, or none was found in time.
-        """
+        """Returns the transition to another configuration, or a detour, because that to the cheapest is blocked."""
         until = WayTime(self._began, time.perf_counter() + WAY_TIME, self._allowed, self._proceed)
         return WaysAround(self._planner, point, previous, cheapest, self._threads).find(blocked, until)
 
@@ -156,7 +138,6 @@ def staying(before: PlannedTransition, point: TrajectoryPoint) -> PlannedTransit
 
 
 def out_of_reach(point: TrajectoryPoint, nearest: Solution) -> Refusal:
-    """Returns the refusal of a point for which no configuration within tolerance was found."""
     trajectory, k = point.trajectory, point.index
     goal, tolerance = trajectory.positions[k], trajectory.tolerances[k]
     bias = trajectory.bias

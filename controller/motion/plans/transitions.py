@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.motion.plans.points import TrajectoryPoint, TrajectoryPoints
 from hyperbit.controller.motion.stages.pacing import Blocked, Infeasible, Pace, Staged, Stager
-from hyperbit.controller.motion.stages.restaging import restage
+from hyperbit.controller.motion.stages.program import restage
 from hyperbit.controller.motion.trajectory import Trajectory, upwards
 from hyperbit.controller.obstacles.distance import Index
 from hyperbit.controller.obstacles.keep_out import KeepOutSet
@@ -25,14 +25,9 @@ AT_ONCE = Pace(0.0)
 
 
 class PlannedTransition(NamedTuple):
-    """The transition to one point.
+    """The transition to one point."""
 
-    Attributes:
-        solution: of the point, with the switches and the cost of all stages.
-        staged: the stages to its configuration.
-    """
-
-    solution: Solution
+    solution: Solution  # of the point, with the switches and the cost of all stages
     staged: Staged
 
 
@@ -54,14 +49,10 @@ class TransitionPlanner:
     def solution_of(
         self, point: TrajectoryPoint, previous: Configuration, configuration: Configuration, bound: float = 0.0
     ) -> Solution:
-        """Returns a configuration (B,) as the solution of a point.
+        """Returns a configuration (B,) as the solution of a point, from the configuration `previous` (B,).
 
-        Args:
-            point: of the trajectory.
-            previous: configuration before, shape (B,).
-            configuration: to describe.
-            bound: proven lower bound of the cost of any configuration of the point. A point that is given as a
-                configuration needs none: at least the actuators that differ must switch.
+        `bound` is a proven lower bound of the cost of any configuration of the point. A point that is given as a
+        configuration needs none: at least the actuators that differ must switch.
         """
         found = self.solver.described(configuration, point.target, previous)
         return replace(found, bound=min(bound, found.cost) if point.states is None else found.cost)
@@ -74,17 +65,11 @@ class TransitionPlanner:
         with_deviation: bool = True,
         detour: Index | None = None,
     ) -> PlannedTransition:
-        """Returns the transition to a point, with the switches and the cost of its stages.
+        """Returns the transition to a point from a configuration (B,), with the switches and the cost of its stages.
 
-        A detour switches more actuators than differ between the configurations. The bound of a solution holds for
-        detours, too.
-
-        Args:
-            point: of the trajectory.
-            previous: configuration before, shape (B,).
-            solution: of the point, from `previous`.
-            with_deviation: compute the deviation, also without an inrush bound.
-            detour: actuators (n,) that may switch one after the other, if no other order is clear.
+        A detour lists actuators (n,) that may switch one after the other, if no other order is clear. It switches more
+        actuators than differ between the configurations. The bound of a solution holds for detours, too. Without an
+        inrush bound, the deviation is computed only `with_deviation`.
 
         Raises:
             Refusal: the time from the point before is too short.
@@ -133,17 +118,11 @@ def first_transition(
     planned: Staged,
     proceed: Callable[[], object],
 ) -> Staged:
-    """Returns the transition to the first point of a plan from other actuator states than planned.
+    """Returns the transition of the whole arm to the first point of a plan, from other actuator states than planned.
 
-    Planned stages among obstacles stay if they are clear from there, because they may contain detours.
-
-    Args:
-        manipulator: the whole arm.
-        pace: of the transitions.
-        keep_out: the obstacles.
-        commanded: actuator states before, of a configuration, shape (A,).
-        planned: the transition of the plan.
-        proceed: called before each check of a stage; it raises if the transition is no longer needed.
+    Planned stages among obstacles stay if they are clear from there, because they may contain detours. The states
+    `commanded` (A,) are those of a configuration. `proceed` is called before each check of a stage; it raises if the
+    transition is no longer needed.
 
     Raises:
         Refusal: the stages would collide.

@@ -21,19 +21,12 @@ TRY = 0.1  # [s] for one configuration, if no actuator may switch twice
 
 
 class WayTime(NamedTuple):
-    """When the search for a way ends.
+    """When the search for a way ends."""
 
-    Attributes:
-        began: when the planning has begun, by time.perf_counter [s].
-        least: until then at least.
-        allowed: time from `began`.
-        proceed: called between parts of the search; returns whether it must end soon.
-    """
-
-    began: float
-    least: float
-    allowed: SearchTime
-    proceed: Callable[[], bool]
+    began: float  # when the planning has begun, by time.perf_counter [s]
+    least: float  # until then at least
+    allowed: SearchTime  # time from `began`
+    proceed: Callable[[], bool]  # called between parts of the search; returns whether it must end soon
 
     def over(self, gap: float = np.inf) -> bool:
         """Returns whether the time is over, from the number of switches that may still be saved."""
@@ -44,15 +37,7 @@ class WayTime(NamedTuple):
 
 
 class WaysAround:
-    """Ways from one configuration to one point.
-
-    Args:
-        planner: of the trajectory's transitions.
-        point: of the trajectory.
-        previous: configuration before, shape (B,).
-        cheapest: solution of the point whose configuration is blocked.
-        threads: that search at the same time.
-    """
+    """Ways from one configuration (B,) to one point, whose cheapest solution is blocked; searched in `threads`."""
 
     def __init__(
         self,
@@ -87,11 +72,7 @@ class WaysAround:
         return np.array(list({end.tobytes(): end for end in found}.values())), complete
 
     def _once(self, ends: Index, until: WayTime, refusal: Refusal) -> PlannedTransition:
-        """Returns the first transition in which no actuator switches twice, because actuators must rest.
-
-        Raises:
-            Refusal: none was found.
-        """
+        """Returns the first transition in which no actuator switches twice, because actuators must rest."""
         for end in ends:
             tried = time.perf_counter() + TRY
 
@@ -108,11 +89,7 @@ class WaysAround:
     def _detour(
         self, ends: Index, complete: bool, blocked: Blocked, until: WayTime, refusal: Refusal
     ) -> PlannedTransition:
-        """Returns the cheapest detour found; the gap decides how long it is searched after the first.
-
-        Raises:
-            Refusal: none was found, or there is none.
-        """
+        """Returns the cheapest detour found; the gap decides how long it is searched after the first."""
         best, detours = None, self._detours(ends, complete=complete)
         late: Late = until.over
         while (found := detours.search(late)) is not None:
@@ -136,20 +113,15 @@ class WaysAround:
         return Detours(*parts, complete=complete, once=once, threads=self._threads)
 
     def _reached(self, detours: Detours, found: NoWay, blocked: Blocked) -> PlannedTransition:
-        """Returns the transition to the cheapest configuration among all that can be reached.
-
-        Raises:
-            Refusal: there is none, or the time between two points is too short for it.
-        """
+        """Returns the transition to the cheapest configuration among all that can be reached."""
         reached = () if found.reached is None else found.reached
         solutions = [
             self._planner.solution_of(self._point, self._previous, each, self._cheapest.bound) for each in reached
         ]
         served = sorted((s for s in solutions if self._serves(s)), key=lambda solution: solution.cost)
         for solution in served:
-            if (
-                planned := self._by(Detour(detours.order_to(solution.configuration), solution.configuration))
-            ) is not None:
+            planned = self._by(Detour(detours.order_to(solution.configuration), solution.configuration))
+            if planned is not None:
                 return planned
         if served:
             raise Refusal(Reason.NO_CLEAR_PATH, where=self._point.place, blocked=str(blocked))
@@ -162,11 +134,8 @@ class WaysAround:
 
     def _by(self, detour: Detour) -> PlannedTransition | None:
         """Returns the transition by a detour; None if there is not enough time for its stages."""
+        solution = self._planner.solution_of(self._point, self._previous, detour.end, self._cheapest.bound)
         try:
-            return self._transition(detour.end, detour.order)
+            return self._planner.transition(self._point, self._previous, solution, detour=detour.order)
         except (Blocked, Refusal):
             return None
-
-    def _transition(self, configuration: Configuration, detour: Index | None = None) -> PlannedTransition:
-        solution = self._planner.solution_of(self._point, self._previous, configuration, self._cheapest.bound)
-        return self._planner.transition(self._point, self._previous, solution, detour=detour)

@@ -23,19 +23,12 @@ Array = NDArray[np.float64]
 
 
 class TipGoals(NamedTuple):
-    """TipGoals for the tip, in order.
+    """Goals for the tip, in order."""
 
-    Attributes:
-        positions: in the world, shape (n, dimension).
-        tolerances: of the distances, shape (n,).
-        rotations: in the world, shape (n, 3, 3); ignored where `turns` is infinite.
-        turns: tolerances of the orientations [rad], shape (n,); infinite where any orientation serves.
-    """
-
-    positions: Array
-    tolerances: Array
-    rotations: Array
-    turns: Array
+    positions: Array  # in the world, shape (n, dimension)
+    tolerances: Array  # of the distances, shape (n,)
+    rotations: Array  # in the world, shape (n, 3, 3); ignored where `turns` is infinite
+    turns: Array  # tolerances of the orientations [rad], shape (n,); infinite where any orientation serves
 
 
 def plan_whole(
@@ -45,14 +38,10 @@ def plan_whole(
     first: SearchTime | None = None,
     seconds: float | None = None,
 ) -> TrajectoryPlan:
-    """Returns the cheapest plan found for a trajectory: point by point first, then over the whole trajectory.
+    """Returns the cheapest plan found from a configuration (B,): point by point first, then over the whole trajectory.
 
-    Args:
-        planner: of the trajectory's transitions.
-        previous: configuration of the arm at the start, shape (B,).
-        method: the search algorithm; the whole trajectory is searched for `minimum-switch` only.
-        first: time for the first answers of all points; None: that of `first_time`.
-        seconds: time for the search of the whole trajectory [s]; None: WHOLE_TIME.
+    The whole trajectory is searched for `minimum-switch` only, for `seconds`; None: WHOLE_TIME. The time for the first
+    answers of all points is `first`; None: that of `first_time`.
 
     Raises:
         Refusal: see `PointByPoint.plan`.
@@ -74,14 +63,9 @@ def look_ahead(
     seconds: float | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> TrajectoryPlan:
-    """Returns a plan that costs at most as much as `found`, with the lower bound that is proven.
+    """Returns a plan from a configuration (B,) that costs at most as much as `found`, with the proven lower bound.
 
-    Args:
-        planner: of the trajectory's transitions.
-        found: the plan to improve.
-        previous: configuration before, shape (B,).
-        seconds: time for the search [s], None: WHOLE_TIME; the time to stage its answer is extra.
-        stop: returns whether to end sooner.
+    The search takes `seconds`, None: WHOLE_TIME, or ends if `stop` returns true. Staging its answer takes extra time.
     """
     search = LabelSetting(planner.points, previous, stop)
     search.offer(
@@ -97,10 +81,8 @@ def look_ahead(
 def unhurried(goals: TipGoals, pace: Pace, path_tolerance: float | None = None) -> Trajectory:
     """Returns the trajectory through goals, with more time than the actuators need.
 
-    Args:
-        goals: if lines are followed, only positions and the least tolerance are used.
-        pace: of the transitions.
-        path_tolerance: greatest distance of the tip from the straight lines between goals; None: no lines are followed.
+    The tip stays within the path tolerance of the straight lines between goals; None: no lines are followed. If lines
+    are followed, only positions and the least tolerance are used.
 
     Raises:
         Refusal: the lines are too long for the path tolerance.

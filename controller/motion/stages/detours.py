@@ -56,15 +56,10 @@ class Detour(NamedTuple):
 
 
 class NoWay(NamedTuple):
-    """A proof that there is no way.
+    """A proof that there is no way."""
 
-    Attributes:
-        proof: in words.
-        reached: all configurations that can be reached, shape (n, B), if the proof has listed them.
-    """
-
-    proof: str
-    reached: Index | None = None
+    proof: str  # in words
+    reached: Index | None = None  # all configurations that can be reached, shape (n, B), if the proof has listed them
 
 
 class Meeting(NamedTuple):
@@ -79,13 +74,10 @@ class Meeting(NamedTuple):
 class Graph:
     """The graph of the lowest modules of an arm, with trees from the start and from the ends.
 
+    If `both`, it is flooded from the ends, too. For the other arguments see Detours.
+
     Attributes:
         start: the tree of the flood from the start.
-
-    Args:
-        clearance, start, ends, once: see Detours.
-        modules: number of modules.
-        both: flood from the ends, too.
     """
 
     def __init__(
@@ -189,8 +181,7 @@ class Detours:
     def search(self, late: Late) -> Detour | NoWay | None:
         """Returns a way or a proof; None if there is neither in time. Further calls may find other ways.
 
-        Args:
-            late: called between parts of the search, from this thread.
+        `late` is called between parts of the search, from this thread.
         """
         self._seed += 1
         searches: list[Iterator[Detour | Meeting | NoWay | None]] = [*self._proofs]

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hyperbit.controller.motion.stages.program import pack_states, unpack_states
-from hyperbit.controller.motion.stages.restaging import restage
+from hyperbit.controller.motion.stages.program import pack_states, restage, unpack_states
 from hyperbit.controller.program import MOST_BYTES, MOST_STAGES, Replacement, Stage
 
 if TYPE_CHECKING:
@@ -28,104 +27,61 @@ def most_stages(actuators: int) -> int:
 
 
 class PlannedPoint(NamedTuple):
-    """The stages to one point of a trajectory.
+    """The stages to one point of a trajectory."""
 
-    Attributes:
-        point: index in the trajectory; the mark of the last stage.
-        stages: packed states after each stage, at least one, with the output bits of locked actuators.
-        deviation: greatest distance of the tip from the straight line; None: not known yet.
-        switches: number of switches of all stages.
-    """
-
-    point: int
-    stages: tuple[bytes, ...]
-    deviation: float | None
-    switches: int
+    point: int  # index in the trajectory; the mark of the last stage
+    stages: tuple[bytes, ...]  # packed states after each stage, at least one, with the output bits of locked actuators
+    deviation: float | None  # greatest distance of the tip from the straight line; None: not known yet
+    switches: int  # number of switches of all stages
 
 
 class PlanProof(NamedTuple):
-    """What is proven of a plan's cost, from its start, with all switches of its stages.
+    """What is proven of a plan's cost, from its start, with all switches of its stages."""
 
-    Attributes:
-        switches: number, those of detours included.
-        cost: weighted number.
-        bound: proven lower bound of the cost of any plan from this start; 0 if nothing is proven.
-        certificate: "optimal", "bound" or "unknown".
-    """
-
-    switches: int
-    cost: float
-    bound: float
-    certificate: str
+    switches: int  # number, those of detours included
+    cost: float  # weighted number
+    bound: float  # proven lower bound of the cost of any plan from this start; 0 if nothing is proven
+    certificate: str  # "optimal", "bound" or "unknown"
 
 
 class Improved(NamedTuple):
-    """A better plan: other points from `first` on, the rest as before.
+    """A better plan: other points from `first` on, the rest as before."""
 
-    Attributes:
-        first: index of the first changed point.
-        points: all points from `first` on.
-        proof: of the whole plan.
-    """
-
-    first: int
-    points: tuple[PlannedPoint, ...]
-    proof: PlanProof
+    first: int  # index of the first changed point
+    points: tuple[PlannedPoint, ...]  # all points from `first` on
+    proof: PlanProof  # of the whole plan
 
 
 class Route(NamedTuple):
-    """The points of a program and their times.
+    """The points of a program and their times."""
 
-    Attributes:
-        start: packed outputs before the first stage.
-        points: with their stages.
-        times: of the points, in the trajectory's time [s].
-        between: whether each point lies between waypoints; without switches it then needs no stage.
-        lead: time of one stage [s].
-        delay: the trajectory's t = 0 in the program's time [s].
-        most: actuators that may switch at once.
-    """
-
-    start: bytes
-    points: tuple[PlannedPoint, ...]
-    times: Sequence[float]
-    between: Sequence[bool]
-    lead: float
-    delay: float
-    most: int
+    start: bytes  # packed outputs before the first stage
+    points: tuple[PlannedPoint, ...]  # with their stages
+    times: Sequence[float]  # of the points, in the trajectory's time [s]
+    between: Sequence[bool]  # whether each point lies between waypoints; without switches it then needs no stage
+    lead: float  # time of one stage [s]
+    delay: float  # the trajectory's t = 0 in the program's time [s]
+    most: int  # actuators that may switch at once
 
 
 class Unchecked(NamedTuple):
-    """Stages to check for collisions.
+    """Stages to check for collisions."""
 
-    Attributes:
-        until: index of the stage after them.
-        before: packed states before the first one.
-        stages: packed states after each.
-    """
-
-    until: int
-    before: bytes
-    stages: tuple[bytes, ...]
+    until: int  # index of the stage after them
+    before: bytes  # packed states before the first one
+    stages: tuple[bytes, ...]  # packed states after each
 
 
 @dataclass(eq=False)
 class Pending:
-    """A replacement that the executor has not answered.
+    """A replacement that the executor has not answered."""
 
-    Attributes:
-        sent: number of stages that the executor has if it accepts.
-        final: whether these are all stages.
-        parks: whether it withdraws stages because obstacles have changed.
-        before: points, stages and proof that hold if the executor refuses a better plan.
-        better: that plan.
-    """
-
-    sent: int
-    final: bool
-    parks: bool = False
+    sent: int  # number of stages that the executor has if it accepts
+    final: bool  # whether these are all stages
+    parks: bool = False  # whether it withdraws stages because obstacles have changed
+    # points, stages and proof that hold if the executor refuses a better plan
     before: tuple[list[PlannedPoint], list[Stage], list[int], PlanProof | None] | None = None
-    better: Improved | None = None
+    better: Improved | None = None  # that plan
 
 
 class Feed:
@@ -139,15 +95,7 @@ class Feed:
         begun: index of the latest stage that has begun; -1 before the first.
         strict: whether no stage may be skipped.
         checked: generation of the obstacles for which the stages are, or are being, checked.
-        proof: of the plan that is fed; None if it has changed since it was proven.
-
-    Args:
-        manipulator: the whole arm.
-        program: number of the program.
-        route: points and times.
-        strict: whether no stage may be skipped.
-        checked: generation of the obstacles for which all stages are clear.
-        proof: of the plan; None for a jog.
+        proof: of the plan that is fed; None for a jog, or if it has changed since it was proven.
     """
 
     def __init__(
@@ -198,7 +146,6 @@ class Feed:
         return self._points[mark].deviation if 0 <= mark < len(self._points) else None
 
     def note_deviations(self, values: Sequence[float | None]) -> None:
-        """Takes the deviations of all points."""
         self._points = [
             point if value is None else point._replace(deviation=value)
             for point, value in zip(self._points, values, strict=True)
@@ -221,7 +168,6 @@ class Feed:
 
     @property
     def waits_for_check(self) -> bool:
-        """Whether stages wait for their check among the present obstacles."""
         return self._clear is not None
 
     def to_check(self) -> Unchecked | None:
@@ -323,11 +269,9 @@ class Feed:
     # --- the flat list of stages
 
     def _before(self, stage: int) -> bytes:
-        """Returns the packed states before a stage."""
         return self._stages[stage - 1].states if stage else self._route.start
 
     def _point(self, stage: int) -> int:
-        """Returns the index of the point that a stage belongs to."""
         return bisect_right(self._ends, stage)
 
     def _extend(self, count: int) -> None:

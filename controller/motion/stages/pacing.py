@@ -1,6 +1,6 @@
 """The pace of transitions: as many stages as the time allows, within the inrush bound."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from hyperbit.controller.armfile.actuators import longest_travel
 from hyperbit.controller.armfile.settings import ArmSettings
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-from hyperbit.controller.motion.stages.deviation import Index, Transition
-from hyperbit.controller.motion.stages.stage_sequencer import StageSequencer
 from hyperbit.controller.motion.stages.stages import SKIPPED, order_stages, peaks
-from hyperbit.controller.motion.stages.transition import build_transition
-from hyperbit.controller.obstacles.sweep import Sweep
+from hyperbit.controller.motion.stages.transition import Index, Transition, build_transition
+from hyperbit.controller.obstacles.sweep import Collision, States, Sweep
 from hyperbit.controller.program import TICK
 
 MOST_STAGES = 8  # of a transition, unless the inrush bound needs more; further stages lower the deviation little
@@ -30,16 +28,12 @@ class Blocked(Infeasible):
 
 @dataclass(frozen=True, eq=False)
 class Staged:
-    """A transition as a sequence of stages.
+    """A transition as a sequence of stages."""
 
-    Attributes:
-        stages: actuator states after each stage, shape (k, A); k >= 1, also if nothing switches.
-        deviation_source: the deviation, or a function that computes it. Computing it would delay the start of a goal.
-        strict: the stages are collision-free one after the other; none may be skipped or merged with the next.
-    """
-
-    stages: NDArray[np.uint8]
+    stages: NDArray[np.uint8]  # actuator states after each stage, shape (k, A); k >= 1, also if nothing switches
+    # the deviation, or a function that computes it. Computing it would delay the start of a goal.
     deviation_source: float | Callable[[], float] | None
+    # the stages are collision-free one after the other; none may be skipped or merged with the next
     strict: bool = False
 
     @cached_property
@@ -54,18 +48,12 @@ class Staged:
 
 @dataclass(frozen=True)
 class Pace:
-    """The limits on an arm's transitions.
+    """The limits on an arm's transitions."""
 
-    Attributes:
-        lead: time of one stage, from the tick before it to its end [s].
-        inrush: most actuators that may switch at once. None: no limit; a transition is one stage, unless obstacles
-            need more.
-        rest: time that an actuator rests between two travels [s].
-    """
-
-    lead: float
+    lead: float  # time of one stage, from the tick before it to its end [s]
+    # most actuators that may switch at once. None: no limit; a transition is one stage, unless obstacles need more.
     inrush: int | None = None
-    rest: float = 0.0
+    rest: float = 0.0  # time that an actuator rests between two travels [s]
 
     @property
     def shortest(self) -> float:
@@ -90,18 +78,72 @@ class Pace:
         return np.minimum(available - self.rest, self.lead * max(MOST_STAGES, self.fewest(actuators)))
 
     def fewest(self, switches: int) -> int:
-        """Returns the fewest stages for a number of switches."""
         return -(-switches // (self.inrush or max(switches, 1)))
 
 
-class Stager:
-    """Cuts the transitions of one arm into stages that fit into their time.
+class StageSequencer:
+    """Finds collision-free stages from actuator states (A,). A stage lists the actuators (k,) that switch.
 
-    Args:
-        manipulator: the arm.
-        pace: the limits on its transitions.
-        sweep: swept checks that the stages must pass, in any order of a stage's actuators; None: no checks.
+    The order and the strokes of a stage's actuators are free. An order of single actuators in which each switch is
+    clear is cut into the fewest stages that are clear as a whole. At most `most` actuators switch at once.
     """
+
+    def __init__(self, sweep: Sweep, states: States, most: int) -> None:
+        self._sweep, self._states, self._most = sweep, states, most
+        self._obstruction: Collision | None = None
+        self._checked: dict[tuple[bytes, bytes], bool] = {}
+
+    @property
+    def obstruction(self) -> str:
+        """What the last rejected stage collides with, or may collide with, in words."""
+        return "nothing" if self._obstruction is None else self._sweep.describe(self._obstruction)
+
+    def clear(self, stages: Sequence[Index]) -> bool:
+        states = self._states
+        for stage in stages:
+            if not self._clear(states, stage):
+                return False
+            states = flipped(states, stage)
+        return True
+
+    def cut(self, order: Index) -> list[Index]:
+        """Returns the fewest clear stages of actuators in an order; an empty list if one actuator alone collides."""
+        stages, states, first = list[Index](), self._states, 0
+        while first < len(order):
+            rest = order[first : first + self._most]
+            low, high = 0, next((k for k in range(1, len(rest)) if rest[k] in rest[:k]), len(rest))
+            size = high
+            while low < high:  # a part of a clear stage is clear
+                if self._clear(states, rest[:size]):
+                    low = size
+                else:
+                    high = size - 1
+                size = (low + high + 1) // 2
+            if low == 0:
+                return []
+            stages.append(rest[:low])
+            states = flipped(states, rest[:low])
+            first += low
+        return stages
+
+    def _clear(self, states: States, stage: Index) -> bool:
+        key = states.tobytes(), np.sort(stage).tobytes()
+        if key not in self._checked:
+            collision = self._sweep.first_collision(states, stage)
+            self._checked[key] = collision is None
+            self._obstruction = collision or self._obstruction
+        return self._checked[key]
+
+
+def flipped(states: States, stage: Index) -> States:
+    """Returns the states (A,) after a stage (k,)."""
+    result = states.copy()
+    result[stage] ^= 1
+    return result
+
+
+class Stager:
+    """Cuts the transitions of one arm into stages that fit into their time, and that pass the checks of a sweep."""
 
     def __init__(self, manipulator: Manipulator, pace: Pace, sweep: Sweep | None = None) -> None:
         self._m, self._pace, self._sweep = manipulator, pace, sweep
@@ -114,12 +156,12 @@ class Stager:
         with_deviation: bool = True,
         detour: Index | None = None,
     ) -> Staged:
-        """Returns the stages of a transition; those without obstacles if they are clear.
+        """Returns the stages of a transition between configurations (B,); those without obstacles if they are clear.
 
         Args:
-            before: configuration, shape (B,).
-            after: configuration, shape (B,).
-            available: time from the waypoint before to the one after [s]; None: unlimited.
+            before: at the waypoint before.
+            after: at the waypoint after.
+            available: time between these waypoints [s]; None: unlimited.
             with_deviation: compute the deviation, also without an inrush bound.
             detour: actuators (n,) that may switch one after the other, see Detours; used if no other order is clear.
 
@@ -156,7 +198,6 @@ class Stager:
     def _without_obstacles(
         self, before: Configuration, after: Configuration, available: float | None, with_deviation: bool
     ) -> Staged:
-        """Returns the stages of a transition without obstacles; see `staged`."""
         m, inrush = self._m, self._pace.inrush
         n = m.switches(before, after)
         if n == 0:
@@ -180,22 +221,18 @@ class Stager:
         raise Infeasible(f"{n} switches, at most {inrush} at once, need more than {room} stages")
 
     def _room(self, available: float) -> int:
-        """Returns the number of stages for which there is time."""
         return int((available - self._pace.rest) / self._pace.lead + 1e-9)
 
 
 def pace_of(settings: ArmSettings) -> Pace:
-    """Returns the pace of an arm's transitions."""
     return Pace(longest_travel(settings) + TICK, settings.inrush, settings.rest_time)
 
 
 def at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> Staged:
-    """Returns a transition in one stage."""
     return Staged(manipulator.actuator_states(after)[None], lambda: deviation_at_once(manipulator, before, after))
 
 
 def deviation_at_once(manipulator: Manipulator, before: Configuration, after: Configuration) -> float:
-    """Returns the deviation of a transition in one stage."""
     transition = build_transition(manipulator, before, after)
     if not len(transition.actuators):
         return 0.0

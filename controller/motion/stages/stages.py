@@ -9,8 +9,7 @@ import numpy as np
 from numba import njit
 
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-from hyperbit.controller.motion.stages.deviation import Array, Index, Transition
-from hyperbit.controller.motion.stages.transition import build_transition
+from hyperbit.controller.motion.stages.transition import Array, Index, Transition, build_transition
 
 EXACT = 11  # most switches for which all orders are compared: 9 ms; 12 would take 24 ms
 WINDOW = 8  # most actuators of consecutive stages that are reordered exactly
@@ -29,20 +28,16 @@ class Stages:
     """An ordered partition of the actuators that switch, and its deviation from the straight line.
 
     The actuators of a stage finish in any order, so every subset of them may have switched for a while.
-
-    Attributes:
-        actuators: indices into the arm's actuators, for each stage, ascending within a stage.
-        deviation: greatest distance of the tip from the line.
     """
 
-    actuators: tuple[tuple[int, ...], ...]
-    deviation: float
+    actuators: tuple[tuple[int, ...], ...]  # indices into the arm's actuators, for each stage, ascending within a stage
+    deviation: float  # greatest distance of the tip from the line
 
 
 def order_stages(
     manipulator: Manipulator, start: Configuration, end: Configuration, most: int, stages: int | None = None
 ) -> Stages:
-    """Returns the stages from `start` to `end` with the smallest deviation found, and the fewest of these.
+    """Returns the stages between configurations (B,) with the smallest deviation found, and the fewest of these.
 
     Up to EXACT switches the deviation is the minimum. Above, several orders (by beam search in both directions, base to
     tip, and tip to base) are cut into stages optimally; the best is then improved around its worst stages. The result
@@ -51,13 +46,7 @@ def order_stages(
 
     Each stage ends in actuator states that every module has a state for. Unknown states within a stage are avoided if
     the bounds allow it. Otherwise their deviation is not counted, because the tip's position is not known in them.
-
-    Args:
-        manipulator: the arm.
-        start: configuration, shape (B,).
-        end: configuration, shape (B,).
-        most: actuators that may switch at once (inrush bound).
-        stages: most stages that the time allows; None: any number.
+    At most `most` actuators switch at once (inrush bound), in as many `stages` as the time allows; None: any number.
 
     Raises:
         ValueError: `most` is less than 1, `stages` is too small, or each order found ends a stage in an unknown state.

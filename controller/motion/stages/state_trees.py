@@ -20,25 +20,16 @@ ROOT = -1  # parent of a root
 
 
 class StateTree(NamedTuple):
-    """A forest of configurations, with room for `capacity` of them.
+    """A forest of configurations, with room for `capacity` of them."""
 
-    Attributes:
-        configurations: shape (capacity, B).
-        bits: actuator states, actuator a in bit a % 64 of word a // 64, shape (capacity, W).
-        parents: number of the parent, ROOT for a root, shape (capacity,).
-        actuators: that switches between parent and child, shape (capacity,).
-        undecided: actuators of which flood does not know whether their switch is clear, as `bits`, shape (capacity, W).
-        slots: the hash table, numbers + 1, 0 for an empty slot; its size is a power of two.
-        counts: of configurations; of those that flood has visited; of those without undecided switches; shape (3,).
-    """
-
-    configurations: NDArray[np.int32]
-    bits: Bits
-    parents: NDArray[np.int32]
-    actuators: NDArray[np.int32]
+    configurations: NDArray[np.int32]  # shape (capacity, B)
+    bits: Bits  # actuator states, actuator a in bit a % 64 of word a // 64, shape (capacity, W)
+    parents: NDArray[np.int32]  # number of the parent, ROOT for a root, shape (capacity,)
+    actuators: NDArray[np.int32]  # that switches between parent and child, shape (capacity,)
+    # actuators of which flood does not know whether their switch is clear, as `bits`, shape (capacity, W)
     undecided: Bits
-    slots: NDArray[np.int32]
-    counts: Index
+    slots: NDArray[np.int32]  # the hash table, numbers + 1, 0 for an empty slot; its size is a power of two
+    counts: Index  # of configurations; of those that flood has visited; of those without undecided switches; shape (3,)
 
 
 S2: Any = int32[:, ::1]

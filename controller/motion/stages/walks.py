@@ -40,29 +40,18 @@ TOWARDS = 0.3  # share of the targets that are configurations of the other tree
 
 
 class Walk(NamedTuple):
-    """What a kernel needs to walk in the graph.
-
-    Attributes:
-        switches, arm, surroundings: of the arm.
-        scratch: of switch_is_clear.
-        configuration: scratch, shape (B,).
-        bits: scratch, actuator states, shape (W,).
-        target: scratch, actuator states, shape (W,).
-        order: scratch, shape (A,).
-        random: state of the random numbers, shape (1,).
-        once: whether an actuator may switch only if that brings it to its state in `target`.
-    """
+    """What a kernel needs to walk in the graph."""
 
     switches: ArmSwitches
     arm: ArmBodies
     surroundings: Surroundings
-    scratch: SwitchScratch
-    configuration: Index
-    bits: Bits
-    target: Bits
-    order: Index
-    random: Bits
-    once: bool
+    scratch: SwitchScratch  # of switch_is_clear
+    configuration: Index  # scratch, shape (B,)
+    bits: Bits  # scratch, actuator states, shape (W,)
+    target: Bits  # scratch, actuator states, shape (W,)
+    order: Index  # scratch, shape (A,)
+    random: Bits  # state of the random numbers, shape (1,)
+    once: bool  # whether an actuator may switch only if that brings it to its state in `target`
 
 
 WALK = named(Walk, ARM_SWITCHES, ARM_BODIES, SURROUNDINGS, SWITCH_SCRATCH, I1, U1, U1, I1, U1, boolean)

@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from hyperbit.controller.motion.decoding.goal import Coordinate, Time
-from hyperbit.controller.motion.decoding.setpoint import parse
+from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.motion.tracking.kalman import kalman_filter
 from hyperbit.controller.motion.tracking.tracking import GATES
 from hyperbit.controller.refusals.reasons import Reason
@@ -51,26 +51,18 @@ def decode(payload: bytes, dimension: int) -> tuple[Vector, float]:
 
 @dataclass(frozen=True)
 class Tracker:
-    """Parameters of the bias filter, from the arm's file.
+    """Parameters of the bias filter, from the arm's file."""
 
-    Attributes:
-        noise: standard deviation of a measured coordinate.
-        clamp: greatest length of a bias by which goals are corrected.
-        drift: standard deviation of the bias's change in one second.
-        hold: time for which the bias is used after the last sample [s].
-    """
-
-    noise: float
-    clamp: float
-    drift: float
-    hold: float
+    noise: float  # standard deviation of a measured coordinate
+    clamp: float  # greatest length of a bias by which goals are corrected
+    drift: float  # standard deviation of the bias's change in one second
+    hold: float  # time for which the bias is used after the last sample [s]
 
 
 class RandomWalk:
     """A Kalman filter of a bias that is a random walk."""
 
     def __init__(self, dimension: int, tracker: Tracker) -> None:
-        """Builds the matrices, and imports filterpy."""
         self._dimension, self._tracker = dimension, tracker
         self._kalman = kalman_filter(dimension, dimension)
         self._kalman.F = self._kalman.H = np.eye(dimension)

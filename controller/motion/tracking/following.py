@@ -6,7 +6,7 @@ from typing import NamedTuple
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.motion.plans.transitions import sweep_for
 from hyperbit.controller.motion.stages.pacing import Blocked, Pace, Stager
-from hyperbit.controller.motion.stages.restaging import restage
+from hyperbit.controller.motion.stages.program import restage
 from hyperbit.controller.obstacles.keep_out import KeepOutSet, States
 from hyperbit.controller.search.method import MINIMUM_SWITCH, Method
 from hyperbit.controller.search.solution import SearchTime, Solution
@@ -19,21 +19,13 @@ ALTERNATIVE_TIME, ALTERNATIVES = 0.05, 16  # time [s] and number of other config
 
 
 class SetpointQuery(NamedTuple):
-    """One search.
+    """One search."""
 
-    Attributes:
-        solver: of the arm reduced by locked actuators.
-        keep_out: the obstacles that the solver avoids, for the whole arm.
-        commanded: actuator states from which stages begin, shape (A,).
-        start: configuration to plan from, of the solver's arm, shape (B,).
-        target: position of the computed tip, and greatest distance from it.
-    """
-
-    solver: Solver
-    keep_out: KeepOutSet
-    commanded: States
-    start: Configuration
-    target: SearchTarget
+    solver: Solver  # of the arm reduced by locked actuators
+    keep_out: KeepOutSet  # the obstacles that the solver avoids, for the whole arm
+    commanded: States  # actuator states from which stages begin, shape (A,)
+    start: Configuration  # configuration to plan from, of the solver's arm, shape (B,)
+    target: SearchTarget  # position of the computed tip, and greatest distance from it
 
 
 def find(query: SetpointQuery, method: Method) -> Solution:

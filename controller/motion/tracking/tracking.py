@@ -1,12 +1,12 @@
 """Tracking of a moving goal: a Kalman filter over a stream of set-points, and its prediction."""
 
 import math
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hyperbit.controller.motion.tracking.goal_motion import Tracking
 from hyperbit.controller.motion.tracking.kalman import kalman_filter, white_noise
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
@@ -15,20 +15,50 @@ Vector = NDArray[np.float64]
 
 GATES = {2: 13.816, 3: 16.266}  # chi-square, 99.9 %, by dimension
 FARTHEST = 1e6  # greatest coordinate, as for goals; greater ones overflow when squared
+LEAST, MOST = 1e-9, 1e6  # of a value of Tracking; outside, squares lose all precision
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How goals move and how streams behave; lengths in the arm's unit, defaults in metres."""
+
+    acceleration: float = 0.5  # standard deviation of the goal's acceleration between two set-points [m/s^2]
+    noise: float = 0.002  # standard deviation of a set-point's coordinate [m]
+    # standard deviation of the initial velocity, per coordinate [m/s]; four times this speed is not tracked
+    speed: float = 0.5
+    timeout: float = 0.25  # silence after which the stream has stopped [s]; predictions look no further ahead
+    validity: float = 0.2  # greatest age of a set-point on arrival [s]
+    slack: float = 0.02  # how far the sender's clock may be ahead of ours [s]
+    agreeing: int = 3  # consecutive outliers that must agree before they start a new track
+
+    def __post_init__(self) -> None:
+        """Raises ValueError if a value is out of bounds, or if validity and slack exceed the time-out."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not LEAST <= value <= MOST:
+                raise ValueError(f"{field.name}: {value} given, a number from 1e-9 to 1e6 is needed")
+        if self.validity + self.slack > self.timeout:  # otherwise the first set-point after a time-out may be too old
+            raise ValueError(
+                f"validity: {self.validity:g} s and slack {self.slack:g} s exceed timeout {self.timeout:g} s"
+            )
+
+
+def tracking_of(length: float, tolerance: float) -> Tracking:
+    """Returns the parameters of goals for an arm of some length, in its own unit.
+
+    The noise of a set-point is about the tolerance of the position. A goal crosses an eighth of the arm's length in one
+    second, and reaches that speed in one second.
+    """
+    speed = min(max(length / 8, LEAST), MOST)
+    return Tracking(acceleration=speed, noise=min(max(min(tolerance, length / 100), LEAST), MOST), speed=speed)
 
 
 class Prediction(NamedTuple):
-    """The predicted goal.
+    """The predicted goal."""
 
-    Attributes:
-        position: in the world, shape (dimension,).
-        velocity: shape (dimension,) [1/s].
-        covariance: of the position, shape (dimension, dimension).
-    """
-
-    position: Vector
-    velocity: Vector
-    covariance: Vector
+    position: Vector  # in the world, shape (dimension,)
+    velocity: Vector  # shape (dimension,) [1/s]
+    covariance: Vector  # of the position, shape (dimension, dimension)
 
 
 class ConstantVelocity:
@@ -40,7 +70,6 @@ class ConstantVelocity:
     """
 
     def __init__(self, dimension: int, tracking: Tracking) -> None:
-        """Builds the matrices, and imports filterpy."""
         self.time, self.updates = 0.0, 0
         self._dimension, self._tracking = dimension, tracking
         self._kalman = kalman_filter(2 * dimension, dimension)
@@ -55,14 +84,12 @@ class ConstantVelocity:
         self.time, self.updates = time, 1
 
     def update(self, position: Vector, time: float) -> None:
-        """Updates the track with `position` (dimension,), measured at `time`."""
         transition, noise = self._until(time)
         self._kalman.predict(F=transition, Q=noise)
         self._kalman.update(position)
         self.time, self.updates = time, self.updates + 1
 
     def predict(self, time: float) -> Prediction:
-        """Returns the predicted goal at `time`."""
         transition, noise = self._until(time)
         state, covariance = transition @ self._kalman.x, transition @ self._kalman.P @ transition.T + noise
         d = self._dimension
@@ -92,11 +119,7 @@ class GoalTracker:
     """
 
     def __init__(self, dimension: int, tracking: Tracking | None = None) -> None:
-        """Builds the filters. This is slow: call it before the arm moves.
-
-        Raises:
-            ValueError: the dimension is neither 2 nor 3.
-        """
+        """Builds the filters, for 2 or 3 dimensions. This is slow: call it before the arm moves."""
         if dimension not in GATES:
             raise ValueError(f"dimension: {dimension} given, goals have 2 or 3 coordinates")
         self._dimension, self._tracking = dimension, tracking or Tracking()
@@ -111,12 +134,9 @@ class GoalTracker:
         self._arrival = self._stamp = -math.inf
 
     def measure(self, position: ArrayLike, stamp: float | None, arrival: float) -> bool:
-        """Takes one set-point; returns False if it is an outlier.
+        """Takes one set-point (dimension,); returns False if it is an outlier.
 
-        Args:
-            position: of the goal, shape (dimension,).
-            stamp: time of the position by the sender's clock; None: on arrival.
-            arrival: present time.
+        `stamp` is the time of the position by the sender's clock; None: on arrival. `arrival` is the present time.
 
         Raises:
             Refusal: the set-point is not finite, out of order, stale or from the future. The track does not change.
@@ -132,25 +152,18 @@ class GoalTracker:
         return abs(now - self._arrival) <= self._tracking.timeout
 
     def predict(self, now: float, lead: float = 0.0) -> Prediction | None:
-        """Returns the predicted goal; None if the stream is not alive.
+        """Returns the predicted goal `lead` [s] after `now`, at most the time-out after the last set-point.
 
-        Args:
-            now: present time by our clock.
-            lead: how far ahead to predict [s]; at most to the time-out after the last set-point.
+        Returns None if the stream is not alive.
         """
         return self._track.predict(self._within(now + lead)) if self.alive(now) else None
 
     def next_target(self, now: float, lead: float, tip: ArrayLike, tolerance: float) -> Vector | None:
-        """Returns the position to search a configuration for; None: the tip may stay.
+        """Returns the position to search a configuration for; None: the tip may stay within the tolerance.
 
         The position is half a tolerance ahead of the moving goal. The goal then passes the tip before the tip follows,
         which saves switches. A configuration within the other half of the tolerance is within the tolerance at once.
-
-        Args:
-            now: present time by our clock.
-            lead: time until a configuration requested now is reached [s].
-            tip: position of the tip then if nothing is requested, shape (dimension,).
-            tolerance: greatest distance from the predicted goal at which the tip stays.
+        A configuration requested `now` is reached after `lead` [s]; otherwise `tip` (dimension,) is the position then.
         """
         goal = self.predict(now, lead)
         if goal is None or np.linalg.norm(goal.position - np.asarray(tip)) <= tolerance:
@@ -163,7 +176,6 @@ class GoalTracker:
         return min(time, self._track.time + self._tracking.timeout)
 
     def _checked(self, position: ArrayLike, stamp: float | None, arrival: float) -> Vector:
-        """Returns the position if the filter can take it."""
         point = np.asarray(position, dtype=float)
         if point.shape != (self._dimension,):
             raise Refusal(Reason.WRONG_DIMENSION, where="position", count=str(point.shape), dimension=self._dimension)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from hyperbit.controller import program
 from hyperbit.controller.host.process import Log, Quit
-from hyperbit.controller.motion.tracking.goal_motion import tracking_of
+from hyperbit.controller.motion.tracking.tracking import tracking_of
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.arm import ExecutorView
 from hyperbit.controller.planning.core.goals import Goals

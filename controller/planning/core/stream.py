@@ -29,7 +29,7 @@ from hyperbit.controller.refusals.refusal import Refusal
 if TYPE_CHECKING:
     from hyperbit.controller.arm.arm import Arm
     from hyperbit.controller.motion.decoding.setpoint import TrackedSetpoint
-    from hyperbit.controller.motion.tracking.goal_motion import Tracking
+    from hyperbit.controller.motion.tracking.tracking import Tracking
     from hyperbit.controller.planning.core.arm import ArmState
 
 POLL = 0.005  # [s] between two considerations, at least

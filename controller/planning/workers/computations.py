@@ -11,7 +11,7 @@ import numpy as np
 
 from hyperbit.controller.motion.decoding.goal import GoalMessage, schedule
 from hyperbit.controller.motion.plans.description import describe_plan
-from hyperbit.controller.motion.plans.improvement import Improvement, changed_points
+from hyperbit.controller.motion.plans.lookahead import Improvement, changed_points
 from hyperbit.controller.motion.plans.plan import TrajectoryPlan
 from hyperbit.controller.motion.plans.point_by_point import PLANNING_TIME, PointByPoint
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner, first_transition

@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from hyperbit.controller.motion.decoding.setpoint import MOST_BYTES
+from hyperbit.controller.motion.decoding.payloads import MOST_BYTES
 
 texts = st.text(st.characters(exclude_categories=[]), max_size=8)  # with lone surrogates, which JSON can contain
 json_values = st.recursive(

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperbit.controller.motion.decoding.setpoint import MOST_BYTES, TrackedSetpoint, decode
+from hyperbit.controller.motion.decoding.payloads import MOST_BYTES
+from hyperbit.controller.motion.decoding.setpoint import TrackedSetpoint, decode
 from hyperbit.controller.refusals.codes import INVALID_GOAL
 from hyperbit.controller.refusals.refusal import LONGEST_SENTENCE, Refusal
 from tests.motion.decoding.requests import json_values

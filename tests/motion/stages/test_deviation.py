@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from hyperbit.controller.manipulator.manipulator import Manipulator
-from hyperbit.controller.motion.stages.deviation import COUNTED, Transition
-from hyperbit.controller.motion.stages.transition import build_transition
+from hyperbit.controller.motion.stages.transition import COUNTED, Transition, build_transition
 from tests.arms import paper_arm, spatial_arm
 
 

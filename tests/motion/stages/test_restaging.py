@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.motion.stages.pacing import Pace, Stager
-from hyperbit.controller.motion.stages.restaging import is_configuration, module_step, restage
+from hyperbit.controller.motion.stages.program import is_configuration, module_step, restage
 from tests.arms import paper_arm, spatial_arm
 
 ARMS = [paper_arm(4), spatial_arm(4)]  # the second's modules have 6 of 8 codes

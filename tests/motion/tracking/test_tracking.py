@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperbit.controller.motion.tracking.goal_motion import tracking_of
-from hyperbit.controller.motion.tracking.tracking import GoalTracker, Tracking
+from hyperbit.controller.motion.tracking.tracking import GoalTracker, Tracking, tracking_of
 from hyperbit.controller.refusals.codes import INVALID_GOAL, OLD_HEADER_TIMESTAMP
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.solver import Solver

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.motion.tracking.goal_motion import tracking_of
+from hyperbit.controller.motion.tracking.tracking import tracking_of
 from hyperbit.controller.planning.core.events import Arrival, SetpointArrived
 from hyperbit.controller.planning.core.parts import Ticket
 from hyperbit.controller.planning.core.stream import Stream

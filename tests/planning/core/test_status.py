@@ -14,7 +14,7 @@ import pytest
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.settings import TrackerSettings
 from hyperbit.controller.host.process import Log, Notify
-from hyperbit.controller.motion.tracking.goal_motion import tracking_of
+from hyperbit.controller.motion.tracking.tracking import tracking_of
 from hyperbit.controller.planning.core.events import Publish
 from hyperbit.controller.planning.core.status import Status
 from hyperbit.controller.planning.core.stream import Stream

@@ -13,8 +13,7 @@ from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.motion.decoding.goal import GoalRules, schedule
 from hyperbit.controller.motion.stages.feed import Improved, PlannedPoint, PlanProof
 from hyperbit.controller.motion.stages.pacing import pace_of
-from hyperbit.controller.motion.stages.program import unpack_states
-from hyperbit.controller.motion.stages.restaging import restage
+from hyperbit.controller.motion.stages.program import restage, unpack_states
 from hyperbit.controller.motion.trajectory import Trajectory
 from hyperbit.controller.planning.core.tasks import (
     Answer,
