@@ -21,27 +21,16 @@ class InvalidAnswer(Exception):
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of one goal.
+    """Outcome of one goal."""
 
-    Attributes:
-        solved: whether the answer is within the tolerances and collision-free.
-        switches: recounted switches of the answer; 0 if it is not solved.
-        seconds: time of the method [s].
-        proven: whether the method claims optimality and the certified optimum agrees.
-        kind: why the goal is not solved: "missed", "touches", "nothing found" or a kind of error; empty if solved.
-        detail: a sentence on `kind`.
-        wrong: a sentence on a wrong certificate; empty if there is none.
-        left_out: whether the method does not support the goal.
-    """
-
-    solved: bool
-    switches: int
-    seconds: float
-    proven: bool = False
-    kind: str = ""
-    detail: str = ""
-    wrong: str = ""
-    left_out: bool = False
+    solved: bool  # whether the answer is within the tolerances and collision-free
+    switches: int  # recounted, of the answer; 0 if it is not solved
+    seconds: float  # time of the method
+    proven: bool = False  # whether the method claims optimality and the certified optimum agrees
+    kind: str = ""  # why it is not solved: "missed", "touches", "nothing found" or a kind of error; empty if solved
+    detail: str = ""  # a sentence on `kind`
+    wrong: str = ""  # a sentence on a wrong certificate; empty if there is none
+    left_out: bool = False  # whether the method does not support the goal
 
 
 def check(arm: BenchArm, task: Task, answer: Any, seconds: float) -> Outcome:

@@ -34,29 +34,17 @@ SETS = {
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One goal of a set.
+    """One goal of a set."""
 
-    Attributes:
-        arm: name of a file in `arms`.
-        start: start configuration, shape (B,).
-        position: position of the tip in the world, shape (2,) or (3,).
-        angle: angle of the tip [rad], counter-clockwise; None: any angle.
-        tolerance: position tolerance.
-        angle_tolerance: angle tolerance [rad]; infinite: any angle.
-        bound: proven lower bound of the switches of valid configurations.
-        best: valid configuration with the fewest switches known, shape (B,).
-        switches: number of switches from `start` to `best`.
-    """
-
-    arm: str
-    start: Configuration
-    position: tuple[float, ...]
-    angle: float | None
+    arm: str  # name of a file in `arms`
+    start: Configuration  # shape (B,)
+    position: tuple[float, ...]  # of the tip in the world, shape (2,) or (3,)
+    angle: float | None  # of the tip [rad], counter-clockwise; None: any angle
     tolerance: float
-    angle_tolerance: float
-    bound: int
-    best: Configuration
-    switches: int
+    angle_tolerance: float  # [rad]; infinite: any angle
+    bound: int  # proven lower bound of the switches of valid configurations
+    best: Configuration  # valid, with the fewest switches known, shape (B,)
+    switches: int  # from `start` to `best`
 
     @property
     def proven(self) -> bool:

@@ -19,13 +19,6 @@ from hyperbit.controller.library.goals import Goal
 from hyperbit.controller.studies.shares import Run
 
 
-class GoalResult(NamedTuple):
-    """The outcome of a goal, and the time in which its worker has prepared the method and solved the first goal [s]."""
-
-    outcome: Outcome
-    tables_seconds: float
-
-
 class MethodJob(NamedTuple):
     """A method on an arm. A share is a sequence of goals.
 
@@ -39,14 +32,15 @@ class MethodJob(NamedTuple):
     limit: float
 
     def prepare(self) -> Run:
+        """Prepares the method; results are outcomes, each with the time of `prepare` and of the first goal [s]."""
         arm = BenchArm(self.arm, self.model)
         began = time.perf_counter()
         solve, outcome = prepared(self.method, arm, self.first, self.limit)
         tables = time.perf_counter() - began
 
-        def run(tasks: Sequence[Task]) -> Iterator[GoalResult]:
+        def run(tasks: Sequence[Task]) -> Iterator[tuple[Outcome, float]]:
             for task in tasks:
-                yield GoalResult(outcome or solved(solve, arm, task, self.limit), tables)
+                yield outcome or solved(solve, arm, task, self.limit), tables
 
         return run
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperbit.controller.bench.checking import Outcome
 from hyperbit.controller.bench.goal_sets import Task, by_arm, load_arm
-from hyperbit.controller.bench.method_job import GoalResult, MethodJob
+from hyperbit.controller.bench.method_job import MethodJob
 from hyperbit.controller.bench.methods import Prepare
 from hyperbit.controller.studies.shares import Spread, alone
 
@@ -18,46 +18,25 @@ PART = 8  # goals of a share
 
 @dataclass(frozen=True)
 class Row:
-    """Summary of one method on one goal set. Counts are numbers of goals.
-
-    Attributes:
-        method: name of the method.
-        goals: goals that the method supports.
-        left_out: goals that the method does not support.
-        solved: answers within the tolerances and collision-free.
-        missed: answers outside the tolerances or in collision, or no answer.
-        fewest: answers with the certified minimum of switches.
-        proven: answers that the method claims to be optimal, without contradiction.
-        wrong_certificates: contradicted claims.
-        switches: mean number of switches over the solved goals.
-        above: mean number of switches above the certified optimum, over solved goals that have one.
-        above_most: greatest number of switches above the certified optimum.
-        seconds_median: median time for a goal [s].
-        seconds_99: 99 % quantile of the time for a goal [s].
-        tables_seconds: time of `prepare` and of the first goal of each arm, which is then solved again [s]; of the
-            slowest worker.
-        errors: number of goals by kind of error.
-        examples: a sentence for each kind of error, and for the first wrong certificate.
-        impossible: answers with fewer switches than the proven minimum, so that the set is wrong.
-    """
+    """Summary of one method on one goal set. Counts are numbers of goals."""
 
     method: str
-    goals: int
-    left_out: int
-    solved: int
-    missed: int
-    fewest: int
-    proven: int
-    wrong_certificates: int
-    switches: float | None
-    above: float | None
-    above_most: int | None
-    seconds_median: float | None
-    seconds_99: float | None
-    tables_seconds: float
-    errors: dict[str, int]
-    examples: list[str]
-    impossible: int
+    goals: int  # that the method supports
+    left_out: int  # that it does not support
+    solved: int  # answers within the tolerances and collision-free
+    missed: int  # answers outside the tolerances or in collision, or no answer
+    fewest: int  # answers with the certified minimum of switches
+    proven: int  # answers that the method claims to be optimal, without contradiction
+    wrong_certificates: int  # contradicted claims
+    switches: float | None  # mean over the solved goals
+    above: float | None  # mean above the certified optimum, over solved goals that have one
+    above_most: int | None  # greatest number above the certified optimum
+    seconds_median: float | None  # of the time for a goal
+    seconds_99: float | None  # 99 % quantile of this time
+    tables_seconds: float  # `prepare` and the first goal of each arm, which is then solved again; the slowest worker
+    errors: dict[str, int]  # number of goals by kind of error
+    examples: list[str]  # a sentence for each kind of error, and for the first wrong certificate
+    impossible: int  # answers with fewer switches than the proven minimum, so that the set is wrong
 
 
 def run(name: str, prepare: Prepare, tasks: Sequence[Task], limit: float, spread: Spread = alone) -> Row:
@@ -65,9 +44,9 @@ def run(name: str, prepare: Prepare, tasks: Sequence[Task], limit: float, spread
     outcomes, tables = dict[int, Outcome](), 0.0
     for arm, own in by_arm(list(tasks)).items():
         job = MethodJob(prepare, arm, load_arm(arm), own[0], limit)
-        found: list[GoalResult] = list(spread(job, [own[k : k + PART] for k in range(0, len(own), PART)]))
-        outcomes |= {id(task): result.outcome for task, result in zip(own, found, strict=True)}
-        tables += max(result.tables_seconds for result in found)
+        found: list[tuple[Outcome, float]] = list(spread(job, [own[k : k + PART] for k in range(0, len(own), PART)]))
+        outcomes |= {id(task): outcome for task, (outcome, _) in zip(own, found, strict=True)}
+        tables += max(seconds for _, seconds in found)
     return summed(name, tasks, [outcomes[id(task)] for task in tasks], tables)
 
 
