@@ -163,9 +163,10 @@ class Ranked(NamedTuple):
     nearest: Array  # least distance of a change of this module or a later one, shape (size + 1,)
     rest: Array  # frames from each module's bottom to the segment's end at the seed, shape (size + 1, 4 or 12)
     back: Array  # their inverses
+    price: float  # cost of the seed's states
 
 
-RANKED = named(Ranked, int32[:, ::1], F2, F2, F2, F1, F2, F2)
+RANKED = named(Ranked, int32[:, ::1], F2, F2, F2, F1, F2, F2, float64)
 ROWS = named(Rows, int32[::1], int32[::1], int32[::1], F1, F1, F2)
 SETS = named(Sets, F2, I1, I1, F2, F2)
 GROWN: Any = types.Tuple((int64, float64))  # type: ignore[no-untyped-call]
@@ -187,8 +188,9 @@ def build_segment(sets: Sets, rows: Rows, first: int, last: int, most: int | Non
     # Distances are counted in eighths of the least: exact for equal weights, nearly exact for others.
     unit = min(step(sets.distances, sets.states, first, last), 1e300) / 8
     budget = largest_budget(sets.distances, sets.states, first, last, unit, size - 1)
+    ranked = rank(sets, first, last)
     while True:
-        count, unexplored = grow(sets, first, last, budget + 1e-9 * unit, size, rows)
+        count, unexplored = grow(sets, ranked, first, budget + 1e-9 * unit, size, rows)
         if count < size:
             break
         budget -= unit  # the counts were too low: distances were rounded down to units
@@ -227,13 +229,17 @@ def largest_budget(distances: Array, states: Index, first: int, last: int, unit:
     return BINS * unit
 
 
-@njit([float64(SETS, int64, RANKED)], cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def rank(sets: Sets, first: int, ranked: Ranked) -> float:
-    """Ranks the states of modules first+1 onward; returns the cost of the seed's states."""
+@njit([RANKED(SETS, int64, int64)], cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def rank(sets: Sets, first: int, last: int) -> Ranked:
+    """Ranks the states of modules first+1 to last."""
     motions, states, seed, distances, costs = sets
-    order, away, dearer, via, nearest, rest, back = ranked
-    size, most = order.shape
-    price = 0.0
+    size, most, width = last - first, distances.shape[1], motions.shape[1]
+    away, nearest = np.full((size, most), np.inf), np.full(size + 1, np.inf)
+    rest, back = np.zeros((size + 1, width)), np.empty((size + 1, width))
+    for a in range(2 if width == 4 else 3, width, 2 if width == 4 else 4):
+        rest[size, a] = 1.0
+    order, dearer = np.empty((size, most), dtype=np.int32), np.empty((size, most))
+    via, price = np.empty((size * most, width)), 0.0
     for k in range(size - 1, -1, -1):
         i, count = first + k, 0
         for j in range(states[i]):
@@ -254,36 +260,27 @@ def rank(sets: Sets, first: int, ranked: Ranked) -> float:
         price += costs[i, seed[i]]
     for k in range(size + 1):
         invert(rest, k, back, k)
-    return price
-
-
-@njit([RANKED(int64, int64, int64)], cache=True, nogil=True)
-def empty_ranks(size: int, most: int, width: int) -> Ranked:
-    """Returns memory for the ranks of `size` modules of at most `most` states; frames have `width` numbers."""
-    away, nearest = np.full((size, most), np.inf), np.full(size + 1, np.inf)
-    rest, back = np.zeros((size + 1, width)), np.empty((size + 1, width))
-    for a in range(2 if width == 4 else 3, width, 2 if width == 4 else 4):
-        rest[size, a] = 1.0
-    order, dearer = np.empty((size, most), dtype=np.int32), np.empty((size, most))
-    return Ranked(order, away, dearer, np.empty((size * most, width)), nearest, rest, back)
+    return Ranked(order, away, dearer, via, nearest, rest, back, price)
 
 
 @njit(
-    [GROWN(SETS, int64, int64, float64, int64, ROWS)],
+    [GROWN(SETS, RANKED, int64, float64, int64, ROWS)],
     cache=True,
     nogil=True,
     error_model="numpy",
     fastmath={"contract"},
 )
-def grow(sets: Sets, first: int, last: int, budget: float, most_rows: int, rows: Rows) -> tuple[int, float]:
-    """Lists the configurations within a budget breadth-first; returns their number and the unexplored distance."""
-    motions, states, seed, distances, _ = sets
+def grow(sets: Sets, ranked: Ranked, first: int, budget: float, most_rows: int, rows: Rows) -> tuple[int, float]:
+    """Lists the configurations within a budget breadth-first; returns their number and the unexplored distance.
+
+    `ranked` has the states of the segment's modules, from first+1 on.
+    """
+    motions, states, seed, _, _ = sets
     parents, modules, choices, lengths, prices, frames = rows
-    size, most, width = last - first, distances.shape[1], frames.shape[1]
-    ranked = empty_ranks(size, most, width)
-    order, away, dearer, via, nearest, rest, back = ranked
+    order, away, dearer, via, nearest, rest, back, price = ranked
+    (size, most), width = order.shape, frames.shape[1]
     parents[0], modules[0], choices[0], lengths[0] = 0, first - 1, 0, 0.0
-    prices[0] = rank(sets, first, ranked)
+    prices[0] = price
     for a in range(width):
         frames[0, a] = rest[0, a]
     run, now = np.empty((2, width)), 0

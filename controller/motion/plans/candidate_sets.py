@@ -24,7 +24,7 @@ from hyperbit.controller.motion.plans.halves import (
 )
 from hyperbit.controller.obstacles.scene import Scene, for_scenes
 from hyperbit.controller.search.method import costs_between_states
-from hyperbit.controller.search.segment import ROWS, Rows, Sets, grow, motions, room
+from hyperbit.controller.search.segment import ROWS, Rows, Sets, grow, motions, rank, room
 from hyperbit.controller.search.target import SearchTarget
 from hyperbit.controller.search.two_list import middle
 
@@ -80,13 +80,15 @@ def list_candidates(
             for j in range(prices.shape[1]):
                 near[i, j] = prices[i, seed[i], j]
         sets = Sets(changes.motions, changes.states, seed, near, near)
+        below, above = rank(sets, 0, changes.cut), rank(sets, changes.cut, modules)
         for lower in (False, True):
-            rows, start, end = (halves[0], 0, changes.cut) if lower else (halves[1], changes.cut, modules)
-            known, _ = grow(sets, start, end, budget / 2, most_rows, rows)
+            rows, own, start = (halves[0], below, 0) if lower else (halves[1], above, changes.cut)
+            other, first = (above, changes.cut) if lower else (below, 0)
+            known, _ = grow(sets, own, start, budget / 2, most_rows, rows)
             lacks = 1 if known == most_rows else 0
             if lacks == 0:
                 half = index_half(lower, rows, known, place, memory)
-                lacks = 0 if match(sets, changes.cut, budget, place, scene, half, listed) else 2
+                lacks = 0 if match(sets, other, first, budget, place, scene, half, listed) else 2
             if lacks > 0:
                 listed.written[0] = begun
                 return n, lacks

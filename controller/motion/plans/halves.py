@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hyperbit.controller.manipulator.kernel_types import F1, F2, F3, I1, named
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.obstacles.scene import Scene, collides, for_scenes
-from hyperbit.controller.search.segment import ROWS, SETS, Rows, Sets, compose, empty_ranks, rank
+from hyperbit.controller.search.segment import RANKED, ROWS, SETS, Ranked, Rows, Sets, compose
 from hyperbit.controller.search.target import QUERY, SearchQuery, reaches
 
 Array = NDArray[np.float64]
@@ -202,13 +202,20 @@ def list_match(
 
 
 @njit(
-    for_scenes(lambda scene: boolean(SETS, int64, float64, PLACE, scene, HALF, CANDIDATES)),
+    for_scenes(lambda scene: boolean(SETS, RANKED, int64, float64, PLACE, scene, HALF, CANDIDATES)),
     cache=True,
     nogil=True,
     error_model="numpy",
 )
 def match(
-    sets: Sets, cut: int, budget: float, place: Place, scene: Scene | None, half: Half, listed: CandidateList
+    sets: Sets,
+    ranked: Ranked,
+    first: int,
+    budget: float,
+    place: Place,
+    scene: Scene | None,
+    half: Half,
+    listed: CandidateList,
 ) -> bool:
     """Matches all changes of one half of the arm with those of the other half; returns False if there is no room.
 
@@ -216,7 +223,8 @@ def match(
 
     Args:
         sets: the arm, and the seed from which switches are counted.
-        cut: number of modules in the lower half.
+        ranked: states of this half's modules.
+        first: number of modules below this half.
         budget: greatest cost of the changes of both halves together.
         place: the goal.
         scene: obstacles.
@@ -226,12 +234,9 @@ def match(
     # Arrays are taken out of tuples before the loops, which would count references for each change.
     (moves, states, seed, near, _), (lower, _, marks, links, heads, _) = sets, half
     goal, radius, planar, kinds = place.position, place.query.radius, moves.shape[1] == 4, near.shape[1]
-    first, size, above = (cut, len(seed) - cut, budget / 2) if lower else (0, cut, -1.0)
+    rest, least, size, above = ranked.rest, ranked.nearest, len(ranked.states), budget / 2 if lower else -1.0
     if size == 0:  # the upper half of an arm of one module has no changes
         return True
-    ranked = empty_ranks(size, kinds, moves.shape[1])
-    rank(sets, first, ranked)
-    rest, least = ranked.rest, ranked.nearest
     frames, costs = np.zeros((size + 2, moves.shape[1])), np.zeros(size + 1)  # from the half's bottom
     frames[0] = rest[size]
     changed, found = np.empty((2, len(seed)), np.int64), np.empty(len(marks), np.int64)
