@@ -1,17 +1,21 @@
 """Requests beside goals: jog, degrade, obstacles and fault. Strict decoding."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from msgspec import Meta, Struct
 
 from hyperbit.controller.armfile.locks import STATES
+from hyperbit.controller.armfile.settings import ObstacleList
 from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN, BeginSeconds, Jog
 from hyperbit.controller.motion.decoding.payloads import parse
-from hyperbit.controller.obstacles.notation import ObstacleList, parse_obstacles
-from hyperbit.controller.obstacles.obstacles import Obstacles
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, all_faults, no_actuator
+
+if TYPE_CHECKING:
+    from hyperbit.controller.obstacles.obstacles import Obstacles
 
 MOST_OBSTACLE_BYTES = 200_000  # 256 obstacles with long names and all digits
 
@@ -80,6 +84,8 @@ def decode_obstacles(payload: bytes, dimension: int) -> Obstacles:
     Raises:
         Refusal: the payload is invalid; the message names the field. No other exception is raised.
     """
+    from hyperbit.controller.obstacles.notation import parse_obstacles  # its kernels take a second to import
+
     message = parse(payload, ObstaclesMessage, "obstacles", MOST_OBSTACLE_BYTES)
     faults = list[str]()
     obstacles = parse_obstacles(message.regions, dimension, "regions", faults)

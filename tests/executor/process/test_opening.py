@@ -8,8 +8,7 @@ import pytest
 
 from hyperbit.controller.executor.process.buses import OPEN_EVERY, CanBuses
 from hyperbit.drivers.canopen.faults import BusError
-from hyperbit.drivers.canopen.wire.bus import CanBus
-from hyperbit.drivers.canopen.wire.interface_lock import InterfaceInUse
+from hyperbit.drivers.canopen.wire.bus import CanBus, InterfaceInUse
 from hyperbit.drivers.canopen.wiring import BusWiring
 
 

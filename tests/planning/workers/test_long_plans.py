@@ -95,7 +95,7 @@ def test_refusals_and_errors_are_answers(bench: Bench, monkeypatch: pytest.Monke
     message = msgspec.structs.replace(far.goal.message, waypoints=[waypoint])
     answer = planner.answer(packed(far._replace(goal=far.goal._replace(message=message))))
     assert isinstance(answer, Refused)
-    assert "farther" in str(answer.refusal)
+    assert "out of reach" in str(answer.refusal)
     monkeypatch.setattr(long_plans, "build_scene", lambda *_: 1 / 0)
     failed = Planner(bench.arm, bench.weights).answer(packed(task(bench)))
     assert isinstance(failed, Failed)
