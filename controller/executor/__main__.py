@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.executor.core.core import Executor
+from hyperbit.controller.executor.journal.journal_copy import JournalInUse
+from hyperbit.controller.executor.journal.switch_journal import FileJournal, default_path
 from hyperbit.controller.executor.process.buses import Buses, CanBuses
-from hyperbit.controller.executor.process.journal_copy import JournalInUse
 from hyperbit.controller.executor.process.log_lines import start_logging
 from hyperbit.controller.executor.process.real_time import enter_real_time
 from hyperbit.controller.executor.process.run import MOST_PENDING, EventLoop
 from hyperbit.controller.executor.process.server import ExecutorServer, SocketInUse
-from hyperbit.controller.executor.process.switch_journal import FileJournal, default_path
 from hyperbit.controller.flight_recorder import FlightRecorder, Label
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.sockets import socket_path

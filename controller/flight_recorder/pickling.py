@@ -20,14 +20,14 @@ from hyperbit.controller.flight_recorder.keeper import RefusedFile
 PURE = re.compile(
     r"hyperbit\.controller\.(armfile\.settings|host\.process|program(\.\w+)?"
     r"|(manipulator|motion(\.\w+)?|obstacles|planning\.core|refusals)\.\w+)"
-    r"|hyperbit\.controller\.executor\.((core|motion)\.\w+|process\.clients)"
+    r"|hyperbit\.controller\.executor\.(arm|core|motion)\.\w+"
     r"|hyperbit\.drivers\.canopen\.((boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link))"
 )
 CORE = "hyperbit.controller.planning.core."  # its functions are pure, too
 LEFT_OUT = "left out"  # stands for an opaque value that is not None
 OTHERS = {
     ("hyperbit.controller.flight_recorder.pickling", "method_of"),
-    ("hyperbit.controller.executor.process.switch_journal", "MemoryJournal"),
+    ("hyperbit.controller.executor.journal.switch_journal", "MemoryJournal"),
     ("collections", "Counter"),
     ("collections", "OrderedDict"),
     ("collections", "defaultdict"),

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.executor.core.arm import ExecutedArm, read_arm
+from hyperbit.controller.executor.arm.arm import ExecutedArm, read_arm
 from hyperbit.drivers.canopen.wiring import BoardId, BoardLine, BusWiring, Channel, Interlock, NodeWiring, Wiring
 from tests.arm_files import document
 

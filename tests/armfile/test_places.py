@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.armfile.places import place, placed_faults
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.executor.arm.arm import read_arm
 
 TEXT = """\
 name: finger

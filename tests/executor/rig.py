@@ -9,10 +9,10 @@ import logging
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, ToClient
-from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.host.process import Log, Notify
 from hyperbit.controller.program import (
     TICK,

@@ -13,7 +13,7 @@ from hyperbit.controller.arm.arm import load
 from hyperbit.controller.armfile.settings import MOST_OBSTACLES
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.common import parse_goal
-from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.module import transforms

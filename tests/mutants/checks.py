@@ -26,6 +26,7 @@ LONGEST = 300  # characters of a reason
 _OF_BOARDS = ("tests/drivers", "tests/second_opinion", "tests/executor")
 TESTS = {
     "controller/planning/core": ("tests/planning", "tests/fuzz"),
+    "controller/executor/arm": ("tests/executor",),
     "controller/executor/core": ("tests/executor", "tests/fuzz"),
     "controller/executor/motion": ("tests/executor",),
     "controller/gateway": ("tests/gateway", "tests/planning"),

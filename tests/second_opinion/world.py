@@ -9,10 +9,10 @@ from typing import Any
 
 import can
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ClientId, ExecutorTick, FromClient, SendFrame, ToClient
-from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.program import (
     TICK,

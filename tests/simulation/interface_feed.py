@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.core.events import Event, FromClient
 from hyperbit.controller.host.process import Quit
 from hyperbit.controller.program import Hello, Stop, Up

@@ -7,7 +7,7 @@ from random import Random
 
 from msgspec.structs import replace
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.core.events import ClientId, FromClient
 from hyperbit.controller.program import (
     ALIVE_EVERY,

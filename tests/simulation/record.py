@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.core.events import Event, FromClient
 from hyperbit.controller.program import Accepted, Ended, Program, Replaced, Replacement, Snapshot, Up
 from hyperbit.drivers.canopen.wire import cia301

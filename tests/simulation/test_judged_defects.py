@@ -9,11 +9,12 @@ from typing import Any
 import msgspec
 import pytest
 
+from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.controller.executor.core.ending import Ending
 from hyperbit.controller.executor.core.modes import Modes
 from hyperbit.controller.executor.core.reports import Reports
 from hyperbit.controller.executor.core.requests import ClientRequests
-from hyperbit.controller.executor.core.results import ProgramResults
+from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.executor.motion import program_execution
 from hyperbit.controller.executor.motion.actuation import Actuation
 from hyperbit.controller.executor.motion.clearance import ClearanceQuestions
@@ -21,9 +22,8 @@ from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.executor.motion.motion_supervision import MotionSupervision
 from hyperbit.controller.executor.motion.program_execution import ProgramExecution
 from hyperbit.controller.executor.motion.readings import Readings
+from hyperbit.controller.executor.motion.results import ProgramResults
 from hyperbit.controller.executor.motion.travel_times import TravelTimes
-from hyperbit.controller.executor.process.clients import Clients
-from hyperbit.controller.executor.process.switch_journal import MemoryJournal
 from hyperbit.controller.program import Replacement, pack
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal

@@ -8,16 +8,16 @@ from typing import Any
 
 import pytest
 
+from hyperbit.controller.executor.arm.kinds import Kinds
+from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.core.core import Executor
-from hyperbit.controller.executor.core.kinds import Kinds
-from hyperbit.controller.executor.core.locked import LockedActuators
 from hyperbit.controller.executor.core.modes import Modes
-from hyperbit.controller.executor.core.results import ProgramResults
+from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.executor.motion.actuation import Actuation
 from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.executor.motion.program_execution import STARVED, End, ProgramExecution
 from hyperbit.controller.executor.motion.readings import Readings
-from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.executor.motion.results import ProgramResults
 from hyperbit.controller.program import Replacement
 from hyperbit.drivers.canopen.run.commit import BusCommit
 from hyperbit.drivers.canopen.run.heartbeat import Heartbeat

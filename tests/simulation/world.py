@@ -6,7 +6,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from random import Random
 
-from hyperbit.controller.executor.core.kinds import Kinds
+from hyperbit.controller.executor.arm.kinds import Kinds
 from hyperbit.controller.program import unpack
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import Event

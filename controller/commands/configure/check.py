@@ -74,7 +74,7 @@ def check(
 
 def checked_arm(file: Path, as_json: bool) -> Arm:
     from hyperbit.controller.arm.arm import load
-    from hyperbit.controller.executor.core.arm import read_arm
+    from hyperbit.controller.executor.arm.arm import read_arm
 
     try:
         arm = load(file)
@@ -134,7 +134,7 @@ def summary(codes: Iterable[str]) -> str:
 
 def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
     from hyperbit.controller.commands.configure.executor_absence import session_without_executor
-    from hyperbit.controller.executor.core.arm import timing_of, wiring_of
+    from hyperbit.controller.executor.arm.arm import timing_of, wiring_of
     from hyperbit.drivers.canopen.tools.bus_check import check_bus
 
     wiring, timing = wiring_of(arm.settings, arm.manipulator.actuators, arm.wiring), timing_of(arm.settings)
@@ -145,7 +145,7 @@ def ask_boards(arm: Arm, socket: Path | None) -> list[dict[str, Any]]:
 
 def compare(arm: Arm, eds: Path, node: str | None) -> list[dict[str, Any]]:
     """Compares the boards of an arm, or one, with an EDS; returns an answer for each, naming what the EDS lacks."""
-    from hyperbit.controller.executor.core.arm import timing_of, wiring_of
+    from hyperbit.controller.executor.arm.arm import timing_of, wiring_of
     from hyperbit.drivers.canopen.layout import lay_out
     from hyperbit.drivers.canopen.tools.eds import Eds
     from hyperbit.drivers.canopen.tools.eds_check import lacks, unmet

@@ -27,7 +27,7 @@ def simulate(
     board: Annotated[list[str], typer.Option(metavar="[BOARD=]KIND", help=BOARD, show_default=False)] = [],  # noqa: B006  # typer needs a list
 ) -> None:
     """Run simulated boards on the arm's own bus, in place of the real boards, until SIGTERM."""
-    from hyperbit.controller.executor.core.arm import read_arm
+    from hyperbit.controller.executor.arm.arm import read_arm
 
     arm = read_arm(file)
 

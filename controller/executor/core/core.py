@@ -6,7 +6,9 @@ import traceback
 from collections.abc import Callable
 from typing import ParamSpec
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.locked import LockedActuators
+from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.controller.executor.core.ending import Ending
 from hyperbit.controller.executor.core.events import (
     Action,
@@ -21,15 +23,13 @@ from hyperbit.controller.executor.core.events import (
     SendFrame,
     ToClient,
 )
-from hyperbit.controller.executor.core.locked import LockedActuators
 from hyperbit.controller.executor.core.modes import Modes
 from hyperbit.controller.executor.core.parts import ExecutorParts
 from hyperbit.controller.executor.core.reports import Reports
 from hyperbit.controller.executor.core.requests import ClientRequests
-from hyperbit.controller.executor.core.results import ProgramResults
+from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
 from hyperbit.controller.executor.motion.motion import ArmMotion
-from hyperbit.controller.executor.process.clients import Clients
-from hyperbit.controller.executor.process.switch_journal import SwitchJournal
+from hyperbit.controller.executor.motion.results import ProgramResults
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.program import (
     TICK,

@@ -2,7 +2,7 @@
 
 import logging
 
-from hyperbit.controller.executor.core.bits import first
+from hyperbit.controller.executor.arm.bits import first
 from hyperbit.controller.executor.core.parts import ExecutorParts
 from hyperbit.controller.executor.motion.setpoint_stream import SetpointStream
 from hyperbit.controller.host.process import Log, Notify

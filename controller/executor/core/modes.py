@@ -3,8 +3,8 @@
 import logging
 from collections.abc import Callable
 
+from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.core.events import Action
-from hyperbit.controller.executor.core.locked import LockedActuators
 from hyperbit.controller.executor.core.reports import Reports
 from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.executor.motion.program_execution import ProgramExecution

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.core.events import Action
-from hyperbit.controller.executor.core.locked import LockedActuators
 from hyperbit.controller.executor.core.modes import Modes
 from hyperbit.controller.executor.motion.motion import ArmMotion
 

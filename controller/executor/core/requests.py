@@ -3,6 +3,7 @@
 import logging
 from typing import NamedTuple
 
+from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.controller.executor.core.events import ClientId, FaultPlayed, ToClient, ToSimulation
 from hyperbit.controller.executor.core.parts import ExecutorParts
 from hyperbit.controller.executor.motion.program_execution import (
@@ -12,7 +13,6 @@ from hyperbit.controller.executor.motion.program_execution import (
     checked_states,
 )
 from hyperbit.controller.executor.motion.setpoint_stream import SetpointStream
-from hyperbit.controller.executor.process.clients import Clients
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.program import (
     TICK,

@@ -3,10 +3,10 @@
 import math
 from typing import NamedTuple
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
-from hyperbit.controller.executor.core.bits import indices, merged
-from hyperbit.controller.executor.core.kinds import Kinds
-from hyperbit.controller.executor.process.switch_journal import SwitchJournal
+from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.bits import indices, merged
+from hyperbit.controller.executor.arm.kinds import Kinds
+from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
 from hyperbit.drivers.canopen.faults import ArmFault, Busy
 from hyperbit.drivers.canopen.run.master import Master
 

@@ -3,19 +3,19 @@
 from collections.abc import Callable
 from enum import Enum, auto
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
-from hyperbit.controller.executor.core.bits import first, merged
-from hyperbit.controller.executor.core.kinds import Kinds
-from hyperbit.controller.executor.core.locked import LockedActuators
-from hyperbit.controller.executor.core.results import ProgramResults
+from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.bits import first, merged
+from hyperbit.controller.executor.arm.kinds import Kinds
+from hyperbit.controller.executor.arm.locked import LockedActuators
+from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
 from hyperbit.controller.executor.motion.actuation import Actuation, CommitOutcome
 from hyperbit.controller.executor.motion.clearance import ClearanceQuestions
 from hyperbit.controller.executor.motion.motion_supervision import Finding, MotionSupervision
 from hyperbit.controller.executor.motion.program_execution import EPSILON, End, ProgramExecution
 from hyperbit.controller.executor.motion.readings import Readings
+from hyperbit.controller.executor.motion.results import ProgramResults
 from hyperbit.controller.executor.motion.setpoint_stream import SetpointStream
 from hyperbit.controller.executor.motion.travel_times import TravelTimes
-from hyperbit.controller.executor.process.switch_journal import SwitchJournal
 from hyperbit.controller.program import MOST_TRAVELS, Begun, Settled, Up, pack
 from hyperbit.drivers.canopen.run.master import Master
 

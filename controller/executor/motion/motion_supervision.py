@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from hyperbit.controller.armfile.locks import STATES
-from hyperbit.controller.executor.core.bits import indices, merged
-from hyperbit.controller.executor.core.kinds import Ends, Kinds
+from hyperbit.controller.executor.arm.bits import indices, merged
+from hyperbit.controller.executor.arm.kinds import Ends, Kinds
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
 

@@ -4,7 +4,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hyperbit.controller.executor.core.locked import LockedActuators
+from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.program import MOST_PROGRAM_STAGES, Program, Replacement, Stage, Travel, unpack
 
 EPSILON = 1e-9  # [s]

@@ -1,8 +1,8 @@
 """The readings of an arm: what end-stops and outputs tell about its actuators and interlocks."""
 
-from hyperbit.controller.executor.core.bits import merged
-from hyperbit.controller.executor.core.kinds import Ends, Kinds
-from hyperbit.controller.executor.core.locked import LockedActuators
+from hyperbit.controller.executor.arm.bits import merged
+from hyperbit.controller.executor.arm.kinds import Ends, Kinds
+from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.motion.actuation import Actuation
 from hyperbit.controller.program import pack
 from hyperbit.drivers.canopen.faults import ArmFault

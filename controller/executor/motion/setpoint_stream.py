@@ -1,6 +1,6 @@
 """The stream of set-points: the stages of the latest set-point."""
 
-from hyperbit.controller.executor.core.locked import LockedActuators
+from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.motion.program_execution import StageMisfit, checked_states
 from hyperbit.controller.program import Setpoint
 

@@ -1,7 +1,7 @@
 """Travel times of actuators, from the SYNC that switched an actuator to the frame that reports its end-stop."""
 
-from hyperbit.controller.executor.core.bits import indices
-from hyperbit.controller.executor.core.kinds import Ends
+from hyperbit.controller.executor.arm.bits import indices
+from hyperbit.controller.executor.arm.kinds import Ends
 from hyperbit.controller.program import Travel
 
 

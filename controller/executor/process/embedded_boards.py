@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.program import FaultVerb, PlayableFaults
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusChanged, Event, FrameEchoed, FrameReceived

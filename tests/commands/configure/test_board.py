@@ -12,7 +12,7 @@ import can
 import pytest
 import yaml
 
-from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.program import VERSION, Goodbye, Welcome, encode
 from hyperbit.drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM

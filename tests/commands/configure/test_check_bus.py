@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from hyperbit.controller.commands.configure.check import summary
-from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.program import VERSION, Welcome, encode
 from hyperbit.drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM

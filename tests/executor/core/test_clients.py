@@ -4,7 +4,7 @@ import pytest
 
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ExecutorTick
-from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.host.process import Notify, Quit
 from hyperbit.controller.program import (
     MOST_BYTES,

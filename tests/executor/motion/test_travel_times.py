@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
+from hyperbit.controller.executor.arm.kinds import Ends
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
-from hyperbit.controller.executor.core.kinds import Ends
+from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.executor.motion.travel_times import TravelTimes
 from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards
-from hyperbit.controller.executor.process.switch_journal import MemoryJournal
 from hyperbit.controller.program import VERSION, Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
 from hyperbit.drivers.simulation.buses import _LEAST_PULSE
 from tests.executor.rig import PLANNER, SIZE, small_arm

@@ -8,8 +8,8 @@ import pytest
 
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
+from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards, simulated_boards
-from hyperbit.controller.executor.process.switch_journal import MemoryJournal
 from hyperbit.controller.program import TICK, VERSION, Alive, Hello, Snapshot
 from tests.executor.rig import PLANNER, SIZE, small_arm
 

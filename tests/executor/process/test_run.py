@@ -11,9 +11,9 @@ import pytest
 
 from hyperbit.controller.executor.core.core import DEFECT, Executor
 from hyperbit.controller.executor.core.events import Defect, ExecutorTick, ToClient
+from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.executor.process.run import CLOSE, EventLoop
 from hyperbit.controller.executor.process.server import ExecutorServer
-from hyperbit.controller.executor.process.switch_journal import MemoryJournal
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.program import (
     MOST_BYTES,

@@ -7,10 +7,10 @@ import threading
 import time
 from pathlib import Path
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, ToClient
-from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.program import TICK, decode_down, encode
 from tests.executor.rig import SIZE, FakeMaster, small_arm
 from tests.planning.rig.executor import DIGEST

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.armfile.strict import InputFaults
-from hyperbit.controller.executor.core.arm import ExecutedArm, read_arm
+from hyperbit.controller.executor.arm.arm import ExecutedArm, read_arm
 from hyperbit.drivers.canopen.wiring import Channel, Timing
 from tests.simulation.judge.verdict import require
 

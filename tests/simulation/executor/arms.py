@@ -6,7 +6,7 @@ from dataclasses import replace
 from random import Random
 from typing import Any
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
 from hyperbit.drivers.simulation.buses import board_names
 from hyperbit.drivers.simulation.variants import VARIANTS, Variant

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from random import Random
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import (
     Action,
@@ -19,7 +19,7 @@ from hyperbit.controller.executor.core.events import (
     ToClient,
     ToSimulation,
 )
-from hyperbit.controller.executor.process.switch_journal import MemoryJournal
+from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.program import TICK, Goodbye, Up

@@ -8,7 +8,7 @@ from random import Random
 
 import msgspec
 
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.program import Program, Replacement, Setpoint, Snapshot, Stage, pack, unpack
 
 

@@ -10,7 +10,7 @@ from random import Random
 import msgspec
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.planning.core.events import (
     Payload,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.settings import ArmSettings
-from hyperbit.controller.executor.core.arm import ExecutedArm
+from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.manipulator.frames import planar
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.module import Module, binary_code, lines

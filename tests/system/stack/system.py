@@ -17,7 +17,7 @@ import can
 import zenoh
 
 from hyperbit.controller.arm.arm import Arm, load
-from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.gateway import daemon
 from hyperbit.controller.gateway.daemon import Daemon
 from hyperbit.controller.network import session

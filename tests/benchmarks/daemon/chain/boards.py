@@ -15,7 +15,7 @@ import sys
 import time
 from pathlib import Path
 
-from hyperbit.controller.executor.core.arm import read_arm
+from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.executor.process.real_time import lock_memory, raise_priority
 from hyperbit.drivers.canopen.wire.cia301 import HEARTBEAT, SYNC, Frame
 from hyperbit.drivers.canopen.wiring import MASTER

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
+from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
 from hyperbit.controller.executor.motion.program_execution import ProgramExecution
-from hyperbit.controller.executor.process.switch_journal import SwitchJournal
 from hyperbit.controller.program import MOST_TRAVELS, Counted, Ended, Up
 
 MOST_STORED = 1_000

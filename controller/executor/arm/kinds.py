@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from hyperbit.controller.executor.core.bits import indices, merged
+from hyperbit.controller.executor.arm.bits import indices, merged
 from hyperbit.drivers.canopen.wiring import Interlock, Timing, Wiring
 
 

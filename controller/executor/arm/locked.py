@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from hyperbit.controller.armfile.locks import STATES, lock_warning, locks_in_words
-from hyperbit.controller.executor.core.bits import first, indices, merged
+from hyperbit.controller.executor.arm.bits import first, indices, merged
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.drivers.canopen.faults import ArmFault

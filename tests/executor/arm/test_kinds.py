@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperbit.controller.executor.core.kinds import Ends, Kinds
+from hyperbit.controller.executor.arm.kinds import Ends, Kinds
 from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Interlock, Timing, Wiring
 
 CAN0 = BusWiring("can0", "virtual", "x")

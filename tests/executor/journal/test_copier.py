@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from hyperbit.controller.executor.process import copier
-from hyperbit.controller.executor.process.journal_copy import PAGE, JournalInUse, locked_file
-from hyperbit.controller.executor.process.switch_journal import FileJournal, shared_path
+from hyperbit.controller.executor.journal import copier
+from hyperbit.controller.executor.journal.journal_copy import PAGE, JournalInUse, locked_file
+from hyperbit.controller.executor.journal.switch_journal import FileJournal, shared_path
 
 LABELS = [f"1.{k}" for k in range(11)]
 OFTEN, NEVER = 0.02, 1e6  # [s] between two copies
@@ -24,7 +24,7 @@ OFTEN, NEVER = 0.02, 1e6  # [s] between two copies
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from hyperbit.controller.executor.process.switch_journal import FileJournal
+from hyperbit.controller.executor.journal.switch_journal import FileJournal
 journal = FileJournal(Path(sys.argv[1]), [f"1.{k}" for k in range(11)])
 journal.start_copier(1e6)
 journal.intend(0, 0b11)
@@ -177,7 +177,7 @@ def test_the_last_record_reaches_the_disk_after_a_kill(path: Path) -> None:
 
 
 def test_a_start_waits_for_the_last_copy_of_a_killed_executor(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperbit.controller.executor.process.switch_journal.LAST_COPY", 60.0)
+    monkeypatch.setattr("hyperbit.controller.executor.journal.switch_journal.LAST_COPY", 60.0)
     bench = Bench(path, NEVER)
     bench.switch()
     os.kill(bench.copier.pid, signal.SIGSTOP)

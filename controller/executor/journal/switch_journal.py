@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Protocol
 
-from hyperbit.controller.executor.core.bits import indices
-from hyperbit.controller.executor.process.copier import Copier
-from hyperbit.controller.executor.process.journal_copy import (
+from hyperbit.controller.executor.arm.bits import indices
+from hyperbit.controller.executor.journal.copier import Copier
+from hyperbit.controller.executor.journal.journal_copy import (
     MAGIC,
     PAGE,
     DiskCopy,

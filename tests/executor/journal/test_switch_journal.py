@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperbit.controller.executor.process.journal_copy import PAGE, JournalInUse
-from hyperbit.controller.executor.process.switch_journal import FileJournal, MemoryJournal, default_path, shared_path
+from hyperbit.controller.executor.journal.journal_copy import PAGE, JournalInUse
+from hyperbit.controller.executor.journal.switch_journal import FileJournal, MemoryJournal, default_path, shared_path
 
 LABELS = [f"1.{k}" for k in range(11)]
 

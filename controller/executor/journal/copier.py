@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from hyperbit.controller.executor.process import journal_copy
-from hyperbit.controller.executor.process.journal_copy import DiskCopy, JournalLayout
+from hyperbit.controller.executor.journal import journal_copy
+from hyperbit.controller.executor.journal.journal_copy import DiskCopy, JournalLayout
 
 ENDING = 1.0  # [s] for the last copy
 MOST = 1 << 16  # bytes of messages, the size of a pipe
