@@ -21,7 +21,7 @@ PURE = re.compile(
     r"hyperbit\.controller\.(armfile\.settings|host\.process|program(\.\w+)?"
     r"|(manipulator|motion(\.\w+)?|obstacles|planning\.core|refusals)\.\w+)"
     r"|hyperbit\.controller\.executor\.(arm|core|motion)\.\w+"
-    r"|hyperbit\.drivers\.canopen\.((boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link))"
+    r"|hyperbit\.drivers\.canopen\.((boards|boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link))"
 )
 CORE = "hyperbit.controller.planning.core."  # its functions are pure, too
 LEFT_OUT = "left out"  # stands for an opaque value that is not None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Traffic:
-    """The worst-case traffic of an arm on one bus, see `link.worst_case`.
+    """The worst-case traffic of an arm on one bus, see `layout.worst_case`.
 
     Attributes:
         heartbeats: heartbeats of the boards and the master [bit/s].

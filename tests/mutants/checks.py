@@ -30,6 +30,7 @@ TESTS = {
     "controller/executor/core": ("tests/executor", "tests/fuzz"),
     "controller/executor/motion": ("tests/executor",),
     "controller/gateway": ("tests/gateway", "tests/planning"),
+    "drivers/canopen/boards": _OF_BOARDS,
     "drivers/canopen/boot": _OF_BOARDS,
     "drivers/canopen/run": _OF_BOARDS,
 }

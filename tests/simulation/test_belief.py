@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.executor.motion.actuation import Actuation
-from hyperbit.drivers.canopen.run.outputs import OutputLines
+from hyperbit.drivers.canopen.boards.outputs import OutputLines
 from hyperbit.drivers.canopen.run.verification import Verification
 from hyperbit.drivers.canopen.wire.link import Link
 from tests.simulation.fault_kinds import FaultKinds

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
+from hyperbit.drivers.canopen.boards.board import BeatCount
+from hyperbit.drivers.canopen.boards.outputs import OutputLines
 from hyperbit.drivers.canopen.boot import configuration, pdo_search
 from hyperbit.drivers.canopen.boot.undo import Undo
-from hyperbit.drivers.canopen.run.board import BeatCount
-from hyperbit.drivers.canopen.run.outputs import OutputLines
 from hyperbit.drivers.canopen.run.verification import Verification
 from hyperbit.drivers.canopen.sdo.objects import Need
 from tests.simulation.fieldbus.world import BoardWorld

@@ -27,7 +27,7 @@ from hyperbit.controller.executor.motion.travel_times import TravelTimes
 from hyperbit.controller.program import Replacement, pack
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
-from hyperbit.drivers.canopen.run.board import Board
+from hyperbit.drivers.canopen.boards.board import Board
 from hyperbit.drivers.canopen.run.commit import BusCommit
 from hyperbit.drivers.canopen.run.heartbeat import Heartbeat
 from hyperbit.drivers.canopen.run.verification import InputWatch, Verification

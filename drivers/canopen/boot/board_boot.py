@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 
+from hyperbit.drivers.canopen.boards.board import Board
+from hyperbit.drivers.canopen.boards.outputs import OutputLines
 from hyperbit.drivers.canopen.boot import configuration, inspection, pdo_search
 from hyperbit.drivers.canopen.boot.inspection import Inspection
 from hyperbit.drivers.canopen.boot.pins import settle
@@ -13,8 +15,6 @@ from hyperbit.drivers.canopen.boot.undo import Undo
 from hyperbit.drivers.canopen.faults import ArmFault, board_error
 from hyperbit.drivers.canopen.layout import BoardLayout
 from hyperbit.drivers.canopen.pdo import INPUTS, Pdo, carries, subs_of
-from hyperbit.drivers.canopen.run.board import Board
-from hyperbit.drivers.canopen.run.outputs import OutputLines
 from hyperbit.drivers.canopen.sdo import objects
 from hyperbit.drivers.canopen.sdo.client import SDO_TIMEOUT, SdoOutcome, Transfer
 from hyperbit.drivers.canopen.sdo.objects import Need

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
+from hyperbit.drivers.canopen.boards.board import Board
+from hyperbit.drivers.canopen.boards.outputs import OutputLines
 from hyperbit.drivers.canopen.boot.board_boot import boot_board
 from hyperbit.drivers.canopen.faults import ArmFault
-from hyperbit.drivers.canopen.run.board import Board
-from hyperbit.drivers.canopen.run.outputs import OutputLines
 from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 _MOST_REBOOTS = 5  # restarts of one board during its boot

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass, field
 
+from hyperbit.drivers.canopen.boards.board import Board
 from hyperbit.drivers.canopen.boot import configuration
 from hyperbit.drivers.canopen.boot.pdo_setup import PdoState
 from hyperbit.drivers.canopen.boot.quirks import NONE, VENDORS, Quirk, quirk_of
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.layout import BoardLayout
 from hyperbit.drivers.canopen.pdo import INPUTS, OUTPUTS, Pdo, subs_of
-from hyperbit.drivers.canopen.run.board import Board
 from hyperbit.drivers.canopen.sdo import objects
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
 from hyperbit.drivers.canopen.sdo.objects import Need

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hyperbit.drivers.canopen.boards.outputs import Key, OutputLines
 from hyperbit.drivers.canopen.pdo import union
-from hyperbit.drivers.canopen.run.outputs import Key, OutputLines
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.link import Link

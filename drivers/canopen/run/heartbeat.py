@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 
+from hyperbit.drivers.canopen.boards.board import Board
 from hyperbit.drivers.canopen.faults import ArmFault
-from hyperbit.drivers.canopen.run.board import Board
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.canopen.wire.link import Link, Outgoing

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from hyperbit.drivers.canopen.boards.board import Board, StateImage
+from hyperbit.drivers.canopen.boards.outputs import OutputLines
 from hyperbit.drivers.canopen.boot.booting import Booting
 from hyperbit.drivers.canopen.faults import ArmFault, FaultLog
-from hyperbit.drivers.canopen.layout import lay_out
+from hyperbit.drivers.canopen.layout import lay_out, worst_case
 from hyperbit.drivers.canopen.pdo import union
-from hyperbit.drivers.canopen.run.board import Board, StateImage
 from hyperbit.drivers.canopen.run.heartbeat import BEAT, Heartbeat, LoopClock
-from hyperbit.drivers.canopen.run.outputs import OutputLines
 from hyperbit.drivers.canopen.run.switching import OutputSwitching
 from hyperbit.drivers.canopen.run.verification import InputWatch, Verification
 from hyperbit.drivers.canopen.status import MasterStatus
 from hyperbit.drivers.canopen.wire import cia301, events
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, wire_bits
-from hyperbit.drivers.canopen.wire.link import Link, worst_case
+from hyperbit.drivers.canopen.wire.link import Link
 from hyperbit.drivers.canopen.wiring import Timing, Wiring
 
 _OWN = {cia301.NMT: "NMT", cia301.SYNC: "SYNC", BEAT.id: "the master's heartbeat"}  # frames that only a master sends

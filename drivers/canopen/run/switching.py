@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from hyperbit.drivers.canopen.boards.board import Board
+from hyperbit.drivers.canopen.boards.outputs import OutputLines
 from hyperbit.drivers.canopen.boot.booting import Booting
 from hyperbit.drivers.canopen.faults import Busy
 from hyperbit.drivers.canopen.pdo import union
-from hyperbit.drivers.canopen.run.board import Board
 from hyperbit.drivers.canopen.run.commit import BusCommit
-from hyperbit.drivers.canopen.run.outputs import OutputLines
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from hyperbit.drivers.canopen.wire.link import Link

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Mapping, Sequence
 
+from hyperbit.drivers.canopen.boards.board import Board
+from hyperbit.drivers.canopen.boards.outputs import OutputLines
 from hyperbit.drivers.canopen.faults import board_error
 from hyperbit.drivers.canopen.pdo import subs_of, union
-from hyperbit.drivers.canopen.run.board import Board
 from hyperbit.drivers.canopen.run.commit import BusCommit
-from hyperbit.drivers.canopen.run.outputs import OutputLines
 from hyperbit.drivers.canopen.sdo.client import SdoOutcome, Transfer
 from hyperbit.drivers.canopen.sdo.objects import Need, abort_words
 from hyperbit.drivers.canopen.sdo.procedure import Step, Wait

@@ -8,11 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hyperbit.drivers.canopen.faults import ArmFault
-from hyperbit.drivers.canopen.layout import Layout
 from hyperbit.drivers.canopen.status import BusStatus, Traffic
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Frame, wire_bits
-from hyperbit.drivers.canopen.wiring import BusWiring, Timing
+from hyperbit.drivers.canopen.wiring import BusWiring
 
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
 _ECHOED = 0.03  # [s] within which nearly all commands are sent
@@ -307,21 +306,3 @@ class Link:
         self.armed, self.state, self._lost_at = False, state, now
         self._clear()
         return ArmFault(code, self.name, f"{self.name}: {why}")
-
-
-def worst_case(layout: Layout, timing: Timing, bus: BusWiring) -> Traffic:
-    """Returns the greatest traffic of boards and master on a bus without faults.
-
-    Each frame has the greatest number of stuff bits. There is one transition in each travel time, without a pause; a
-    travel time below 1 ms counts as 1 ms. Each transition sends all RPDOs and switches all actuators; each end-stop
-    causes its own TPDO. SDO transfers and emergencies are not counted.
-    """
-    boards = [board for board in layout.boards if board.bus == bus.name]
-    frames = {pdo.cob_id: pdo.size for board in boards for pdo in board.rpdos}
-    commits = 1 / max(timing.travel_time, 0.001)
-    heartbeats = (len(boards) + 1) * wire_bits(1) / timing.heartbeat
-    rpdos = commits * sum(wire_bits(size) for size in frames.values())
-    sync = commits * wire_bits(0) if frames else 0.0
-    greatest = {board.name: max((pdo.size for pdo in board.tpdos), default=0) for board in boards}
-    tpdos = commits * sum(len(board.inputs) * wire_bits(greatest[board.name]) for board in boards)
-    return Traffic(heartbeats, sync, rpdos, tpdos, (heartbeats + sync + rpdos + tpdos) / bus.bitrate)

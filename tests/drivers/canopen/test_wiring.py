@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
+from hyperbit.drivers.canopen.boards.outputs import assemble
 from hyperbit.drivers.canopen.layout import Unfit, lay_out
 from hyperbit.drivers.canopen.pdo import Bit, Pdo, carries
-from hyperbit.drivers.canopen.run.outputs import assemble
 from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Timing, Wiring
 
 CAN0 = BusWiring("can0", "virtual", "x")

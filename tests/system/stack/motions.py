@@ -6,8 +6,8 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperbit.drivers.canopen.boards.outputs import assemble
 from hyperbit.drivers.canopen.layout import lay_out
-from hyperbit.drivers.canopen.run.outputs import assemble
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, State
 from hyperbit.drivers.canopen.wiring import Wiring

@@ -2,9 +2,8 @@
 
 import pytest
 
-from hyperbit.drivers.canopen.layout import lay_out
+from hyperbit.drivers.canopen.layout import lay_out, worst_case
 from hyperbit.drivers.canopen.wire import cia301
-from hyperbit.drivers.canopen.wire.link import worst_case
 from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Timing, Wiring
 
 TIMING = Timing(heartbeat=0.1, travel_time=0.05)
