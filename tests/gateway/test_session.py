@@ -23,7 +23,8 @@ from hyperbit.controller.planning.core.events import Identity, PublishResult
 with zenoh.open(session.configuration("client", connect=sys.argv[1])) as it:
     it.declare_subscriber(sys.argv[2], lambda sample: print(sample.payload.to_string(), flush=True))
     print("ready", flush=True)
-    sys.stdin.read()
+    for line in sys.stdin:
+        print(line, end="", flush=True)
 """
 STANDSTILL = 2.5  # [s], as on a busy machine
 NAMES = ("root_ca_certificate", "connect_certificate", "connect_private_key")
@@ -89,9 +90,14 @@ def test_a_client_that_stood_still_hears_the_results_of_that_time(gateway: Gatew
             payload = {"status": "succeeded", "attempt": attempt}
             gateway.outbox.publish_result(PublishResult(attempt, Identity(1, attempt), False, payload))
             client.send_signal(signal.SIGCONT)
+            assert client.stdin
+            print('{"attempt": -1}', file=client.stdin, flush=True)
+            heard = [json.loads(client.stdout.readline())["attempt"]]
+            while -1 not in heard:
+                heard.append(json.loads(client.stdout.readline())["attempt"])
             if time.monotonic() - began < session.LEASE / 2:  # a busy machine may make it longer than sessions last
                 break
             gateway.reached()
-        while json.loads(client.stdout.readline())["attempt"] < attempt:
-            pass
+        while attempt not in heard:
+            heard.append(json.loads(client.stdout.readline())["attempt"])
         client.communicate()

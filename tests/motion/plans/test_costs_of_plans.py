@@ -127,7 +127,11 @@ def test_a_plan_is_what_it_says(trusses: Solver, seed: int, among: bool, inrush:
     goals = through(np.arange(float(count)), TRUSSES.tips(points)[:, :2, 3], TOLERANCE)
     planner = TransitionPlanner(solver, goals, Pace(0.06, inrush))
     try:
-        found = PointByPoint(planner, "minimum-switch", search_time(PATIENT)).plan(start)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(
+                point_by_point, "WAY_TIME", 0.1
+            )  # what holds of a plan, holds however long a way is looked for
+            found = PointByPoint(planner, "minimum-switch", search_time(PATIENT)).plan(start)
     except Refusal:
         return
     for each in (found, look_ahead(planner, found, start)):
