@@ -128,9 +128,7 @@ def test_a_plan_is_what_it_says(trusses: Solver, seed: int, among: bool, inrush:
     planner = TransitionPlanner(solver, goals, Pace(0.06, inrush))
     try:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(
-                point_by_point, "WAY_TIME", 0.1
-            )  # what holds of a plan, holds however long a way is looked for
+            patch.setattr(point_by_point, "WAY_TIME", 0.1)  # what holds of a plan, holds of a short search, too
             found = PointByPoint(planner, "minimum-switch", search_time(PATIENT)).plan(start)
     except Refusal:
         return
