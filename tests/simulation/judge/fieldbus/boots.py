@@ -20,7 +20,7 @@ from tests.simulation.judge.fieldbus.outcomes import (
 from tests.simulation.judge.fieldbus.wires import INPUTS, JudgedBoard, JudgedWiring, Look, bytes_of
 from tests.simulation.judge.verdict import require
 
-MOST_READS = 8  # of one object in a boot: to find it, to search other PDOs, twice to settle, after writes, at the end
+MOST_READS = 10  # of one object in a boot: to find it, to search other PDOs, twice to settle, after writes, at the end
 MOST_WRITES = 6  # likewise: to disable and enable a PDO, and the one that is used in its place
 MOST_CHECKS = 60  # of 1001h and 1003h, while an error may end
 START, PRE = 1, 128
