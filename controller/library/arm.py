@@ -154,9 +154,8 @@ class Arm:
     @property
     def locked(self) -> dict[str, str]:
         """Locked actuators by label, each "contracted" or "extended"."""
-        return {
-            label: STATES[s] for label, s in zip(self.actuators, self._locked_states.tolist(), strict=True) if s >= 0
-        }
+        states = zip(self.actuators, self._locked_states.tolist(), strict=True)
+        return {label: STATES[state] for label, state in states if state >= 0}
 
     @cached_property
     def home(self) -> Configuration:

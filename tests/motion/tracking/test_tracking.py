@@ -299,9 +299,8 @@ def test_finite_setpoints_never_give_nan(dimension, data):
 
 
 def test_importing_it_does_not_import_filterpy():
-    code = (
-        "import sys, hyperbit.controller.motion.tracking.tracking; assert not {'filterpy', 'scipy'} & set(sys.modules)"
-    )
+    code = "import sys, hyperbit.controller.motion.tracking.tracking\n"
+    code += "assert not {'filterpy', 'scipy'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
