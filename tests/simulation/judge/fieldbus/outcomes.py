@@ -221,7 +221,7 @@ def settled(board: JudgedBoard, found: Found) -> tuple[dict[int, int], bool]:
     for sub in range(1, 1 + found.byte(board.base, 0)):
         present = outputs[sub] = found.byte(board.base, sub)
         used = board.used >> 8 * (sub - 1) & 0xFF
-        if not board.used or not (present or used):
+        if not (present or used):
             continue
         told = board.base == OUTPUTS and found.has(0x6206, 1)
         taken = found.byte(0x6206, sub) if told else 0 if board.error_state == "hold" else 0xFF
