@@ -263,7 +263,6 @@ SLOW = {
     "results are published again by the next process",
     "results that a kill may have lost are not repeated",
     "payloads are never forgotten",
-    "each stage is clear",
 }
 
 

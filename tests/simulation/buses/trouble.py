@@ -26,7 +26,7 @@ KINDS = {
     **{"wires are cut": 0.3, "wires are shorted": 0.3, "door is opened": 4.0},
     **{"echoes are lost": 0.5, "foreign NMT": 0.5, "answers are lost": 0.5, "TPDO is lost": 0.5},
     **{"kill in mid boot": 0.4, "bus-off in mid boot": 0.4, "power-cycle in mid boot": 0.4},
-    **{"stop in mid commit": 0.8, "wires are loose": 8.0},
+    **{"stop in mid commit": 0.8, "wires are loose": 20.0},
 }
 
 
@@ -221,7 +221,7 @@ class Trouble:
             account = self._world.judge.account
             strict = account.run is not None and account.run.strict
             strict |= account.stream is not None and account.stream.message.strict
-            if strict and self._random.random() < 0.5:
+            if strict and self._random.random() < 0.9:
                 self._world.agenda.after(self._random.uniform(0.0, 0.05), happen)
             for bus in self._world.buses.values():
                 bus.at_next_rpdo(consider)
@@ -236,7 +236,8 @@ class Trouble:
         """
         world, random = self._world, self._random
         channels, positions = world.arm.wiring.channels, world.boards.positions()
-        extended = [c for k, c in enumerate(channels) if c.input is not None and positions >> k & 1]
+        one = [c.input is not None and c.input_contracted is None and "input" not in c.inverted for c in channels]
+        extended = [c for k, c in enumerate(channels) if one[k] and positions >> k & 1]
         if not self._active or not extended:
             return
         channel = random.choice(extended)
