@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
 from hyperbit.controller.program import Snapshot, unpack
-from tests.simulation.judge.interface.facts import Heard, Payload, Ran, Request
+from tests.simulation.judge.interface.facts import Heard, Made, Payload, Ran, Request
 from tests.simulation.judge.interface.modules import Cube, JudgedModules
 from tests.simulation.judge.verdict import require
 
@@ -93,7 +93,7 @@ class InterfaceAccount:
         self.tip_at = self.good_tip_at = -math.inf
         self.scenes = self.shown_obstacles = 0
         self.switched_at = [-math.inf] * len(self.modules.labels)
-        self.made: tuple[Snapshot | None, list[float]] = None, self.switched_at
+        self.made = dict[int, Made]()  # programs that were sent, by number
         self.setpoints = 0
         self.losses, self.met = deque[float](maxlen=50), False
         self.alone_since = self.awake
@@ -219,6 +219,12 @@ class InterfaceAccount:
         self._failed = locked is None
         self._tables = self._tables if locked is None else locked
         self.note("tables")
+
+    def sends(self, program: int) -> None:
+        """Records what the planner may know as it sends a program."""
+        changing = self.building or self.scene_building or self.had("cubes", self.now - 0.1)
+        cubes = set[Cube]() if changing else set[Cube].intersection(*self.in_force())
+        self.made[program] = Made(self.snapshot, tuple(self.switched_at), cubes)
 
     @property
     def building(self) -> bool:

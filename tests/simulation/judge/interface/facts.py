@@ -145,6 +145,14 @@ class Ran:
         return self.instance, self.program.program
 
 
+class Made(NamedTuple):
+    """What the planner knew as it sent a program: snapshot, times of the switches, obstacles surely in force."""
+
+    snapshot: Snapshot | None
+    switched_at: tuple[float, ...]
+    cubes: set[Cube]
+
+
 class Heard(NamedTuple):
     """A snapshot that the planner's process got, or None: the connection ended."""
 

@@ -53,8 +53,8 @@ class Link:
             require(known, f"the planner first sends {message}, its ledger counts {a.ledger_counts}")
             self._counted = True
         match message:
-            case Program():
-                a.made = a.snapshot, list(a.switched_at)
+            case Program(program=int(number)):
+                a.sends(number)
             case Alive():
                 apart = a.awake - self._alive_at
                 soon = apart >= ALIVE_LEAST or self._first or a.lately("still", 0.3) or a.slow

@@ -92,12 +92,11 @@ class Offers:
             require(program.epoch == epoch, f"{text} has epoch {program.epoch}; it was {epoch} when it was asked for")
 
     def _judge_clear(self, program: Program, text: str) -> None:
-        """No stage touches an obstacle that is surely in force, from where the outputs have the arm."""
-        a, (snapshot, _) = self._a, self._a.made
-        if snapshot is None or not self._sure([snapshot]) or a.building:
+        """No stage touches an obstacle that was surely in force as it was sent, from where the outputs have the arm."""
+        a, made = self._a, self._a.made.get(program.program)
+        snapshot, cubes = (None, set[Cube]()) if made is None else (made.snapshot, made.cubes)
+        if snapshot is None or not self._sure([snapshot]):
             return
-        changing = a.scene_building or a.had("cubes", a.now - 0.1)
-        cubes = set[Cube]() if changing else set[Cube].intersection(*a.in_force())
         locked, before = unpack(snapshot.locked), unpack(start_of(snapshot, len(a.modules.labels))[1])
         for stage in program.stages if cubes else ():
             after = unpack(stage.states) & ~locked | before & locked
@@ -154,9 +153,10 @@ class Offers:
 
     def _ready(self, program: Program) -> float:
         """Returns when the first stage may begin: the one before has ended, and its actuators have rested [s]."""
-        a, (snapshot, switched_at) = self._a, self._a.made
-        if snapshot is None:
+        a, made = self._a, self._a.made.get(program.program)
+        if made is None or made.snapshot is None:
             return -math.inf
+        snapshot, switched_at = made.snapshot, made.switched_at
         commanded = unpack(start_of(snapshot, len(a.modules.labels))[1])
         differ = (commanded ^ unpack(program.stages[0].states)) & ~unpack(snapshot.locked)
         ready = -math.inf
