@@ -78,6 +78,7 @@ class Feed(Witness):
                 judge.other_event()
                 judge.counts.hears(event.bus, event.frame.id)
                 judge.proofs.hears(event.bus, event.frame.id, event.frame.data)
+                judge.snapshots.hears(event.bus, event.frame.id, event.frame.data)
             case Health(loop, dropped):
                 judge.other_event()
                 judge.counts.process(loop, dropped)

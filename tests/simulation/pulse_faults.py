@@ -14,6 +14,7 @@ from tests.simulation.single_fault import ASKED, AT_ONCE, NO_FAULT, READ_BACK, F
 if TYPE_CHECKING:
     from tests.simulation.world import World
 
+OVERDUE = 2.0  # [s] until a pulse that may be on, and cannot be ended, is told
 PULSING = 0.008  # [s] from the SYNC that begins a pulse until its bus goes down
 
 
@@ -88,6 +89,9 @@ class PulseFaults:
             codes("board-lost"), (board,), silent + pulse, also=codes("pulse-overdue", "stuck"), cleared=True
         )
         also = codes("pulse-overdue", "board-lost")
+        doubtful = Expected(
+            codes("pulse-overdue"), (channel.place,), OVERDUE, also=codes("bus-down", "stuck"), cleared=True
+        )
         down = Expected(codes("bus-down"), (bus.name,), world.arm.rest + ASKED, also=also, cleared=True)
         made = {
             "a board loses the end of a pulse": Fault(switch(lose, pulse / 2), disarm, NO_FAULT),
@@ -95,6 +99,7 @@ class PulseFaults:
             "an echo is lost while a pulse ends": Fault(switch(bus.lose_echo, pulse / 2), disarm, NO_FAULT),
             "a board is unplugged while it gets a pulse": Fault(switch(unplug, 0.0), plug, lost),
             "bus is down while a pulse is on": Fault(switch(bus.go_down, PULSING), restore, down),
+            "bus is down as a pulse begins": Fault(switch(bus.go_down, 0.0), restore, doubtful),
         }
         if frame == cia301.SYNC and not world.arm.continue_on_stuck and not world.judge.proofs.forgone >> k & 1:
             made["a board loses the SYNC of a pulse"] = Fault(switch(lose, 0.0), disarm, begins)

@@ -36,7 +36,7 @@ class SingleFaults:
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
         self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
-        self._often = 0.2 if world.arm.contract_on_stop or world.kinds.pulse else 0.1  # that the executor ends
+        self._often = 0.35 if world.arm.contract_on_stop else 0.2 if world.kinds.pulse else 0.1  # the executor ends
 
     def happen(self) -> None:
         """Causes one fault, mends it, and brings the arm back.
@@ -52,11 +52,11 @@ class SingleFaults:
         drawn = self._random.random()
         if drawn < self._often:
             self._end_executor(planner)
-        elif drawn < 0.26:
+        elif drawn < self._often + 0.1:
             self._lose_planner(planner)
-        elif drawn < 0.36:
+        elif drawn < self._often + 0.2:
             self._interrupt(planner)
-        elif drawn < 0.46:
+        elif drawn < self._often + 0.3:
             self._boots.happen()
         else:
             world.judge.disturb()
@@ -80,7 +80,7 @@ class SingleFaults:
         in_order = self._random.random() < 0.7
         world.trouble.made["only: executor ends" if in_order else "only: executor is killed"] += 1
         world.note("only fault: the executor ends")
-        if self._random.random() < 0.3:
+        if self._random.random() < (0.6 if world.arm.contract_on_stop else 0.3):
             self._lock(planner)
         instance = world.executor.instances
         if not in_order and self._random.random() < 0.6:
@@ -124,7 +124,8 @@ class SingleFaults:
         world = self._world
         free = world.judge.arm.sensed & ~world.judge.account.locked
         if free:
-            k = self._random.choice([k for k in range(len(world.arm.actuators)) if free >> k & 1])
+            extended = free & world.boards.positions()  # which `on_stop: contract` would contract
+            k = self._random.choice(bits_of(extended if extended and self._random.random() < 0.7 else free))
             planner.ask_to_lock(k, world.boards.positions() >> k & 1)
             world.pass_time(ANSWERED)
 

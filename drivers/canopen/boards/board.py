@@ -72,7 +72,7 @@ class Board:
         self.runner = Runner(layout.node, link)
         self.questioning = self._question_again = False  # whether a question for its inputs waits for the answer
         self.state: State | None = None  # NMT state; None: unknown
-        self.frames = self.boots = self.input_frames = 0  # that were understood; boot-up messages and TPDOs among them
+        self.frames = self.boots = 0  # that were understood; boot-up messages among them
         self.guarded = False  # the master polls it by remote frames: it sends no heartbeats
         self.emergency: int | None = None  # code of the last one; None after its end
         self.emergency_register = 0  # error register that came with it
@@ -89,6 +89,7 @@ class Board:
         self.held: bool | None = None
         self._image, self.report = image, report
         self._inputs = 0
+        self._brought = 0  # mask of the input bits that TPDOs have brought since `begin_input_read`
         self._ready = self._booted = self._lost = False
         self._frames_before = 0  # number of frames when the board was lost
         self._beat_at: float | None = None
@@ -163,10 +164,15 @@ class Board:
     def set_tpdos(self, tpdos: Iterable[Pdo]) -> None:
         self._tpdos = {pdo.cob_id: (pdo.size, carries(pdo.mapping, INPUTS)) for pdo in tpdos}
 
+    def begin_input_read(self) -> None:
+        """Records that a byte of the inputs, 6000h, is asked for. A TPDO that comes before the answer is newer."""
+        self._brought = 0
+
     def set_input(self, sub: int, value: int) -> None:
-        """Sets one byte of the inputs, 6000h, that was read by SDO."""
+        """Sets one byte of the inputs that was asked for at `begin_input_read`, without the bits of newer TPDOs."""
         shift = 8 * (sub - 1)
-        self._set_inputs(self._inputs & ~(0xFF << shift) | (value & 0xFF) << shift)
+        mask = 0xFF << shift & ~self._brought
+        self._set_inputs(self._inputs & ~mask | value << shift & mask)
 
     def receive_frame(self, cob_id: int, data: bytes, now: float) -> bool:
         """Takes a frame from the board; returns whether it was understood. Call `runner.check` afterwards."""
@@ -255,11 +261,11 @@ class Board:
         text = f"its inputs come in {len(data)} bytes, though {size} are mapped: only the first ones are used"
         if len(data) > size and self._ready and text not in self.warnings:
             self.warnings = (*self.warnings, text)
-        self.input_frames += 1
         number, inputs = int.from_bytes(data, "little"), self._inputs
         for bit, place, count in carried:
             mask = (1 << count) - 1
             inputs = inputs & ~(mask << bit) | (number >> place & mask) << bit
+            self._brought |= mask << bit
         self._set_inputs(inputs)
         return True
 
@@ -269,10 +275,10 @@ class Board:
             self._image.ends ^= union(bit.line for bit in self.layout.inputs if changed & bit.place)
 
     def _ask_inputs(self) -> Procedure:
-        before = self.input_frames
         for sub in subs_of(self.layout.input_bits):
+            self.begin_input_read()
             outcome = yield Transfer(0x6000, sub, timeout=_INPUT_TIMEOUT, tries=2, fresh=True)
-            if outcome.data and self.input_frames == before:  # otherwise a TPDO has brought newer values
+            if outcome.data:
                 self.set_input(sub, outcome.data[0])
 
     def _answered(self, fault: ArmFault | None, now: float) -> None:

@@ -268,23 +268,20 @@ def _check_errors(boot: Boot) -> Procedure:
 
 def _read_back(boot: Boot) -> Procedure:
     """Reads outputs and inputs, and adopts them."""
-    board, it, inputs = boot.board, boot.it, dict[int, int]()
+    board, it = boot.board, boot.it
     rpdos, tpdos = pdo_search.adopt(it)
     pdo_search.check_pairs(it.layout, rpdos)
     values = yield from _carried_values(board, rpdos)
     board.set_tpdos(tpdos)
-    before = board.input_frames
     for sub in subs_of(board.layout.input_bits):
-        inputs[sub] = yield from objects.read(board.name, INPUTS, sub)
+        board.begin_input_read()
+        board.set_input(sub, (yield from objects.read(board.name, INPUTS, sub)))
     if board.state is not State.OPERATIONAL:
         seen = "its state is unknown" if board.state is None else f"it is {board.state.words}"
         raise BoardError(
             ArmFault("board-stopped", board.name, f"board {board.name} left operational while booting; {seen}")
         )
     boot.outputs.adopt(boot.index, rpdos, values)
-    if board.input_frames == before:  # otherwise a TPDO has brought newer values
-        for sub, value in inputs.items():
-            board.set_input(sub, value)
     board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | it.standing_errors
     board.expected = _expected(it, rpdos + tpdos)
     board.beats.period = 0.0 if it.guarded else it.values[0x1017, 0] / 1000

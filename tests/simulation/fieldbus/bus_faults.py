@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusOverrun
 from tests.simulation.fieldbus.expected import Expected, Fault
 from tests.simulation.fieldbus.fault_maker import FaultMaker
+from tests.simulation.fieldbus.site import LATE
 from tests.simulation.judge.verdict import require
 
+READS_INPUTS = b"\x00\x60"  # index in an SDO answer
 AT_ONCE = 0.03  # [s] until a change of a bus is told
 
 
@@ -145,6 +148,31 @@ class BusFaults(FaultMaker):
 
         within = 2.0 + self._world.watching.slack
         return Fault(cause, mend, Expected((), within=within), check)
+
+    def answer_of_inputs_is_late(self) -> Fault | None:
+        """An input changes after the board has read it for an answer, which comes later than the TPDO."""
+        if not self._judged.sensed:
+            return None
+        world, late = self._world, list[str]()
+
+        def intercept(bus: str, frame: Frame) -> str:
+            answers = f"{bus}/{frame.id & 0x7F}" == self._name and frame.id & ~0x7F == 0x580
+            if late or not answers or frame.data[1:3] != READS_INPUTS or not world.flip_input(self._name):
+                return ""
+            late.append("late")
+            world.agenda.after(LATE + 0.005, judge)
+            return "late"
+
+        def judge() -> None:
+            ends = sum(b.read(world.looks[b.name].inputs()) for b in world.wiring.boards.values())
+            require(world.master.ends == ends, f"inputs {world.master.ends:b} are told after a late answer: {ends:b}")
+
+        def mend() -> None:
+            self._intercept_nothing()
+            world.undo_flips()
+
+        within = world.watching.inputs_every(self._name) + 0.4 + world.watching.slack
+        return Fault(lambda: setattr(self._site, "intercept", intercept), mend, Expected((), within=within))
 
     def overrun(self) -> Fault | None:
         fault = self.TPDO_is_lost()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable
+from functools import partial
 from random import Random
 
 from hyperbit.drivers.canopen.run.master import Master
@@ -27,6 +28,8 @@ MOST_REFUSALS = 2  # boots of one arm that end without all boards
 LONGEST_BOOT = 20.0  # [s]
 SPLIT = ("outputs in two RPDOs", "inputs in two TPDOs")  # each boot configures these anew, though nothing has changed
 IN_FLIGHT = 0.003  # [s] until the last frames of an executor that has ended have left
+TOLD = 0.012  # [s] until inputs have come
+READS_INPUTS = b"\x00\x60"  # index of an SDO request
 SILENT = 0.05  # [s] that a board needs to notice the loss of the master, after its time-out
 
 
@@ -70,6 +73,7 @@ class BoardWorld:
         self.looks = {name: self._look(name) for name in self.wiring.boards}
         self.boots, self.switching = Boots(self.wiring, self.looks), Switching(self.wiring, self.looks)
         self.boots.left = {}
+        self._undo: Callable[[], None] | None = None  # the change of an input
         self.watching = Watching(self.wiring, self.looks)
         variants = self.drawn.variants.items()
         self.watching.standing = frozenset(name for name, variant in variants if variant.keeps_loss)
@@ -168,6 +172,7 @@ class BoardWorld:
             self.pass_time(IN_FLIGHT)
             if any(self.watching.guarded(name) for name in self.looks):  # else they fall in the middle of the boot
                 self.pass_time(1.3 * self.drawn.timing.heartbeat_timeout + self.drawn.timing.heartbeat)
+        self.undo_flips()
         self.found = {name: found_of(site.board(name), self.wiring.boards[name], not new) for name in self.looks}
         self.note(("boot", new, {name: (f.state, f.errors) for name, f in self.found.items()}))
         self.calm, self.ready = True, False
@@ -209,8 +214,31 @@ class BoardWorld:
     def settle(self) -> None:
         """Waits until inputs have come, and judges what is told."""
         master = self.master
-        self.pass_time(0.012)
+        self.pass_time(TOLD)
         self.watching.judge_told(master, self.switching.states)
+        self.undo_flips()
+
+    def flip_input(self, name: str) -> bool:
+        """Opens a door or breaks an end-stop of a board within a moment; returns whether it has one."""
+        wiring, boards = self.drawn.wiring, self.site.boards
+        flips = [("open", "close", lock.name) for lock in wiring.interlocks if f"{lock.bus}/{lock.node}" == name]
+        for channel in wiring.channels:
+            board = channel.input_board or channel
+            if channel.input is not None and f"{board.bus}/{board.node}" == name:
+                flips.append((self.random.choice(["cut_wires", "short_wires"]), "restore_sensor", channel.actuator))
+        if not flips or self._undo or self.site.board(name).variant.pads:  # padding is warned of as the TPDO comes
+            return False
+        verb, undo, label = self.random.choice(flips)
+        self._undo = partial(boards.fault, undo, label)
+        self.agenda.after(self.random.uniform(0.0, 0.0006), lambda: boards.fault(verb, label))
+        return True
+
+    def undo_flips(self) -> None:
+        """Closes the door and mends the end-stop."""
+        if self._undo is not None:
+            self._undo()
+            self._undo = None
+            self.pass_time(TOLD)
 
     @property
     def master(self) -> Master:
@@ -258,6 +286,8 @@ class BoardWorld:
         self.watching.hands_out(bus, frame.id, frame.data, self.agenda.now)
         if self.boots.running:
             self.boots.hands_out(bus, frame.id, frame.data)
+            if frame.id & ~0x7F == 0x600 and frame.data[1:3] == READS_INPUTS and self.random.random() < 0.5:
+                self.flip_input(f"{bus}/{frame.id & 0x7F}")
         elif self.ready and (frame.id == SYNC or 0x200 <= frame.id < 0x580):
             self.switching.hands_out(bus, frame.id, frame.data)
         elif self.ready:

@@ -6,10 +6,12 @@ from collections.abc import Callable
 
 from hyperbit.controller.program import Snapshot, unpack
 from tests.simulation.judge.account import EPSILON, Account
+from tests.simulation.judge.arm import mask_of
 from tests.simulation.judge.proofs import Proofs
 from tests.simulation.judge.silence import Silence
 from tests.simulation.judge.verdict import require
 
+BOOT_UP = 0x700  # COB-ID of the message with one byte 00h, without the node id
 TICK = 0.01  # [s], period of the executor's loop
 EVERY = 0.05 + 2 * TICK  # [s], longest time between two snapshots of a loop that is not late
 SEEN_WITHIN = 0.02  # [s] from a change at the boards to the executor: a TPDO behind others on a slow bus, and a wake-up
@@ -38,6 +40,15 @@ class Snapshots:
         self.locks_asked = 0
         self._shown_at = self._read_at = self._a.now
         self.boots = 0
+        self._restarted = (
+            0  # mask of the actuators whose board has restarted since the last boot that made the arm ready
+        )
+
+    def hears(self, bus: str, cob_id: int, data: bytes) -> None:
+        """The process hears a frame; a boot-up message tells of a restart."""
+        if cob_id & 0x780 == BOOT_UP and data == b"\0":
+            board = f"{bus}/{cob_id & 0x7F}"
+            self._restarted |= mask_of(k for k, name in enumerate(self._a.arm.board_of) if name == board)
 
     def expect_changed(self, epoch: int, text: str) -> None:
         """Requires that the next snapshot has another mode than ready, or another epoch."""
@@ -136,6 +147,8 @@ class Snapshots:
             known = a.ground.on | arm.everything & ~arm.paired
             for reading in a.ground.readings_since(a.now - SEEN_WITHIN):
                 known |= arm.definite(reading.extended, reading.contracted)
+            lost, self._restarted = self._restarted & arm.paired & ~known & ~a.locked, 0
+            require(not lost & ~homing, f"the boards of {lost:b} have restarted, {homing:b} are to be homed")
             a.unknown &= ~known
             a.knows_unknown = a.clear
         if not a.clear:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from hyperbit.drivers.canopen.boards.board import Board, StateImage
+from hyperbit.drivers.canopen.layout import lay_out
+from hyperbit.drivers.canopen.pdo import Pdo
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.events import BusOverrun
-from hyperbit.drivers.canopen.wiring import Channel, Interlock
+from hyperbit.drivers.canopen.wire.link import Link
+from hyperbit.drivers.canopen.wiring import BusWiring, Channel, Interlock, Wiring
 from tests.drivers.canopen.world import World
 
 
@@ -98,3 +102,22 @@ def test_the_buses_work_on_when_echoes_are_lost_in_an_overrun() -> None:
     assert world.faults == []
     world.commit(1)
     assert world.master.outputs == 1
+
+
+def test_an_answer_is_newer_than_what_came_before_and_older_than_a_tpdo_after_its_question() -> None:
+    """Another TPDO of the board tells nothing of the byte that is asked for."""
+    wiring = Wiring(
+        (BusWiring("can0", "virtual", "x"),), (Channel("a", "can0", 5, 0, 0), Channel("b", "can0", 5, 1, 8))
+    )
+    image, layout = StateImage(), lay_out(wiring).boards[0]
+    board = Board(0, layout, Link(wiring.buses[0], lambda *_: None, 1.0), image, lambda _: None)
+    board.set_tpdos([Pdo(0x1800, 0x185, (0x6000_0108,)), Pdo(0x1801, 0x285, (0x6000_0208,))])
+    board.receive_frame(0x185, b"\x01", 0.0)
+    board.begin_input_read()
+    board.receive_frame(0x285, b"\x01", 0.0)
+    board.set_input(1, 0)
+    board.set_input(2, 0)
+    assert image.ends == 0b10
+    board.begin_input_read()
+    board.set_input(2, 0)
+    assert image.ends == 0
