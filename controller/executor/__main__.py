@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.executor.core.core import Executor
-from hyperbit.controller.executor.journal.journal_copy import JournalInUse
-from hyperbit.controller.executor.journal.switch_journal import FileJournal, default_path
 from hyperbit.controller.executor.process.buses import Buses, CanBuses
+from hyperbit.controller.executor.process.journal_file import FileJournal, default_path
 from hyperbit.controller.executor.process.log_lines import start_logging
 from hyperbit.controller.executor.process.real_time import enter_real_time
 from hyperbit.controller.executor.process.run import MOST_PENDING, EventLoop
-from hyperbit.controller.executor.process.server import ExecutorServer, SocketInUse
+from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.flight_recorder import FlightRecorder, Label
+from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.sockets import socket_path
 from hyperbit.drivers.canopen.faults import BusError
@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
     except InputFaults as error:
         print(error, file=sys.stderr)
         return 2
-    except (SocketInUse, JournalInUse, BusError, OSError) as error:
+    except (FileInUse, BusError, OSError) as error:
         print(error, file=sys.stderr)
         return 1
     if options.list_modules:
@@ -67,8 +67,7 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
 
     Raises:
         InputFaults: the arm's file is wrong, a board or variant is unknown, or a variant is given without `simulate`.
-        SocketInUse: another executor uses the socket.
-        JournalInUse: another executor uses the journal.
+        FileInUse: another executor uses the socket or the journal.
         BusError: another executor is on a bus.
         OSError: socket or journal cannot be created.
     """

@@ -8,6 +8,7 @@ from typing import ParamSpec
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.locked import LockedActuators
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.controller.executor.core.ending import Ending
 from hyperbit.controller.executor.core.events import (
@@ -27,7 +28,6 @@ from hyperbit.controller.executor.core.modes import Modes
 from hyperbit.controller.executor.core.parts import ExecutorParts
 from hyperbit.controller.executor.core.reports import Reports
 from hyperbit.controller.executor.core.requests import ClientRequests
-from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
 from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.executor.motion.results import ProgramResults
 from hyperbit.controller.host.process import Log, Notify, Quit

@@ -6,8 +6,8 @@ from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.bits import indices
 from hyperbit.controller.executor.arm.locked import LockedActuators
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.events import Health
-from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
 from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.program import Diagnostics, Fault, Mode, Snapshot, pack
 from hyperbit.drivers.canopen.faults import ArmFault

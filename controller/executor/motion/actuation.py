@@ -6,7 +6,7 @@ from typing import NamedTuple
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.bits import indices, merged
 from hyperbit.controller.executor.arm.kinds import Kinds
-from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.drivers.canopen.faults import ArmFault, Busy
 from hyperbit.drivers.canopen.run.master import Master
 

@@ -7,7 +7,7 @@ from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.bits import first, merged
 from hyperbit.controller.executor.arm.kinds import Kinds
 from hyperbit.controller.executor.arm.locked import LockedActuators
-from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.motion.actuation import Actuation, CommitOutcome
 from hyperbit.controller.executor.motion.clearance import ClearanceQuestions
 from hyperbit.controller.executor.motion.motion_supervision import Finding, MotionSupervision

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.motion.program_execution import ProgramExecution
 from hyperbit.controller.program import MOST_TRAVELS, Counted, Ended, Up
 

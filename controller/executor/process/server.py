@@ -1,6 +1,5 @@
 """The executor's socket: its clients and their messages. Nothing here blocks."""
 
-import fcntl
 import logging
 import os
 import socket
@@ -10,6 +9,7 @@ from pathlib import Path
 
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
 from hyperbit.controller.executor.process.connections import ClientConnection, LimitedLog, late, superfluous
+from hyperbit.controller.host.keeper import lock_file
 from hyperbit.controller.program import (
     MOST_BYTES,
     Diagnostics,
@@ -31,10 +31,6 @@ LEAST_MESSAGES = 4  # of one client in one poll
 MOST_QUEUED = 1_000  # messages that wait for a client that does not read; it is disconnected with more
 
 
-class SocketInUse(Exception):
-    """Another executor uses the socket."""
-
-
 class ExecutorServer:
     """Listens on a Unix socket of the type SOCK_SEQPACKET.
 
@@ -49,7 +45,7 @@ class ExecutorServer:
         clock: of the event loop [s].
 
     Raises:
-        SocketInUse: another executor listens there; the text names its process.
+        FileInUse: another executor listens there; the text names its process.
         OSError: the socket cannot be created.
     """
 
@@ -60,8 +56,7 @@ class ExecutorServer:
         self._connections: dict[ClientId, ClientConnection] = {}
         self._gone: list[ClientId] = []
         self._buffer = memoryview(bytearray(MOST_BYTES + 1))
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._lock = lock(path.with_name(path.name + ".lock"))
+        self._lock = lock_file(path.with_name(path.name + ".lock"), f"an executor is running on {path}, process")
         path.unlink(missing_ok=True)
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         try:
@@ -189,21 +184,3 @@ class ExecutorServer:
         if self._connections.pop(connection.client, None) is not None:
             connection.socket.close()
             self._gone.append(connection.client)
-
-
-def lock(path: Path) -> int:
-    """Locks a file, writes the process id into it, and returns its file descriptor.
-
-    Raises:
-        SocketInUse: another process has locked the file.
-    """
-    number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        pid = os.pread(number, 32, 0).decode(errors="replace").strip() or "unknown"
-        os.close(number)
-        raise SocketInUse(f"an executor is running on {path.with_suffix('')}, process {pid}") from None
-    os.ftruncate(number, 0)
-    os.pwrite(number, b"%d\n" % os.getpid(), 0)
-    return number

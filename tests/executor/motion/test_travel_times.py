@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.executor.arm.kinds import Ends
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
-from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.executor.motion.travel_times import TravelTimes
 from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards
 from hyperbit.controller.program import VERSION, Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
@@ -65,7 +65,7 @@ def test_frames_that_are_read_late_give_the_same_times() -> None:
 def test_boards_inside_an_executor_that_stalls_give_their_own_times(lateness: float) -> None:
     now = 50.0
     arm = small_arm(channel={**BOTH, "travel": (0.16, 0.24)})
-    core, boards = Executor(arm, MemoryJournal(SIZE), instance=1), EmbeddedBoards(arm.wiring, arm.timing)
+    core, boards = Executor(arm, SwitchJournal(SIZE), instance=1), EmbeddedBoards(arm.wiring, arm.timing)
     heard: list[Any] = []
 
     def do(event: Any) -> None:
