@@ -17,13 +17,10 @@ from hyperbit.controller.executor.core.reports import Reports
 from hyperbit.controller.executor.core.requests import ClientRequests
 from hyperbit.controller.executor.motion import program_execution
 from hyperbit.controller.executor.motion.actuation import Actuation
-from hyperbit.controller.executor.motion.clearance import ClearanceQuestions
-from hyperbit.controller.executor.motion.motion import ArmMotion
+from hyperbit.controller.executor.motion.motion import ArmMotion, ClearanceQuestions
 from hyperbit.controller.executor.motion.motion_supervision import MotionSupervision
-from hyperbit.controller.executor.motion.program_execution import ProgramExecution
-from hyperbit.controller.executor.motion.readings import Readings
-from hyperbit.controller.executor.motion.results import ProgramResults
-from hyperbit.controller.executor.motion.travel_times import TravelTimes
+from hyperbit.controller.executor.motion.program_execution import ProgramExecution, ProgramResults
+from hyperbit.controller.executor.motion.readings import Readings, TravelTimes
 from hyperbit.controller.program import Replacement, pack
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
@@ -132,10 +129,10 @@ def _reset_no_epoch(self: ClientRequests, client: Any, message: Any, now: float)
 def _send_no_more(self: ProgramResults) -> None:
     """Sends what is new since the last planner, as if all that was sent before had been read."""
     sent = self.__dict__.setdefault("_sent", set())
-    for number, result in self._stored.items():
+    for number, result in self.stored.items():
         if number not in sent:
             self._send(result)
-    sent.update(self._stored)
+    sent.update(self.stored)
 
 
 def _count_unknown(self: SwitchJournal, states: int, unknown: int = 0) -> int:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from hyperbit.controller.executor.arm.bits import indices
+from hyperbit.controller.executor.arm.kinds import indices
 
 
 class SwitchJournal:

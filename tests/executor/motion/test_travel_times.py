@@ -10,7 +10,7 @@ from hyperbit.controller.executor.arm.kinds import Ends
 from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
-from hyperbit.controller.executor.motion.travel_times import TravelTimes
+from hyperbit.controller.executor.motion.readings import TravelTimes
 from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards
 from hyperbit.controller.program import VERSION, Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
 from hyperbit.drivers.simulation.buses import _LEAST_PULSE
@@ -106,7 +106,7 @@ def test_a_way_whose_frames_tell_no_time_is_not_measured(begun: float | None, en
     times = TravelTimes()
     times.begin(0b1, 0b1, Ends(0, 0b1), begun)
     assert times.drain_arrived(Ends(0b1, 0), ended) == []
-    assert not times.measuring
+    assert not any(times.travelling)
 
 
 def test_a_way_that_was_called_back_is_measured_anew() -> None:
@@ -115,4 +115,4 @@ def test_a_way_that_was_called_back_is_measured_anew() -> None:
     times.begin(0b1, 0b0, Ends(0, 0), 1.1)
     assert times.drain_arrived(Ends(0, 0), 1.15) == []
     assert times.drain_arrived(Ends(0, 0b1), 1.2) == [Travel(0, 0, pytest.approx(0.1))]
-    assert not times.measuring
+    assert not any(times.travelling)
