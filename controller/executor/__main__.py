@@ -56,14 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | None, board: Sequence[str] = ()) -> None:
-    """Runs the executor until SIGTERM.
-
-    Args:
-        file: the arm's file.
-        socket: the executor's socket, or its folder; None: the default.
-        simulate: use simulated boards in place of the CAN buses.
-        journal: the switch journal; None: the default.
-        board: variants of the simulated boards, in the notation of `choose`.
+    """Runs the executor until SIGTERM. Each path that is None has its default.
 
     Raises:
         InputFaults: the arm's file is wrong, a board or variant is unknown, or a variant is given without `simulate`.

@@ -100,7 +100,6 @@ class Kinds:
         return merged((extending ^ contracting) | ~self.paired, outputs, before) & self.everything
 
     def ends(self, inputs: int) -> Ends:
-        """Returns what the end-stops read."""
         if not self._ended:
             return Ends(inputs & self.ends_extended, 0)
         contracted = inputs >> self._size

@@ -50,7 +50,6 @@ class Clients:
         return True
 
     def hear(self, clock: float) -> None:
-        """Records a message of the planner."""
         self._heard, self._silent = clock, False
 
     def fell_silent(self, clock: float) -> bool:

@@ -196,10 +196,10 @@ class Executor:
         self.motion.actuation.tick(now)
         for fault in self.motion.actuation.find_overdue(now):
             self.modes.fail(fault, now)
-        for finding in self.motion.supervision.tick(self.motion.clock, now):
-            if finding.fault.code == "stuck" and self._arm.continue_on_stuck:
-                self._locked.stuck |= 1 << finding.actuator
-            self.modes.fail(finding.fault, now)
+        for actuator, fault in self.motion.supervision.tick(self.motion.clock, now):
+            if fault.code == "stuck" and self._arm.continue_on_stuck:
+                self._locked.stuck |= 1 << actuator
+            self.modes.fail(fault, now)
         if self._clients.fell_silent(self.motion.clock):
             self._lose_planner("the planner is silent")
         self._advance(now)
@@ -214,7 +214,6 @@ class Executor:
             self._next_beat = now + self._watchdog / 4
 
     def _advance(self, now: float) -> None:
-        """Advances the running program or stream."""
         if self.modes.mode == "executing" and (end := self.motion.advance(now)) is not None:
             self.modes.hold(*end)
 

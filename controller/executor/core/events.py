@@ -9,12 +9,7 @@ from hyperbit.drivers.canopen.wire.events import Event as CanEvent
 
 
 class ClientId(NamedTuple):
-    """A connection to the executor's socket.
-
-    Attributes:
-        number: of the connection, never used again.
-        pid: process at the other end.
-    """
+    """A connection to the executor's socket: its number, never used again, and the process at the other end."""
 
     number: int
     pid: int
@@ -39,27 +34,16 @@ class Health(NamedTuple):
 
 
 class FromClient(NamedTuple):
-    """A client sent a message."""
-
     client: ClientId
     message: Down
 
 
 class ClientGone(NamedTuple):
-    """A connection was closed."""
-
     client: ClientId
 
 
 class FaultPlayed(NamedTuple):
-    """The answer to `ToSimulation`.
-
-    Attributes:
-        client: that asked.
-        request: number of its request.
-        message: what was done, or why not.
-        played: whether the simulated boards play the fault.
-    """
+    """The answer to `ToSimulation`: what was done, or why it is not played."""
 
     client: ClientId
     request: int
@@ -68,11 +52,7 @@ class FaultPlayed(NamedTuple):
 
 
 class Defect(NamedTuple):
-    """The event loop itself has failed.
-
-    Attributes:
-        text: the traceback.
-    """
+    """The event loop itself has failed; the text is the traceback."""
 
     text: str
 
@@ -81,8 +61,6 @@ Event = CanEvent | ExecutorTick | Health | FromClient | ClientGone | FaultPlayed
 
 
 class SendFrame(NamedTuple):
-    """A frame for a bus."""
-
     bus: str
     frame: Frame
 

@@ -64,7 +64,6 @@ class Modes:
             self.notify_status()
 
     def notify_status(self) -> None:
-        """Tells systemd the mode, its reason, and whether the boards are simulated."""
         self._act(Notify(f"STATUS={self.mode}{' (simulated)' * self._simulated}: {self.reason}"))
 
     def hold(self, status: str, message: str, reason: str, mode: Mode = "ready") -> None:

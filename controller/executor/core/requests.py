@@ -83,7 +83,6 @@ class ClientRequests:
 
     @property
     def greatest(self) -> int:
-        """The greatest number of a program or stream so far."""
         return max(self._program, self._stream)
 
     def receive_request(self, client: ClientId, message: Down, now: float) -> None:
@@ -109,7 +108,10 @@ class ClientRequests:
             case Lock():
                 self._lock(client, message, now)
             case PlayFault():
-                self._play_fault(client, message)
+                if self._simulated:
+                    self._act(ToSimulation(client, message.request, message.fault))
+                else:
+                    self._refuse(client, message.request, Refusal(Reason.NOT_SIMULATED))
 
     # --- programs and set-points
 
@@ -178,7 +180,6 @@ class ClientRequests:
     # --- cancel, stop, reset, lock
 
     def _cancel(self, client: ClientId, message: Cancel, now: float) -> None:
-        """Ends one program, or whatever is running."""
         execution, followed = self._motion.execution, self._motion.stream is not None
         if message.program is not None and (execution is None or execution.program.program != message.program):
             self._answer(client, message.request, f"program {message.program} is not running")
@@ -255,12 +256,6 @@ class ClientRequests:
         self._answer(client, message.request, text)
 
     # --- faults of simulated boards
-
-    def _play_fault(self, client: ClientId, message: PlayFault) -> None:
-        if not self._simulated:
-            self._refuse(client, message.request, Refusal(Reason.NOT_SIMULATED))
-            return
-        self._act(ToSimulation(client, message.request, message.fault))
 
     def receive_fault_played(self, event: FaultPlayed) -> None:
         if event.client not in self._clients.roles:

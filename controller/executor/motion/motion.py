@@ -42,7 +42,6 @@ class ClearanceQuestions:
 
     @property
     def waiting(self) -> bool:
-        """Whether a question is open."""
         return self._way is not None and not self._answered
 
     def ask(self, start: int, stage: int, now: float) -> bool:
@@ -62,7 +61,6 @@ class ClearanceQuestions:
             self._answered, self.touched = True, message.touched
 
     def forget(self) -> None:
-        """Forgets question and answer."""
         self._way, self._answered = None, False
 
 
@@ -105,12 +103,10 @@ class ArmMotion:
 
     @property
     def moving(self) -> bool:
-        """Whether a switched actuator has not arrived."""
         return self.supervision.moving(self.clock)
 
     @property
     def busy(self) -> bool:
-        """Whether a commit is under way."""
         return self.actuation.target is not None
 
     @property
@@ -297,7 +293,6 @@ class ArmMotion:
         return True
 
     def _record_reached(self, states: int, now: float) -> None:
-        """Records that the outputs have reached the stage begun last."""
         self.supervision.await_anew(states, self.clock, now)
         execution, stream, index = self.execution, self.stream, self._index
         if stream is not None and index < len(stream.stages) and stream.stages[index] == states:

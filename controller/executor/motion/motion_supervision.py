@@ -1,7 +1,6 @@
 """Motion supervision: compares the commanded states with the end-stops."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.executor.arm.kinds import Ends, Kinds, indices, mask_of, merged
@@ -10,13 +9,6 @@ from hyperbit.drivers.canopen.run.master import Master
 
 MOST_MISSED = 3  # successive commands that an actuator may miss, each reversed before it counts as stuck
 ASK_EVERY = 0.01  # [s] between two questions to a board
-
-
-class Finding(NamedTuple):
-    """A fault and the index of its actuator."""
-
-    actuator: int
-    fault: ArmFault
 
 
 class MotionSupervision:
@@ -100,12 +92,11 @@ class MotionSupervision:
         contradicted = self._strayed | self._doubtful | (self._pending and self._pending & self._late(self._ends))
         return not contradicted & self._boards.known & self._commanded_known
 
-    def tick(self, clock: float, now: float) -> list[Finding]:
+    def tick(self, clock: float, now: float) -> list[tuple[int, ArmFault]]:
         """Compares commanded states with the end-stops, and asks the boards of late actuators for their inputs.
 
-        Returns:
-            "end-stops" for each actuator with both end-stops at 1, "stuck" for each that did not arrive, and
-            "unexpected-motion" for each that moved without a command; at most one for an actuator until `reset`.
+        Returns faults with the index of their actuator: "end-stops" for each with both end-stops at 1, "stuck" for each
+        that did not arrive, and "unexpected-motion" for each that moved without a command; at most one until `reset`.
         """
         ends, known = self._ends, self._boards.known
         readable = known & self._commanded_known
@@ -124,9 +115,9 @@ class MotionSupervision:
         stuck &= ~self._reported
         self._reported |= stuck | stray | broken
         return [
-            *(self._broken(k) for k in indices(broken)),
-            *(self._stuck(k, ends) for k in indices(stuck)),
-            *(self._stray(k, ends) for k in indices(stray)),
+            *((k, self._broken(k)) for k in indices(broken)),
+            *((k, self._stuck(k, ends)) for k in indices(stuck)),
+            *((k, self._stray(k, ends)) for k in indices(stray)),
         ]
 
     def _travel(self, k: int) -> float:
@@ -209,10 +200,9 @@ class MotionSupervision:
             self._boards.question(board, now)
 
     def _questioning(self, actuator: int) -> bool:
-        """Returns whether a board of an actuator's end-stops has not answered yet."""
         return any(self._boards.questioning(board) for board in self._boards.input_boards_of[actuator])
 
-    def _stuck(self, k: int, ends: Ends) -> Finding:
+    def _stuck(self, k: int, ends: Ends) -> ArmFault:
         should, other = STATES[self._commanded >> k & 1], STATES[1 - (self._commanded >> k & 1)]
         place, limit = self._places[k], self._travel(k) + self._kinds.margin[k]
         reads = f"its end-stop does not read {should}"
@@ -223,16 +213,16 @@ class MotionSupervision:
         text = f"actuator {place} did not become {should} within {limit:g} s; {reads}"
         if self._missed[k] >= MOST_MISSED:
             text = f"actuator {place} missed {self._missed[k]} commands; its end-stop did not change"
-        return Finding(k, ArmFault("stuck", place, text))
+        return ArmFault("stuck", place, text)
 
-    def _stray(self, k: int, ends: Ends) -> Finding:
+    def _stray(self, k: int, ends: Ends) -> ArmFault:
         should, other = STATES[self._commanded >> k & 1], STATES[1 - (self._commanded >> k & 1)]
         place = self._places[k]
         reads = f"reads {other}" if self._at_other_end(ends) >> k & 1 else f"does not read {should} any more"
         text = f"actuator {place} moved without a command: its end-stop {reads}; check it, then reset"
-        return Finding(k, ArmFault("unexpected-motion", place, text))
+        return ArmFault("unexpected-motion", place, text)
 
-    def _broken(self, k: int) -> Finding:
+    def _broken(self, k: int) -> ArmFault:
         place = self._places[k]
         text = f"both end-stops of actuator {place} read 1 at once: check their wires and switches, then reset"
-        return Finding(k, ArmFault("end-stops", place, text))
+        return ArmFault("end-stops", place, text)

@@ -38,7 +38,6 @@ class Readings:
 
     @property
     def known(self) -> int:
-        """Mask of the actuators whose measured state is known."""
         return self._master.known & ~self.homing
 
     @property
@@ -47,12 +46,10 @@ class Readings:
         return self._actuation.uncertain & ~self._locked.mask
 
     def packed(self) -> tuple[bytes, bytes]:
-        """Returns the measured states and the mask of the known ones, packed."""
         known = self.known
         return pack(self.measured & known, self._actuators), pack(known, self._actuators)
 
     def interlock_faults(self) -> list[ArmFault]:
-        """Returns a fault for each open interlock."""
         opened = self._kinds.open(self._master.ends, self._master.inputs_known)
         places = (f"{lock.name} ({lock.bus}/{lock.node} input {lock.input})" for lock in opened)
         return [ArmFault("interlock", place, f"interlock {place} is open: close it, then reset") for place in places]

@@ -11,8 +11,14 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
-from hyperbit.controller.executor.process.connections import HELLO_TIMEOUT, PLACES, ClientConnection, superfluous
-from hyperbit.controller.executor.process.server import MOST_QUEUED, ExecutorServer
+from hyperbit.controller.executor.process.server import (
+    HELLO_TIMEOUT,
+    MOST_QUEUED,
+    PLACES,
+    ClientConnection,
+    ExecutorServer,
+    superfluous,
+)
 from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.host.sockets import default_socket, found_sockets, socket_path
 from hyperbit.controller.program import (
