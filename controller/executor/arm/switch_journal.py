@@ -35,12 +35,7 @@ class SwitchJournal:
         self._write()
 
     def resolve(self, states: int, unknown: int = 0) -> int:
-        """Counts the intended switches that took place, as `states` show; returns the mask of these actuators.
-
-        Args:
-            states: present states of the outputs.
-            unknown: mask of the actuators whose state is unknown; these are not counted.
-        """
+        """Counts the intended switches that the outputs' `states` show, but none of `unknown`; returns their mask."""
         if not self._intended:
             return 0
         switched = self._intended & ~(self._after ^ states) & ~unknown

@@ -15,11 +15,6 @@ class Clients:
     Attributes:
         planner: the connected planner; None if there is none.
         roles: role of each client that has sent Hello.
-
-    Args:
-        arm: its name.
-        timeout: silence after which the planner counts as silent [s].
-        send: sends a message to a client.
     """
 
     def __init__(self, arm: str, timeout: float, send: Callable[[ClientId, Up], None]) -> None:

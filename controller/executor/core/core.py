@@ -82,9 +82,8 @@ class Executor:
         self.motion = motion = ArmMotion(arm, master, journal, locked, self._results, clients.to_planner)
         self.reports = Reports(arm, master, motion, locked, journal)
         clearing = CLEARING | {"stuck"} if arm.continue_on_stuck else CLEARING
-        simulated = simulation is not None
-        self.modes = modes = Modes(master, motion, locked, clearing, self.reports, self._act, simulated)
-        self._requests = ClientRequests(arm, motion, locked, modes, self._act, clients, simulated=simulated)
+        self.modes = modes = Modes(master, motion, locked, clearing, self.reports, self._act, simulation is not None)
+        self._requests = ClientRequests(arm, motion, locked, modes, self._act, clients)
         self.ending = Ending(arm, motion, locked, modes, self._act)
         self._last_tick: float | None = None
         self._awake = 0.0  # until the last tick [s]
@@ -230,7 +229,8 @@ class Executor:
             self._clients.hear(self.motion.clock)
         match message:
             case Hello():
-                self._greet(client, message)
+                if self._clients.greet(client, message, self.motion.clock):
+                    self._welcome(client, message.role)
             case _ if client not in self._clients.roles:
                 self._to_client(client, Goodbye("Hello must be the first message"))
             case Acknowledge() if client == self._clients.planner:
@@ -241,14 +241,13 @@ class Executor:
                 self._requests.receive_request(client, message, now)
                 self._advance(now)  # a stage that is due now does not wait for the tick
 
-    def _greet(self, client: ClientId, hello: Hello) -> None:
-        if self._clients.greet(client, hello, self.motion.clock):
-            arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
-            welcome = Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest, self._simulation)
-            self._to_client(client, welcome)
-            if hello.role == "planner":
-                self._results.send_again()
-            self.reports.changed = True
+    def _welcome(self, client: ClientId, role: str) -> None:
+        arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
+        welcome = Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest, self._simulation)
+        self._to_client(client, welcome)
+        if role == "planner":
+            self._results.send_again()
+        self.reports.changed = True
 
     def _lose_planner(self, why: str) -> None:
         """Ends what the planner asked for, and begins an epoch: the socket may hold requests planned before.

@@ -1,12 +1,11 @@
 """The end of the executor: contracts the arm first if `on_stop` says so, and warns of what the boards do after it."""
 
 import logging
-from collections.abc import Callable
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.kinds import first
 from hyperbit.controller.executor.arm.locked import LockedActuators
-from hyperbit.controller.executor.core.events import Action
+from hyperbit.controller.executor.core.events import Act
 from hyperbit.controller.executor.core.modes import Modes
 from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.executor.motion.program_execution import SetpointStream
@@ -22,14 +21,7 @@ class Ending:
         timeout: longest time of the contraction [s].
     """
 
-    def __init__(
-        self,
-        arm: ExecutedArm,
-        motion: ArmMotion,
-        locked: LockedActuators,
-        modes: Modes,
-        act: Callable[[Action], None],
-    ) -> None:
+    def __init__(self, arm: ExecutedArm, motion: ArmMotion, locked: LockedActuators, modes: Modes, act: Act) -> None:
         self.begun, self.timeout = False, 0.0
         self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
         self._contracting = self._pulsing = False

@@ -1,5 +1,6 @@
 """Events and actions of the executor's core, as plain data."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from hyperbit.controller.host.process import Log, Notify, Quit
@@ -20,13 +21,7 @@ class ExecutorTick(NamedTuple):
 
 
 class Health(NamedTuple):
-    """Figures of the process, once a second; answered by `Diagnostics` to all clients.
-
-    Attributes:
-        loop: timing of the event loop since the last figures, see `Diagnostics.loop`.
-        dropped: number of snapshots and diagnostics that the server has dropped.
-        journal: why counts of switches were lost or will be lost, as a sentence; None if they are safe.
-    """
+    """Figures of the process, once a second; answered by `Diagnostics` to all clients; see there."""
 
     loop: dict[str, float]
     dropped: int
@@ -81,3 +76,4 @@ class ToSimulation(NamedTuple):
 
 
 Action = SendFrame | ToClient | ToSimulation | Notify | Log
+Act = Callable[[Action], None]

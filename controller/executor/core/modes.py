@@ -1,10 +1,9 @@
 """The modes of the executor: starting, ready, executing, fault, stopped; and the active faults."""
 
 import logging
-from collections.abc import Callable
 
 from hyperbit.controller.executor.arm.locked import LockedActuators
-from hyperbit.controller.executor.core.events import Action
+from hyperbit.controller.executor.core.events import Act
 from hyperbit.controller.executor.core.reports import Reports
 from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.executor.motion.program_execution import ProgramExecution, SetpointStream
@@ -15,7 +14,7 @@ from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
 
 RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
-# Codes of faults that clear by themselves.
+# Codes of faults that clear by themselves; `continue_on_stuck` adds one.
 CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing", "pulse-overdue"})
 
 
@@ -27,12 +26,6 @@ class Modes:
         epoch: grows with each cancel, stop, reset, fault, change of the locked actuators, end of a boot, and loss of
             the planner.
         faults: active faults by code and source, in the order of their reports.
-
-    Args:
-        clearing: codes of faults that clear by themselves.
-        reports: gets the flag `changed`.
-        act: takes actions.
-        simulated: whether the boards are simulated.
     """
 
     def __init__(
@@ -42,15 +35,15 @@ class Modes:
         locked: LockedActuators,
         clearing: frozenset[str],
         reports: Reports,
-        act: Callable[[Action], None],
-        simulated: bool = False,
+        act: Act,
+        simulated: bool,
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being booted"
         self.epoch = 1
         self.faults: dict[tuple[str, str], ArmFault] = {}
         self._master, self._motion, self._locked, self._reports, self._act = master, motion, locked, reports, act
-        self._clearing, self._simulated = clearing, simulated
+        self._clearing, self.simulated = clearing, simulated
         self._booting = self._waits = False  # a boot is under way, or waits for the end of a pulse
         self._next_try = 0.0
 
@@ -64,7 +57,7 @@ class Modes:
             self.notify_status()
 
     def notify_status(self) -> None:
-        self._act(Notify(f"STATUS={self.mode}{' (simulated)' * self._simulated}: {self.reason}"))
+        self._act(Notify(f"STATUS={self.mode}{' (simulated)' * self.simulated}: {self.reason}"))
 
     def hold(self, status: str, message: str, reason: str, mode: Mode = "ready") -> None:
         """Ends what runs, gives up the frames that wait, and enters a mode. Every end of a motion comes here.
@@ -72,11 +65,8 @@ class Modes:
         Boards keep what they have latched, and the next commit replaces it before its SYNC. What was handed out
         already and switches, `Actuation.under_way`, cannot be given up.
 
-        Args:
-            status: of the result of a program.
-            message: of the result of a program.
-            reason: a sentence for the mode.
-            mode: to enter; "ready" is entered from "executing" only, since the arm holds in the other modes.
+        `status` and `message` are those of the result of a program. Mode "ready" is entered from "executing" only,
+        since the arm holds in the other modes.
         """
         self._motion.actuation.give_up(message or "the arm holds")
         self._motion.end(status, message)

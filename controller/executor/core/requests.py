@@ -1,13 +1,12 @@
 """Requests of clients: programs, set-points, cancel, stop, reset, lock, faults to play."""
 
 import logging
-from collections.abc import Callable
 from typing import NamedTuple
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.core.clients import Clients
-from hyperbit.controller.executor.core.events import Action, ClientId, FaultPlayed, ToClient, ToSimulation
+from hyperbit.controller.executor.core.events import Act, ClientId, FaultPlayed, ToClient, ToSimulation
 from hyperbit.controller.executor.core.modes import Modes
 from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.executor.motion.program_execution import (
@@ -63,17 +62,9 @@ class ClientRequests:
     """
 
     def __init__(
-        self,
-        arm: ExecutedArm,
-        motion: ArmMotion,
-        locked: LockedActuators,
-        modes: Modes,
-        act: Callable[[Action], None],
-        clients: Clients,
-        *,
-        simulated: bool,
+        self, arm: ExecutedArm, motion: ArmMotion, locked: LockedActuators, modes: Modes, act: Act, clients: Clients
     ) -> None:
-        self.quitting, self._simulated, self._clients = False, simulated, clients
+        self.quitting, self._clients = False, clients
         self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
         self._size = len(arm.actuators)
         self._program = self._stream = 0  # greatest numbers so far
@@ -108,7 +99,7 @@ class ClientRequests:
             case Lock():
                 self._lock(client, message, now)
             case PlayFault():
-                if self._simulated:
+                if self._modes.simulated:
                     self._act(ToSimulation(client, message.request, message.fault))
                 else:
                     self._refuse(client, message.request, Refusal(Reason.NOT_SIMULATED))
@@ -254,8 +245,6 @@ class ClientRequests:
         self._modes.new_epoch()
         text = f"{self._locked.sentence()}{', after a reset' if waits else ''}"
         self._answer(client, message.request, text)
-
-    # --- faults of simulated boards
 
     def receive_fault_played(self, event: FaultPlayed) -> None:
         if event.client not in self._clients.roles:

@@ -71,9 +71,6 @@ class ArmMotion:
         execution: progress of the running program; None if none runs.
         stream: stream of set-points; None if none is followed.
         clock: awake time of the executor at the last event [s].
-
-    Args:
-        send: sends a message to the planner, if there is one.
     """
 
     def __init__(
@@ -90,7 +87,7 @@ class ArmMotion:
         self.kinds = Kinds(arm.wiring, arm.timing)
         self.actuation = Actuation(master, arm, self.kinds, journal)
         self.supervision = MotionSupervision(master, [channel.place for channel in arm.wiring.channels], self.kinds)
-        self.readings = Readings(master, self.kinds, self.actuation, locked, len(arm.actuators))
+        self.readings = Readings(master, self.kinds, self.actuation, locked)
         self._travel_times = TravelTimes()
         self.clearances = ClearanceQuestions(send, len(arm.actuators))
         self.clock = 0.0
@@ -197,7 +194,7 @@ class ArmMotion:
             return None
         decided = self.supervision.decided() and not self.actuation.unproven
         rests = not self.busy and not self.moving and decided
-        if execution.waiting and rests and execution.settle(now):
+        if rests and execution.settle(now):
             program, counted = execution.program.program, (execution.switches, execution.stages)
             packed = self.readings.packed()
             self._send(Settled(program, execution.mark, *packed, *counted, execution.planned))
@@ -226,8 +223,8 @@ class ArmMotion:
             return False
         if self._homes and (self.busy or self.moving or now < self.actuation.free_at - EPSILON):
             return False
-        if self._homes and self.execution is not None:
-            self.execution.delay(now)
+        if self._homes and self.execution is not None and self.execution.taken < 0:
+            self.execution.begin = max(self.execution.begin, now)  # its first stage was due before homing ended
         self._homes = False
         return True
 

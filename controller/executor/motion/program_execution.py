@@ -93,11 +93,6 @@ class ProgramExecution:
             return unpack(self.program.homed), self._states[-1] if self._states else self._start
         return -1, self._start
 
-    def delay(self, now: float) -> None:
-        """Moves the zero of time to now if the first stage was due before homing ended."""
-        if self.taken < 0:
-            self.begin = max(self.begin, now)
-
     def due(self, now: float, outputs: int, most: int) -> int | None:
         """Returns the index of the stage to switch to now, or None. Overdue stages are skipped, unless `strict`.
 
@@ -134,11 +129,6 @@ class ProgramExecution:
             return False
         self._settles = None
         return True
-
-    @property
-    def waiting(self) -> bool:
-        """Whether the mark reached has not settled yet."""
-        return self._settles is not None
 
     @property
     def idle(self) -> bool:

@@ -11,11 +11,9 @@ from hyperbit.drivers.canopen.run.master import Master
 class Readings:
     """What is known of the A actuators of an arm now; reads only."""
 
-    def __init__(
-        self, master: Master, kinds: Kinds, actuation: Actuation, locked: LockedActuators, actuators: int
-    ) -> None:
-        self._master, self._kinds, self._actuation = master, kinds, actuation
-        self._locked, self._actuators = locked, actuators
+    def __init__(self, master: Master, kinds: Kinds, actuation: Actuation, locked: LockedActuators) -> None:
+        self._master, self._kinds, self._actuation, self._locked = master, kinds, actuation, locked
+        self._actuators = len(kinds.travel)
 
     @property
     def ends(self) -> Ends:

@@ -37,7 +37,7 @@ def simulated_boards(arm: ExecutedArm, board: Sequence[str]) -> "EmbeddedBoards"
 
 
 class EmbeddedBoards:
-    """Simulated boards, with faults from lines on the standard input. See `Buses`.
+    """Simulated boards in place of `CanBuses`, with faults from lines on the standard input.
 
     The boards live in real time, as real boards do. While this process stands still, their heartbeats continue, and
     they lose their master after its heartbeat timeout. The next poll returns their frames, each with the time of its
@@ -85,7 +85,7 @@ class EmbeddedBoards:
         self._boards.receive(bus, frame, now)
 
     def close(self) -> None:
-        """See `Buses`."""
+        """Leaves the boards, as `CanBuses.close` does."""
 
     def _read_lines(self) -> None:
         if not self._reads_lines or not select.select([INPUT], [], [], 0)[0]:

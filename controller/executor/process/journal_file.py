@@ -43,11 +43,8 @@ class FileJournal(SwitchJournal):
     Args:
         path: of the file on the disk.
         actuators: labels (A,); counts of other actuators are not read.
-        memory: file in memory, empty or of an earlier process; None: one in /dev/shm, which `close` removes.
-
-    Raises:
-        FileInUse: another process uses the journal; the text names it.
-        OSError: the file in memory cannot be written.
+        memory: file in memory, empty or of an earlier process; None: one in /dev/shm, which `close` removes. FileInUse
+            is raised if another process uses it.
     """
 
     def __init__(self, path: Path, actuators: Sequence[str], memory: IO[bytes] | None = None) -> None:
@@ -93,9 +90,6 @@ class FileJournal(SwitchJournal):
 
         The keeper shares the lock on the file in memory: another executor begins after the last copy. Without a keeper
         the counts are copied by `close`.
-
-        Args:
-            interval: between two copies [s].
         """
         memory = self._memory.fileno()
         try:
@@ -173,5 +167,4 @@ def shared_path(path: Path) -> Path:
 
 
 def default_path(arm: str, *, simulated: bool = False) -> Path:
-    """Returns the path of an arm's journal, in `state_folder`."""
     return state_folder(simulated=simulated) / f"{arm}.switches"

@@ -19,9 +19,8 @@ CAP_IPC_LOCK = 14  # from linux/capability.h
 def enter_real_time(settings: RealTimeSettings | None) -> str:
     """Gives the process a priority of SCHED_FIFO, unless it has one, and locks its memory.
 
-    Without permission the executor continues: motions are as safe, but the loop's period varies more.
-
-    Without settings, the unit alone decides. Returns "off", "on", or a sentence on what is missing.
+    Without permission the executor continues: motions are as safe, but the loop's period varies more. Without settings
+    the unit alone decides. Returns "off", "on", or a sentence on what is missing.
     """
     given = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in (os.SCHED_FIFO, os.SCHED_RR)
     if settings is None and not given:

@@ -1,5 +1,7 @@
 """The event loop: CAN, socket, ticks and signals around the core. One thread, which blocks only in `select`."""
 
+from __future__ import annotations
+
 import contextlib
 import gc
 import logging
@@ -9,6 +11,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import (
@@ -22,13 +25,16 @@ from hyperbit.controller.executor.core.events import (
     ToClient,
     ToSimulation,
 )
-from hyperbit.controller.executor.process.buses import Buses
+from hyperbit.controller.executor.process.buses import CanBuses
 from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.host.signals import ENDING, end_on_signals, ignore
 from hyperbit.controller.program import TICK
+
+if TYPE_CHECKING:
+    from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards
 
 log = logging.getLogger("executor")
 
@@ -54,7 +60,7 @@ class EventLoop:
     def __init__(
         self,
         core: Executor,
-        buses: Buses,
+        buses: CanBuses | EmbeddedBoards,
         server: ExecutorServer,
         notifier: Notifier,
         clock: Callable[[], float] = time.monotonic,
@@ -259,7 +265,7 @@ class Garbage:
     Objects that live as long as the process are excluded from collection.
     """
 
-    def __enter__(self) -> "Garbage":
+    def __enter__(self) -> Garbage:
         gc.collect()
         gc.freeze()
         gc.disable()
