@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.executor.core.core import Executor
-from hyperbit.controller.executor.journal.journal_copy import JournalInUse
-from hyperbit.controller.executor.journal.switch_journal import FileJournal, default_path
-from hyperbit.controller.executor.process.buses import Buses, CanBuses
+from hyperbit.controller.executor.process.buses import CanBuses
+from hyperbit.controller.executor.process.journal_file import FileJournal, default_path
 from hyperbit.controller.executor.process.log_lines import start_logging
 from hyperbit.controller.executor.process.real_time import enter_real_time
 from hyperbit.controller.executor.process.run import MOST_PENDING, EventLoop
-from hyperbit.controller.executor.process.server import ExecutorServer, SocketInUse
+from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.flight_recorder import FlightRecorder, Label
+from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.sockets import socket_path
 from hyperbit.drivers.canopen.faults import BusError
@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
     except InputFaults as error:
         print(error, file=sys.stderr)
         return 2
-    except (SocketInUse, JournalInUse, BusError, OSError) as error:
+    except (FileInUse, BusError, OSError) as error:
         print(error, file=sys.stderr)
         return 1
     if options.list_modules:
@@ -56,22 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | None, board: Sequence[str] = ()) -> None:
-    """Runs the executor until SIGTERM.
-
-    Args:
-        file: the arm's file.
-        socket: the executor's socket, or its folder; None: the default.
-        simulate: use simulated boards in place of the CAN buses.
-        journal: the switch journal; None: the default.
-        board: variants of the simulated boards, in the notation of `choose`.
-
-    Raises:
-        InputFaults: the arm's file is wrong, a board or variant is unknown, or a variant is given without `simulate`.
-        SocketInUse: another executor uses the socket.
-        JournalInUse: another executor uses the journal.
-        BusError: another executor is on a bus.
-        OSError: socket or journal cannot be created.
-    """
+    """Runs the executor until SIGTERM. Each path that is None has its default. `main` names the exceptions."""
     arm = read_arm(file)
     boards: EmbeddedBoards | None = None
     if simulate:  # the process of a real arm loads no simulation
@@ -94,12 +79,9 @@ def execute(file: Path, socket: Path | None, simulate: bool, journal: Path | Non
         label = Label("executor", arm.name, arm.digest)
         recorder = closing.enter_context(FlightRecorder(label, path.parent, batch=MOST_PENDING))
         core.reports.real_time = enter_real_time(arm.real_time)
-        buses: Buses
-        if boards:
-            buses = boards
-        else:
-            buses = can = CanBuses(arm.wiring.buses)
-            can.listen(arm.timing.heartbeat)
+        buses = boards or CanBuses(arm.wiring.buses)
+        if isinstance(buses, CanBuses):
+            buses.listen(arm.timing.heartbeat)
         log.info("the boards of %s are %s", arm.name, "simulated in this process" if boards else "on CAN buses")
         EventLoop(core, buses, server, notifier, recorder=recorder).run_until_signal()
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hyperbit.controller.flight_recorder.keeper import LARGEST, LENGTH, MAGIC, RefusedFile, about
 from hyperbit.controller.flight_recorder.pickling import unpickle
+from hyperbit.controller.host.keeper import LARGEST, LENGTH, MAGIC, RefusedFile, about
 
 # Takes the line of JSON of a generation; returns objects by name in place of those that are recorded by name.
 Given = Callable[[Mapping[str, Any]], Mapping[str, Any]]

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from types import FunctionType, MappingProxyType, MethodType
 from typing import Any
 
-from hyperbit.controller.flight_recorder.keeper import RefusedFile
+from hyperbit.controller.host.keeper import RefusedFile
 
 # What a pickle of events may contain: classes of these modules, which only hold data and compute.
 PURE = re.compile(
@@ -27,7 +27,6 @@ CORE = "hyperbit.controller.planning.core."  # its functions are pure, too
 LEFT_OUT = "left out"  # stands for an opaque value that is not None
 OTHERS = {
     ("hyperbit.controller.flight_recorder.pickling", "method_of"),
-    ("hyperbit.controller.executor.journal.switch_journal", "MemoryJournal"),
     ("collections", "Counter"),
     ("collections", "OrderedDict"),
     ("collections", "defaultdict"),

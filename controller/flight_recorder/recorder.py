@@ -12,18 +12,15 @@ import json
 import logging
 import os
 import pickle
-import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, NamedTuple
 
-from hyperbit.controller.flight_recorder import keeper
-from hyperbit.controller.flight_recorder.keeper import LENGTH, SHARED, ring_paths
 from hyperbit.controller.flight_recorder.pickling import reducers
+from hyperbit.controller.host.keeper import LENGTH, SHARED, ring_paths, start_keeper
 
 log = logging.getLogger(__name__)
 
@@ -86,7 +83,7 @@ class FlightRecorder:
         try:
             _remove_left(label)
             if folder is not None:
-                self._keeper = _started_keeper(self.paths, folder)
+                self._keeper = start_keeper("events", folder.absolute(), *self.paths)
         except OSError as error:
             self._stop(error)
 
@@ -237,16 +234,3 @@ def _remove_left(label: Label) -> None:
                 path.unlink(missing_ok=True)
             except OSError:
                 pass  # of another user now
-
-
-def _started_keeper(paths: tuple[Path, Path], folder: Path) -> subprocess.Popen[bytes]:
-    """Starts the keeper. It survives the signals of a service manager or a terminal, and ends after this process."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # the process inherits the mask
-    try:
-        command = [sys.executable, "-I", "-S", keeper.__file__, str(folder.absolute()), *map(str, paths)]
-        started = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    assert started.stdin is not None
-    os.set_blocking(started.stdin.fileno(), False)
-    return started

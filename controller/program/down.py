@@ -144,8 +144,7 @@ class Stop(Message, frozen=True, tag="stop"):
 class Reset(Message, frozen=True, tag="reset"):
     """Leave a fault or a stop. Answered by `Answer`; refused if a stop, cancel or fault came after it.
 
-    Attributes:
-        epoch: the executor's epoch when the request arrived.
+    `epoch`: the executor's epoch when the request arrived.
     """
 
     request: Number

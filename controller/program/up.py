@@ -61,13 +61,7 @@ class Goodbye(Message, frozen=True, tag="goodbye"):
 
 
 class Answer(Message, frozen=True, tag="answer"):
-    """The answer to a request.
-
-    Attributes:
-        request: its number.
-        message: what is done, or why it is refused, as a sentence.
-        refused: the refusal as data; None if the request is carried out.
-    """
+    """The answer to a request: what is done, or why it is refused, as a sentence; and a refusal as data."""
 
     request: Number
     message: Text
@@ -80,23 +74,16 @@ class Answer(Message, frozen=True, tag="answer"):
 
 
 class Accepted(Message, frozen=True, tag="accepted"):
-    """The program runs.
-
-    Attributes:
-        program: its number.
-        begin: its zero of time [s].
-    """
+    """The program runs; `begin` is its zero of time [s]."""
 
     program: Number
     begin: Seconds
 
 
 class Declined(Message, frozen=True, tag="declined"):
-    """The program does not run.
+    """The program does not run. If the arm has moved, the planner must plan again from the latest snapshot.
 
-    Attributes:
-        program: its number.
-        refused: why. If the arm has moved, the planner must plan again from the latest snapshot; the others are final.
+    Other refusals are final.
     """
 
     program: Number
@@ -112,13 +99,7 @@ class Replaced(Message, frozen=True, tag="replaced"):
 
 
 class Begun(Message, frozen=True, tag="begun"):
-    """A stage of a program was switched.
-
-    Attributes:
-        program: its number.
-        stage: index.
-        switches: actuators switched by the program so far.
-    """
+    """A stage of a program was switched; `switches`: actuators switched by the program so far."""
 
     program: Number
     stage: Number
@@ -131,10 +112,7 @@ class Settled(Message, frozen=True, tag="settled"):
     Marks are not reported if they were skipped because they were late, or if the next stage began before they settled.
 
     Attributes:
-        program: its number.
-        mark: of its stage.
-        measured: packed states.
-        known: packed, 1 where the state is known.
+        measured, known: packed states, and 1 where the state is known.
         switches: actuators switched by the program so far.
         stages: stages carried out since the mark before.
         planned: whether all planned stages since the mark before were carried out.
@@ -154,14 +132,11 @@ class Ended(Message, frozen=True, tag="ended"):
 
     Attributes:
         result: its number, for `Acknowledge`.
-        program: number of the program.
         context: of the program.
         status: "done" if the last mark has settled.
         message: a sentence on the reason.
         mark: the last mark reached, -1 if none.
-        switches: actuators switched.
-        measured: packed states.
-        known: packed, 1 where the state is known.
+        measured, known: packed states, and 1 where the state is known.
         travels: the first MOST_TRAVELS measured travels.
         verified: whether end-stops or outputs, read back, have told of each switch; else the arm's file forgoes it.
     """
@@ -205,8 +180,7 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
     """The state of the executor, 20 times a second and on each change.
 
     Attributes:
-        at: time of the snapshot [s].
-        mode: of the executor.
+        at: its time [s].
         reason: a sentence on the mode.
         epoch: a number that grows with each cancel, stop, reset, fault, boot, change of locks, and loss of the planner.
             A cancel of one program begins no epoch.
@@ -250,7 +224,7 @@ class Diagnostics(Message, frozen=True, tag="diagnostics"):
     """Health of loop, buses and boards, once a second.
 
     Attributes:
-        at: time of the report [s].
+        at: its time [s].
         loop: ticks, longest_period, mean_work, longest_work, overruns of the last second, and lateness.
         buses: one mapping for each bus, fields of BusStatus.
         boards: one mapping for each board, fields of BoardStatus.

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, ToClient
-from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.host.process import Log, Notify
 from hyperbit.controller.program import (
     TICK,
@@ -88,7 +88,7 @@ class Rig:
     def __init__(self, **fields: Any) -> None:
         self.agenda = Agenda()
         self.arm = small_arm(**fields)
-        self.journal = MemoryJournal(SIZE)
+        self.journal = SwitchJournal(SIZE)
         self.core = Executor(self.arm, self.journal, instance=7, watchdog=0.4, build_master=FakeMaster)
         self.master: FakeMaster = self.core._master
         self.heard: list[tuple[ClientId, Any]] = []

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from hyperbit.controller.flight_recorder import FlightRecorder, Label
-from hyperbit.controller.flight_recorder.keeper import save
 from hyperbit.controller.flight_recorder.loading import load
+from hyperbit.controller.host.keeper import save
 from hyperbit.controller.planning.core.core import OPAQUE, Core
 from hyperbit.controller.planning.core.events import Action, Event
 from hyperbit.controller.program import Program

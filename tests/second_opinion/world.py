@@ -10,9 +10,9 @@ from typing import Any
 import can
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ClientId, ExecutorTick, FromClient, SendFrame, ToClient
-from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.program import (
     TICK,
@@ -101,7 +101,7 @@ class World:
         self.now = 50.0
         self.arm = ExecutedArm("second", LABELS, Wiring((BUS,), CHANNELS, **wiring), TIMING, digest="d" * 64)
         self.changes: list[tuple[str, Change]] = []
-        self.journal = MemoryJournal(SIZE)
+        self.journal = SwitchJournal(SIZE)
         self.core: Executor | None = None
         self.cable = Cable(self)
         self.answers, self.instances, self.programs = True, 0, 0

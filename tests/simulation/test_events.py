@@ -15,11 +15,12 @@ import pytest
 from hyperbit.controller.arm import arm as config
 from hyperbit.controller.executor.core.events import SendFrame
 from hyperbit.controller.executor.process.server import ExecutorServer
-from hyperbit.controller.flight_recorder import FlightRecorder, Label, keeper, pickling
+from hyperbit.controller.flight_recorder import FlightRecorder, Label, pickling
 from hyperbit.controller.flight_recorder import recorder as recording
-from hyperbit.controller.flight_recorder.keeper import KEPT, LENGTH, RefusedFile, save
 from hyperbit.controller.flight_recorder.loading import load
 from hyperbit.controller.flight_recorder.pickling import LEFT_OUT, unpickle
+from hyperbit.controller.host import keeper
+from hyperbit.controller.host.keeper import KEPT, LENGTH, RefusedFile, save
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.obstacles.obstacles import sphere
 from hyperbit.controller.planning.core.core import OPAQUE
@@ -216,7 +217,7 @@ def test_only_the_newest_files_are_kept(recorder: FlightRecorder, tmp_path: Path
 
 def test_the_keeper_saves_once_a_minute_and_after_a_kill(recorder: FlightRecorder, tmp_path: Path) -> None:
     recorder.begin((), lambda count: False)
-    command = [sys.executable, "-I", "-S", keeper.__file__, str(tmp_path), *map(str, recorder.paths)]
+    command = [sys.executable, "-I", "-S", keeper.__file__, "events", str(tmp_path), *map(str, recorder.paths)]
     ended = subprocess.run(command, input=b"bus-down\nbus-down\nstuck\n", capture_output=True, check=True)
     causes = sorted(path.name.split("-executor-")[1] for path in tmp_path.iterdir())
     assert causes == ["bus-down", "killed"], ended.stderr

@@ -9,21 +9,18 @@ from typing import Any
 import msgspec
 import pytest
 
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.controller.executor.core.ending import Ending
 from hyperbit.controller.executor.core.modes import Modes
 from hyperbit.controller.executor.core.reports import Reports
 from hyperbit.controller.executor.core.requests import ClientRequests
-from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.executor.motion import program_execution
 from hyperbit.controller.executor.motion.actuation import Actuation
-from hyperbit.controller.executor.motion.clearance import ClearanceQuestions
-from hyperbit.controller.executor.motion.motion import ArmMotion
+from hyperbit.controller.executor.motion.motion import ArmMotion, ClearanceQuestions
 from hyperbit.controller.executor.motion.motion_supervision import MotionSupervision
-from hyperbit.controller.executor.motion.program_execution import ProgramExecution
-from hyperbit.controller.executor.motion.readings import Readings
-from hyperbit.controller.executor.motion.results import ProgramResults
-from hyperbit.controller.executor.motion.travel_times import TravelTimes
+from hyperbit.controller.executor.motion.program_execution import ProgramExecution, ProgramResults
+from hyperbit.controller.executor.motion.readings import Readings, TravelTimes
 from hyperbit.controller.program import Replacement, pack
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
@@ -46,7 +43,7 @@ _record_switched = Actuation.record_switched
 _add = ProgramResults.add
 _due, _settle = ProgramExecution.due, ProgramExecution.settle
 _follow, _receive_request = ClientRequests._follow, ClientRequests.receive_request
-_resolve, _contract, _send_counts = MemoryJournal.resolve, Ending._contract, ProgramResults.send_counts
+_resolve, _contract, _send_counts = SwitchJournal.resolve, Ending._contract, ProgramResults.send_counts
 _unwelcome, _packed, _drain_arrived = Clients._refusal, Readings.packed, TravelTimes.drain_arrived
 
 
@@ -132,13 +129,13 @@ def _reset_no_epoch(self: ClientRequests, client: Any, message: Any, now: float)
 def _send_no_more(self: ProgramResults) -> None:
     """Sends what is new since the last planner, as if all that was sent before had been read."""
     sent = self.__dict__.setdefault("_sent", set())
-    for number, result in self._stored.items():
+    for number, result in self.stored.items():
         if number not in sent:
             self._send(result)
-    sent.update(self._stored)
+    sent.update(self.stored)
 
 
-def _count_unknown(self: MemoryJournal, states: int, unknown: int = 0) -> int:
+def _count_unknown(self: SwitchJournal, states: int, unknown: int = 0) -> int:
     return _resolve(self, states)
 
 
@@ -170,7 +167,7 @@ def _hear_operators(self: ClientRequests, client: Any, message: Any, now: float)
     _receive_request(self, client, message, now)
 
 
-def _ignore_ledger(self: MemoryJournal, counts: Any) -> None:
+def _ignore_ledger(self: SwitchJournal, counts: Any) -> None:
     """Keeps the journal's counts."""
 
 
@@ -211,7 +208,7 @@ FAST: dict[str, Patch] = {
     "programs of any epoch are accepted": (ClientRequests, "_refusal", _take_any_epoch),
     "resets of the present epoch are refused": (ClientRequests, "_reset", _reset_no_epoch),
     "counts before results are too low": (ProgramResults, "send_counts", _tell_counts),
-    "no switch is counted": (MemoryJournal, "resolve", lambda *_: 0),
+    "no switch is counted": (SwitchJournal, "resolve", lambda *_: 0),
     "requests are kept for ever": (ClientRequests, "receive_request", _keep_requests),
     "operators may do all": (ClientRequests, "receive_request", _hear_operators),
     "each travel is told twice": (TravelTimes, "drain_arrived", _travel_twice),
@@ -224,10 +221,10 @@ SLOW: dict[str, Patch] = {
     "programs are accepted too late": (ClientRequests, "_refusal", _take_too_late),
     "set-points of any epoch are followed": (ClientRequests, "_follow", _follow_any_epoch),
     "results are not sent twice": (ProgramResults, "send_again", _send_no_more),
-    "unknown actuators are counted after a kill": (MemoryJournal, "resolve", _count_unknown),
+    "unknown actuators are counted after a kill": (SwitchJournal, "resolve", _count_unknown),
     "locked actuators contract at the end": (Ending, "_contract", _contract_locked),
     "clients of any version are welcome": (Clients, "_refusal", _greet_all),
-    "greater counts of the ledger are ignored": (MemoryJournal, "raise_to", _ignore_ledger),
+    "greater counts of the ledger are ignored": (SwitchJournal, "raise_to", _ignore_ledger),
     "nobody waits for the end of a pulse": (Actuation, "pulsing", _end_with_pulses),
     "overdue pulses are not told": (Actuation, "find_overdue", lambda *_: []),
     "a silent planner is not noticed": (Clients, "fell_silent", lambda self, clock: False),

@@ -10,14 +10,12 @@ import pytest
 
 from hyperbit.controller.executor.arm.kinds import Kinds
 from hyperbit.controller.executor.arm.locked import LockedActuators
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.modes import Modes
-from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.executor.motion.actuation import Actuation
-from hyperbit.controller.executor.motion.motion import ArmMotion
-from hyperbit.controller.executor.motion.program_execution import STARVED, End, ProgramExecution
+from hyperbit.controller.executor.motion.program_execution import STARVED, End, ProgramExecution, ProgramResults
 from hyperbit.controller.executor.motion.readings import Readings
-from hyperbit.controller.executor.motion.results import ProgramResults
 from hyperbit.controller.program import Replacement
 from hyperbit.drivers.canopen.run.commit import BusCommit
 from hyperbit.drivers.canopen.run.heartbeat import Heartbeat
@@ -45,7 +43,7 @@ def test_a_seed_replays_exactly_and_whatever_the_clock_of_the_system_says(monkey
     assert second.story() == first.story()
 
 
-def _count_everything(self: MemoryJournal, states: int, unknown: int = 0) -> int:
+def _count_everything(self: SwitchJournal, states: int, unknown: int = 0) -> int:
     for k in range(len(self.counts)):
         self.counts[k] += self._intended >> k & 1
     self._intended = 0
@@ -115,14 +113,19 @@ def _do_not_wait_for_stages(self: ProgramExecution, clock: float) -> End | None:
 
 def _begin_no_epoch(self: Executor, why: str) -> None:
     if not self.ending.begun:
-        self._hold(why)
+        self.modes.hold("aborted", f"{why}; the arm holds", f"holding; {why}")
+
+
+def _go_on(self: Modes, status: str, message: str, reason: str, mode: Any = "ready") -> None:
+    if mode != "ready" or self.mode == "executing":
+        self.enter(mode, reason)
 
 
 DEFECTS: dict[str, tuple[type, str, Callable[..., Any]]] = {
     "stages wait neither for those before nor for a rest": (Actuation, "ready_at", lambda self, states, strict: 0.0),
-    "switches are counted that were not made": (MemoryJournal, "resolve", _count_everything),
+    "switches are counted that were not made": (SwitchJournal, "resolve", _count_everything),
     "results are sent again for ever": (ProgramResults, "acknowledge", lambda self, number: None),
-    "a program goes on after cancel and halt": (ArmMotion, "hold", lambda self, status, message: None),
+    "a program goes on after cancel and halt": (Modes, "hold", _go_on),
     "stages begin too early": (ProgramExecution, "due", lambda self, now, *_: self.taken + 1 if self._stages else None),
     "locks are taken whatever the end-stops read": (LockedActuators, "refusal", lambda self, *_: None),
     "heartbeats end": (Heartbeat, "tick", lambda self, clock, now: None),

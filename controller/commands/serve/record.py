@@ -15,7 +15,7 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, arm_name
 from hyperbit.controller.commands.process import Process, opened_session
-from hyperbit.controller.flight_recorder.keeper import KINDS, SHARED, RefusedFile, about, read_generation, save
+from hyperbit.controller.host.keeper import KINDS, SHARED, RefusedFile, about, read_generation, save
 
 if TYPE_CHECKING:
     from hyperbit.controller.recorder.can_log import CanLog

@@ -10,9 +10,10 @@ from hyperbit.controller.armfile.actuators import ending_time, longest_travel, r
 from hyperbit.controller.armfile.error_states import error_state
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.armfile.places import placed_faults
-from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, BusSettings, RealTimeSettings
+from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, RealTimeSettings
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.armfile.terminals import actuator_terminals, owned_terminals
+from hyperbit.controller.executor.arm.kinds import mask_of
 from hyperbit.drivers.canopen.layout import Unfit, lay_out
 from hyperbit.drivers.canopen.wiring import BoardId, BusWiring, Channel, Interlock, NodeWiring, Timing, Wiring
 
@@ -22,19 +23,13 @@ class ExecutedArm:
     """An arm of A actuators. Actuator k is bit k of integers of states and of masks.
 
     Attributes:
-        name: of the arm.
         actuators: label of each actuator, shape (A,).
-        wiring: buses and boards.
-        timing: of boards and actuators.
         inrush: most actuators that may switch at once; None: no limit.
         rest: rest time of an actuator between two travels [s].
         planner_timeout: after this silence of the planner the program ends and the arm holds [s].
-        locked: mask of the actuators that the file declares stuck.
-        locked_states: their states.
+        locked, locked_states: mask and states of the actuators that the file declares stuck.
         continue_on_stuck: lock a stuck actuator and continue, instead of staying in fault.
-        contract_on_stop: contract all actuators before the executor ends.
-        ending: longest time of this contraction [s].
-        real_time: field `real_time` of the arm's file.
+        contract_on_stop: contract all actuators before the executor ends, in `ending` seconds at most.
         digest: SHA-256 of the file, in hexadecimal.
     """
 
@@ -68,8 +63,12 @@ def read_arm(path: Path) -> ExecutedArm:
     settings, actuators, wired = read_wired(path)
     wiring = wiring_of(settings, actuators, wired)
     with placed_faults(path):
-        if faults := layout_faults(settings, wiring):
-            raise InputFaults(path, faults)
+        try:
+            lay_out(wiring)
+        except Unfit as misfit:
+            for field, _, it in owned_terminals(settings):
+                if (it.kind, it.board, it.bit // 8) == (misfit.kind, misfit.board, misfit.byte):
+                    raise InputFaults(path, [f"{field}: {it.bit}, but {misfit}"]) from None
     return ExecutedArm(
         name=settings.name,
         actuators=actuators,
@@ -78,8 +77,8 @@ def read_arm(path: Path) -> ExecutedArm:
         inrush=settings.inrush,
         rest=settings.rest_time,
         planner_timeout=settings.planner_timeout,
-        locked=sum(1 << k for k, entry in enumerate(wired) if entry.stuck is not None),
-        locked_states=sum(1 << k for k, entry in enumerate(wired) if entry.stuck == STATES[1]),
+        locked=mask_of(k for k, entry in enumerate(wired) if entry.stuck is not None),
+        locked_states=mask_of(k for k, entry in enumerate(wired) if entry.stuck == STATES[1]),
         continue_on_stuck=settings.on_stuck == "continue",
         contract_on_stop=settings.on_stop == "contract",
         ending=ending_time(settings, len(actuators)),
@@ -88,22 +87,10 @@ def read_arm(path: Path) -> ExecutedArm:
     )
 
 
-def layout_faults(settings: ArmSettings, wiring: Wiring) -> list[str]:
-    """Returns why the process data do not fit on the boards, with the first field that does not; empty if they do."""
-    try:
-        lay_out(wiring)
-    except Unfit as misfit:
-        for path, _, it in owned_terminals(settings):
-            if (it.kind, it.board, it.bit // 8) == (misfit.kind, misfit.board, misfit.byte):
-                return [f"{path}: {it.bit}, but {misfit}"]
-    return []
-
-
 def wiring_of(settings: ArmSettings, actuators: tuple[str, ...], wired: tuple[ActuatorSettings, ...]) -> Wiring:
-    """Returns buses and actuators as the drivers need them."""
     boards = settings.boards
     return Wiring(
-        buses=tuple(bus_of(entry) for entry in settings.buses),
+        buses=tuple(BusWiring(it.name, it.interface, it.channel, it.bitrate) for it in settings.buses),
         channels=tuple(channel_of(settings, label, entry) for label, entry in zip(actuators, wired, strict=True)),
         on_loss=boards.on_loss,
         shared_rpdo=boards.shared_rpdo,
@@ -119,13 +106,7 @@ def wiring_of(settings: ArmSettings, actuators: tuple[str, ...], wired: tuple[Ac
     )
 
 
-def bus_of(entry: BusSettings) -> BusWiring:
-    """Returns one bus as the drivers need it."""
-    return BusWiring(name=entry.name, interface=entry.interface, channel=entry.channel, bitrate=entry.bitrate)
-
-
 def channel_of(settings: ArmSettings, label: str, entry: ActuatorSettings) -> Channel:
-    """Returns one actuator as the drivers need it."""
     lines = {terminal.field: terminal for terminal in actuator_terminals(entry)}
     bits = {name: line.bit for name, line in lines.items()}
     own = entry.bus, entry.node

@@ -1,19 +1,36 @@
-"""Kinds of actuators: which outputs command a state, and which state the end-stops tell."""
+"""Sets of actuators as masks, actuator k is bit k; and their kinds: what outputs command, and what end-stops tell."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from typing import NamedTuple
 
-from hyperbit.controller.executor.arm.bits import indices, merged
 from hyperbit.drivers.canopen.wiring import Interlock, Timing, Wiring
 
 
-class Ends(NamedTuple):
-    """What the end-stops read, as masks of actuators.
+def indices(mask: int) -> Iterator[int]:
+    """Yields the indices of a mask's actuators in ascending order."""
+    while mask:
+        lowest = mask & -mask
+        yield lowest.bit_length() - 1
+        mask ^= lowest
 
-    Attributes:
-        extended: the switch at the extended end reads 1.
-        contracted: the switch at the contracted end reads 1.
-    """
+
+def mask_of(actuators: Iterable[int]) -> int:
+    return sum(1 << k for k in actuators)
+
+
+def merged(mask: int, chosen: int, other: int) -> int:
+    """Returns the bits of `chosen` where the mask is set, those of `other` elsewhere."""
+    return (chosen & mask) | (other & ~mask)
+
+
+def first(mask: int, count: int) -> int:
+    """Returns the mask of the first `count` actuators of a mask, or of all if there are fewer."""
+    return mask_of(islice(indices(mask), max(count, 0)))
+
+
+class Ends(NamedTuple):
+    """Masks of the actuators whose switch at this end reads 1."""
 
     extended: int
     contracted: int
@@ -26,34 +43,26 @@ class Kinds:
     off, the actuator stays in its state. Outputs and inputs are masks of lines, in the order of `Wiring`.
 
     Attributes:
-        everything: mask of all actuators.
-        paired: mask of those with two outputs.
-        pulsed: mask of those with pulsed outputs.
-        pulse: length of the pulse by actuator index [s].
-        ends_extended: mask of those with an end-stop at the extended end.
-        ends_contracted: mask of those with one at the contracted end.
-        sensed: mask of those with at least one end-stop.
+        everything, paired, pulsed: masks of all actuators, of those with two outputs, and with pulsed outputs.
+        ends_extended, ends_contracted, sensed: masks of those with an end-stop at this end, and at any end.
         trusted: mask of those of which nothing tells whether they follow, as the arm's file says `verify: false`.
+        pulse: length of the pulse by actuator index [s].
         travel: longest times to the contracted and to the extended end, shape (A, 2) [s].
         margin: settle margin, added to these times before an actuator counts as late, shape (A,) [s].
         interlocks: in the order of their input lines.
-
-    Args:
-        wiring: of the arm.
-        timing: travel time and settle margin of actuators without their own.
     """
 
     def __init__(self, wiring: Wiring, timing: Timing) -> None:
         channels, self._size = wiring.channels, len(wiring.channels)
         self.everything = (1 << self._size) - 1
         self._pairs, self._ended = wiring.paired, wiring.ended
-        self.paired, self.ends_contracted = _mask(self._pairs), _mask(self._ended)
+        self.paired, self.ends_contracted = mask_of(self._pairs), mask_of(self._ended)
         self.pulse = {k: channel.pulse for k, channel in enumerate(channels) if channel.pulse is not None}
-        self.pulsed = _mask(self.pulse)
-        self.ends_extended = _mask(k for k, channel in enumerate(channels) if channel.input is not None)
+        self.pulsed = mask_of(self.pulse)
+        self.ends_extended = mask_of(k for k, channel in enumerate(channels) if channel.input is not None)
         self.sensed = self.ends_extended | self.ends_contracted
         unverified = {(node.bus, node.node) for node in wiring.nodes if not node.verify}
-        self.trusted = _mask(k for k, c in enumerate(channels) if (c.bus, c.node) in unverified) & ~self.sensed
+        self.trusted = mask_of(k for k, c in enumerate(channels) if (c.bus, c.node) in unverified) & ~self.sensed
         times = timing.travel_time
         self.travel = tuple((times, times) if channel.travel is None else channel.travel for channel in channels)
         self.margin = tuple(
@@ -63,12 +72,7 @@ class Kinds:
         self._first_interlock = self._size + len(self._ended)
 
     def outputs(self, states: int, on: int) -> int:
-        """Returns the outputs that command states.
-
-        Args:
-            states: of all actuators.
-            on: mask of the paired actuators with one output on; the outputs of the others are both off.
-        """
+        """Returns the outputs that command states. Of the paired actuators only those of the mask `on` have one on."""
         if not self.paired:
             return states
         return (states & (on | ~self.paired)) | self._off_lines(on & ~states)
@@ -82,7 +86,7 @@ class Kinds:
         if not self.paired:
             return 0, 0
         contracting = outputs >> self._size
-        return outputs & self.paired, _mask(k for i, k in enumerate(self._pairs) if contracting >> i & 1)
+        return outputs & self.paired, mask_of(k for i, k in enumerate(self._pairs) if contracting >> i & 1)
 
     def actuators(self, lines: int) -> int:
         """Returns the mask of the actuators with one of these output lines."""
@@ -96,9 +100,10 @@ class Kinds:
         return merged((extending ^ contracting) | ~self.paired, outputs, before) & self.everything
 
     def ends(self, inputs: int) -> Ends:
-        """Returns what the end-stops read."""
-        contracted = inputs >> self._size if self._ended else 0
-        return Ends(inputs & self.ends_extended, _mask(k for i, k in enumerate(self._ended) if contracted >> i & 1))
+        if not self._ended:
+            return Ends(inputs & self.ends_extended, 0)
+        contracted = inputs >> self._size
+        return Ends(inputs & self.ends_extended, mask_of(k for i, k in enumerate(self._ended) if contracted >> i & 1))
 
     def definite(self, ends: Ends) -> int:
         """Returns the mask of the actuators whose end-stops tell a state.
@@ -114,25 +119,9 @@ class Kinds:
         return merged(self.definite(ends), reads, commanded)
 
     def open(self, inputs: int, known: int) -> list[Interlock]:
-        """Returns the interlocks that are open.
-
-        Args:
-            inputs: levels of all input lines.
-            known: mask of the lines that are known.
-        """
-        if not self.interlocks:
-            return []
-        opened = (known & ~inputs) >> self._first_interlock
-        return [self.interlocks[i] for i in indices(opened)]
-
-    def longest(self, actuators: int) -> float:
-        """Returns the longest travel time of the actuators of a mask [s]."""
-        return max((max(self.travel[k]) for k in indices(actuators)), default=0.0)
+        """Returns the interlocks that are open, by the levels of the known input lines."""
+        return [self.interlocks[i] for i in indices((known & ~inputs) >> self._first_interlock)]
 
     def _off_lines(self, actuators: int) -> int:
         lines = self._size
         return sum(1 << lines + i for i, k in enumerate(self._pairs) if actuators >> k & 1)
-
-
-def _mask(actuators: Iterable[int]) -> int:
-    return sum(1 << k for k in actuators)

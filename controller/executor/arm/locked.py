@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from hyperbit.controller.armfile.locks import STATES, lock_warning, locks_in_words
-from hyperbit.controller.executor.arm.bits import first, indices, merged
+from hyperbit.controller.executor.arm.kinds import first, indices, merged
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.drivers.canopen.faults import ArmFault
@@ -19,33 +19,17 @@ class LockedActuators:
         mask: of the locked actuators.
         states: their states; 0 elsewhere.
         number: grows with each change.
-        continue_on_stuck: lock a stuck actuator and continue, instead of staying in fault.
-
-    Args:
-        labels: of all actuators, shape (A,).
-        mask: locked at first.
-        states: their states.
-        continue_on_stuck: see above.
+        stuck: mask of the actuators that `lock_as_measured` locks.
     """
 
-    def __init__(self, labels: Sequence[str], mask: int = 0, states: int = 0, continue_on_stuck: bool = False) -> None:
+    def __init__(self, labels: Sequence[str], mask: int = 0, states: int = 0) -> None:
         self.mask, self.states, self.number = mask, states & mask, 0
-        self.continue_on_stuck = continue_on_stuck
-        self._labels, self._stuck = labels, 0
-
-    def note_stuck(self, actuator: int) -> None:
-        """Marks a stuck actuator for `lock_as_measured`, if `continue_on_stuck` is set."""
-        if self.continue_on_stuck:
-            self._stuck |= 1 << actuator
+        self.stuck, self._labels = 0, labels
 
     def refusal(self, actuator: int, state: int, measured: int, readable: int) -> Refusal | None:
-        """Returns why an actuator cannot be locked in a state, or None.
+        """Returns why an actuator cannot be locked in a state, or unlocked with state -1; None if it can.
 
-        Args:
-            actuator: index.
-            state: 0 or 1; -1 to unlock it.
-            measured: states.
-            readable: mask of the actuators whose end-stop can be read now.
+        `readable`: mask of the actuators whose end-stop can be read now.
         """
         if actuator >= len(self._labels):
             return Refusal(Reason.NO_SUCH_ACTUATOR, count=len(self._labels), index=actuator)
@@ -57,38 +41,32 @@ class LockedActuators:
     def change(self, actuator: int, state: int) -> None:
         """Locks an actuator in a state, 0 or 1, or unlocks it with -1."""
         bit = 1 << actuator
-        self._stuck &= ~bit
+        self.stuck &= ~bit
         self._set(merged(bit, -1 if state >= 0 else 0, self.mask), merged(bit, -1 if state > 0 else 0, self.states))
 
     def lock_as_measured(self, measured: int, readable: int) -> None:
         """Locks the stuck actuators. Locked actuators with a readable end-stop get the measured state."""
-        mask = self.mask | self._stuck
-        self._set(mask, merged((mask & readable) | self._stuck, measured, self.states))
-        self._stuck = 0
+        mask = self.mask | self.stuck
+        self._set(mask, merged((mask & readable) | self.stuck, measured, self.states))
+        self.stuck = 0
 
     def aligned(self, states: int) -> int:
         """Returns `states` with each locked actuator in its locked state."""
         return merged(self.mask, self.states, states)
 
     def realigned(self, outputs: int, most: int) -> int:
-        """Returns the states after the next stage that brings locked actuators to their locked states.
-
-        Args:
-            outputs: states before; returned unchanged if all locked actuators have their locked state.
-            most: actuators that may switch at once.
-        """
+        """Returns the states after a stage of at most `most` switches that brings locked actuators to their states."""
         return outputs ^ first(outputs ^ self.aligned(outputs), most)
 
     def faults(self) -> tuple[ArmFault, ...]:
-        """Returns the warning "degraded" for each locked actuator; it does not stop the arm."""
+        """Returns the warning "degraded" for each locked actuator."""
         return tuple(ArmFault("degraded", label, lock_warning(label, state)) for label, state in self._locks())
 
     def sentence(self) -> str:
-        """Returns the locked actuators in words, e.g. "locked: 5.left (contracted)"."""
+        """Returns e.g. "locked: 5.left (contracted)"."""
         return locks_in_words(self._locks())
 
     def _locks(self) -> Iterator[tuple[str, int]]:
-        """Yields label and state of each locked actuator."""
         return ((self._labels[k], self.states >> k & 1) for k in indices(self.mask))
 
     def _set(self, mask: int, states: int) -> None:

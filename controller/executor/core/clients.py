@@ -10,24 +10,18 @@ Role = Literal["planner", "operator"]
 
 
 class Clients:
-    """The connected clients, their roles, and whether the planner is alive.
+    """The connected clients, and whether the planner is alive.
 
     Attributes:
         planner: the connected planner; None if there is none.
         roles: role of each client that has sent Hello.
-
-    Args:
-        arm: name of the arm.
-        timeout: silence after which the planner counts as silent [s].
-        send: sends a message to a client.
     """
 
     def __init__(self, arm: str, timeout: float, send: Callable[[ClientId, Up], None]) -> None:
         self.planner: ClientId | None = None
         self.roles: dict[ClientId, Role] = {}
         self._arm, self._timeout, self._send = arm, timeout, send
-        self._heard = 0.0
-        self._silent = False
+        self._heard, self._silent = 0.0, False
 
     def to_planner(self, message: Up) -> None:
         """Sends a message to the planner, if there is one."""
@@ -35,7 +29,6 @@ class Clients:
             self._send(self.planner, message)
 
     def to_all(self, message: Up) -> None:
-        """Sends a message to all clients."""
         for client in self.roles:
             self._send(client, message)
 
@@ -52,7 +45,6 @@ class Clients:
         return True
 
     def hear(self, clock: float) -> None:
-        """Records a message of the planner."""
         self._heard, self._silent = clock, False
 
     def fell_silent(self, clock: float) -> bool:

@@ -4,10 +4,10 @@ import logging
 import math
 import traceback
 from collections.abc import Callable
-from typing import ParamSpec
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.executor.arm.locked import LockedActuators
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.clients import Clients
 from hyperbit.controller.executor.core.ending import Ending
 from hyperbit.controller.executor.core.events import (
@@ -23,13 +23,11 @@ from hyperbit.controller.executor.core.events import (
     SendFrame,
     ToClient,
 )
-from hyperbit.controller.executor.core.modes import Modes
-from hyperbit.controller.executor.core.parts import ExecutorParts
+from hyperbit.controller.executor.core.modes import CLEARING, Modes
 from hyperbit.controller.executor.core.reports import Reports
 from hyperbit.controller.executor.core.requests import ClientRequests
-from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
 from hyperbit.controller.executor.motion.motion import ArmMotion
-from hyperbit.controller.executor.motion.results import ProgramResults
+from hyperbit.controller.executor.motion.program_execution import ProgramResults
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.program import (
     TICK,
@@ -52,18 +50,9 @@ from hyperbit.drivers.canopen.wire.events import FrameEchoed, FrameReceived
 LONGEST_TICK = 2 * TICK  # [s] that supervision counts at most, so that a late tick is no delay
 DEFECT = ArmFault("internal-error", "executor", "internal error, see the log; the arm holds")
 
-P = ParamSpec("P")
-
 
 class Executor:
     """Runs motion programs on the boards of an arm.
-
-    Attributes:
-        journal: counts switches.
-        reports: snapshots and diagnostics.
-        modes: mode and active faults.
-        motion: the running program or stream.
-        ending: the actions before the process ends.
 
     Args:
         arm: the arm.
@@ -89,13 +78,13 @@ class Executor:
         self._master = master = build_master(arm.wiring, arm.timing, self._send)
         self._clients = clients = Clients(arm.name, arm.planner_timeout, self._to_client)
         self._results = ProgramResults(clients.to_planner, journal)
-        self._locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states, arm.continue_on_stuck)
+        self._locked = locked = LockedActuators(arm.actuators, arm.locked, arm.locked_states)
         self.motion = motion = ArmMotion(arm, master, journal, locked, self._results, clients.to_planner)
         self.reports = Reports(arm, master, motion, locked, journal)
-        self.modes = Modes(master, motion, locked, self.reports, self._act, simulation is not None)
-        parts = ExecutorParts(arm, motion, locked, self.modes, self._act)
-        self._requests = ClientRequests(parts, clients, simulated=simulation is not None)
-        self.ending = Ending(parts)
+        clearing = CLEARING | {"stuck"} if arm.continue_on_stuck else CLEARING
+        self.modes = modes = Modes(master, motion, locked, clearing, self.reports, self._act, simulation is not None)
+        self._requests = ClientRequests(arm, motion, locked, modes, self._act, clients)
+        self.ending = Ending(arm, motion, locked, modes, self._act)
         self._last_tick: float | None = None
         self._awake = 0.0  # until the last tick [s]
         self._next_beat = 0.0
@@ -118,53 +107,40 @@ class Executor:
         return self._master.calm and not self.motion.busy
 
     def step(self, event: Event, now: float) -> list[Action]:
-        """Handles an event.
+        """Handles an event of a bus, a client or the loop; returns the actions in their order.
+
+        An exception in one part of a step becomes the fault internal-error, and the arm holds.
 
         Args:
-            event: of a bus, a client or the loop.
+            event: the event.
             now: CLOCK_MONOTONIC, or any clock that never goes back [s].
-
-        Returns:
-            The actions, in order.
         """
         self._healthy, self._handed_out = True, False
-        self.motion.clock = self._clock(now)
-        if self._last_tick is not None:
-            self._guarded(self._find_pause, now)
-        self._guarded(self._handle, event, now)
-        if not (isinstance(event, FrameEchoed) and self.collecting):  # one echo of many, nothing has changed
-            self._guarded(self._conclude, on_bus(event, now), now)
-        self._guarded(self._requests.answer_held, now)
-        if self.reports.changed and self._last_tick is not None and not self._handed_out and not self.collecting:
-            self._guarded(self._show, now)
+        late = 0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST_TICK)
+        self.motion.clock = self._awake + late  # does not grow while a tick is late
+        for part in (self._find_pause, self._handle, self._conclude, self._tell):
+            try:
+                part(event, now)
+            except Exception:
+                self._fail(traceback.format_exc(), now)
         actions, self._actions = self._actions, []
         return actions
 
-    def _guarded(self, work: Callable[P, None], *arguments: P.args, **more: P.kwargs) -> None:
-        """Runs a part of a step. An exception in it becomes the fault internal-error, and the arm holds."""
-        try:
-            work(*arguments, **more)
-        except Exception:
-            now = arguments[-1]
-            self._fail(traceback.format_exc(), now)  # type: ignore[arg-type]
-
     def _fail(self, text: str, now: float) -> None:
-        """Holds after a defect."""
+        """Holds after a defect, which is logged once, not at each tick."""
         self._healthy = False
-        if self.modes.faults.add(DEFECT):  # logged once, not at each tick
-            self._act(Log(logging.ERROR, f"internal error\n{text}"))
+        self.modes.report(DEFECT, Log(logging.ERROR, f"internal error\n{text}"))
         self.modes.fail(DEFECT, now)
 
-    def _find_pause(self, now: float) -> None:
+    def _find_pause(self, event: Event, now: float) -> None:
         """Checks first whether the process has paused: then the waiting events are stale."""
-        fault = self._master.find_pause(now)
-        if fault is not None:
+        if self._last_tick is not None and (fault := self._master.find_pause(now)) is not None:
             self.modes.fail(fault, now)
 
     def _handle(self, event: Event, now: float) -> None:
         match event:
             case ExecutorTick():
-                self._tick(now)
+                self._tick(event, now)
             case FromClient():
                 self._hear(event.client, event.message, now)
             case Health():
@@ -182,49 +158,52 @@ class Executor:
             case _:
                 self._master.receive_event(event, now)
 
-    def _conclude(self, at: float | None, now: float) -> None:
-        """Records what the event has changed on the boards; `at` is the time of its frame on the bus [s]."""
+    def _conclude(self, event: Event, now: float) -> None:
+        """Records what the event has changed on the boards."""
+        at = None  # time of its frame on the bus [s]
+        if isinstance(event, FrameEchoed | FrameReceived):
+            if isinstance(event, FrameEchoed) and self._master.collecting:  # one echo of many, nothing has changed
+                return
+            # The time of an SDO answer tells nothing: the board is asked after the end-stop has changed.
+            if event.frame.id & 0x780 != cia301.SDO_ANSWER:
+                at = now if event.at is None else min(event.at, now)
         self.modes.update(now)
         self.motion.conclude(at, now)
-        fault = self.motion.actuation.fault
-        if fault is not None:
+        if (fault := self.motion.actuation.fault) is not None:
             self.motion.actuation.fault = None
             self.modes.fail(fault, now)
 
+    def _tell(self, event: Event, now: float) -> None:
+        """Answers requests that waited, and shows changes."""
+        if self._requests.held:
+            self._requests.answer_held(now)
+        if self.reports.changed and self._last_tick is not None and not self._handed_out and not self.collecting:
+            self._show(now)
+
     # --- time
 
-    def _tick(self, now: float) -> None:
+    def _tick(self, event: ExecutorTick, now: float) -> None:
         if self._last_tick is None:
             self._act(Notify("READY=1"))
             self.modes.notify_status()
             if (warning := self.ending.warning()) is not None:
                 self._act(Log(logging.WARNING, warning))
             self.modes.boot(self.modes.reason, now)
-        self._awake, self._last_tick = self._clock(now), now
+        self._awake, self._last_tick = self.motion.clock, now
         self._master.tick(now)
-        self._conclude(None, now)
+        self._conclude(event, now)
         self.motion.actuation.tick(now)
         for fault in self.motion.actuation.find_overdue(now):
             self.modes.fail(fault, now)
-        for finding in self.motion.supervise(now):
-            if finding.fault.code == "stuck":
-                self._locked.note_stuck(finding.actuator)
-            self.modes.fail(finding.fault, now)
+        for actuator, fault in self.motion.supervision.tick(self.motion.clock, now):
+            if fault.code == "stuck" and self._arm.continue_on_stuck:
+                self._locked.stuck |= 1 << actuator
+            self.modes.fail(fault, now)
         if self._clients.fell_silent(self.motion.clock):
             self._lose_planner("the planner is silent")
         self._advance(now)
         self.ending.advance(now)
         self.modes.recover(now)
-        self._report(now)
-
-    def _advance(self, now: float) -> None:
-        """Advances the running program or stream."""
-        if self.modes.mode == "executing":
-            end = self.motion.advance(now)
-            if end is not None:
-                self.modes.hold(*end)
-
-    def _report(self, now: float) -> None:
         if self.reports.snapshot_due(now):
             self._show(now)
         if self.reports.diagnostics_due(now):
@@ -233,13 +212,15 @@ class Executor:
             self._act(Notify("WATCHDOG=1"))
             self._next_beat = now + self._watchdog / 4
 
+    def _advance(self, now: float) -> None:
+        if self.modes.mode == "executing" and (end := self.motion.advance(now)) is not None:
+            self.modes.hold(*end)
+
     def _show(self, now: float) -> None:
         modes = self.modes
-        self._clients.to_all(self.reports.snapshot(now, modes.mode, modes.reason, modes.epoch, modes.faults.all()))
-
-    def _clock(self, now: float) -> float:
-        """Returns the executor's awake time [s], which does not grow while a tick is late."""
-        return self._awake + (0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST_TICK))
+        self._clients.to_all(
+            self.reports.snapshot(now, modes.mode, modes.reason, modes.epoch, tuple(modes.faults.values()))
+        )
 
     # --- clients
 
@@ -248,7 +229,8 @@ class Executor:
             self._clients.hear(self.motion.clock)
         match message:
             case Hello():
-                self._greet(client, message)
+                if self._clients.greet(client, message, self.motion.clock):
+                    self._welcome(client, message.role)
             case _ if client not in self._clients.roles:
                 self._to_client(client, Goodbye("Hello must be the first message"))
             case Acknowledge() if client == self._clients.planner:
@@ -259,14 +241,13 @@ class Executor:
                 self._requests.receive_request(client, message, now)
                 self._advance(now)  # a stage that is due now does not wait for the tick
 
-    def _greet(self, client: ClientId, hello: Hello) -> None:
-        if self._clients.greet(client, hello, self.motion.clock):
-            arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
-            welcome = Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest, self._simulation)
-            self._to_client(client, welcome)
-            if hello.role == "planner":
-                self._results.send_again()
-            self.reports.changed = True
+    def _welcome(self, client: ClientId, role: str) -> None:
+        arm, counts, greatest = self._arm, tuple(self.journal.counts), self._requests.greatest
+        welcome = Welcome(VERSION, arm.name, arm.digest, self._instance, counts, greatest, self._simulation)
+        self._to_client(client, welcome)
+        if role == "planner":
+            self._results.send_again()
+        self.reports.changed = True
 
     def _lose_planner(self, why: str) -> None:
         """Ends what the planner asked for, and begins an epoch: the socket may hold requests planned before.
@@ -275,10 +256,7 @@ class Executor:
         """
         self.modes.new_epoch()
         if not self.ending.begun:
-            self._hold(why)
-
-    def _hold(self, why: str) -> None:
-        self.modes.hold("aborted", f"{why}; the arm holds", f"holding; {why}")
+            self.modes.hold("aborted", f"{why}; the arm holds", f"holding; {why}")
 
     def _quit(self, now: float) -> None:
         """Ends the running program with a result; a second call waits for no stage and no contraction."""
@@ -289,7 +267,8 @@ class Executor:
             self._requests.answer_held(math.inf)
             return
         self._requests.quitting = True
-        self._hold("the executor is shutting down")
+        why = "the executor is shutting down"
+        self.modes.hold("aborted", f"{why}; the arm holds", f"holding; {why}")
         self.ending.begin(now)
 
     # --- actions
@@ -303,13 +282,3 @@ class Executor:
 
     def _to_client(self, client: ClientId, message: Up) -> None:
         self._actions.append(ToClient(client, message))
-
-
-def on_bus(event: Event, now: float) -> float | None:
-    """Returns the time of an event's frame on the bus [s]; None for other events and for SDO answers.
-
-    The time of an SDO answer tells nothing: the board is asked after the end-stop has changed.
-    """
-    if not isinstance(event, FrameEchoed | FrameReceived) or event.frame.id & 0x780 == cia301.SDO_ANSWER:
-        return None
-    return now if event.at is None else min(event.at, now)

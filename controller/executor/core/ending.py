@@ -2,9 +2,13 @@
 
 import logging
 
-from hyperbit.controller.executor.arm.bits import first
-from hyperbit.controller.executor.core.parts import ExecutorParts
-from hyperbit.controller.executor.motion.setpoint_stream import SetpointStream
+from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.kinds import first
+from hyperbit.controller.executor.arm.locked import LockedActuators
+from hyperbit.controller.executor.core.events import Act
+from hyperbit.controller.executor.core.modes import Modes
+from hyperbit.controller.executor.motion.motion import ArmMotion
+from hyperbit.controller.executor.motion.program_execution import SetpointStream
 from hyperbit.controller.host.process import Log, Notify
 from hyperbit.controller.program import Setpoint, pack
 
@@ -15,20 +19,16 @@ class Ending:
     Attributes:
         begun: whether the end was requested.
         timeout: longest time of the contraction [s].
-
-    Args:
-        parts: of the executor.
     """
 
-    def __init__(self, parts: ExecutorParts) -> None:
+    def __init__(self, arm: ExecutedArm, motion: ArmMotion, locked: LockedActuators, modes: Modes, act: Act) -> None:
         self.begun, self.timeout = False, 0.0
-        self._arm, self._motion, self._locked, self._modes, self._act = parts
-        arm = parts.arm
+        self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
         self._contracting = self._pulsing = False
         self._stream: SetpointStream | None = None  # that contracts the arm, once it has begun
         levels, pairs = arm.wiring.loss_levels, dict(enumerate(arm.wiring.paired, len(arm.actuators)))
-        self._let_go = sum(1 << k for k in range(len(arm.actuators)) if levels[k] == 0 and k not in pairs.values())
-        self._let_go |= sum(1 << k for line, k in pairs.items() if levels[line] == 1)
+        self._let_go = sum(levels[k] == 0 and k not in pairs.values() for k in range(len(arm.actuators)))
+        self._let_go += sum(levels[line] == 1 for line in pairs)
 
     @property
     def over(self) -> bool:
@@ -41,7 +41,7 @@ class Ending:
 
     def warning(self) -> str | None:
         """Returns a sentence on what the boards do after the executor has ended; None if they hold."""
-        count = self._let_go.bit_count()
+        count = self._let_go
         if not count or self._arm.contract_on_stop:
             return None
         which = f"all {count} actuators" if count == len(self._arm.actuators) else f"{count} actuators"
@@ -65,6 +65,8 @@ class Ending:
 
     def advance(self, now: float) -> None:
         """Ends the contraction when the arm is contracted or cannot be. Call every period."""
+        if not self.begun:
+            return
         motion, modes, stream = self._motion, self._modes, self._stream
         self._pulsing = self._may_pulse(now)
         if not self._contracting:

@@ -1,5 +1,6 @@
 """Events and actions of the executor's core, as plain data."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from hyperbit.controller.host.process import Log, Notify, Quit
@@ -9,12 +10,7 @@ from hyperbit.drivers.canopen.wire.events import Event as CanEvent
 
 
 class ClientId(NamedTuple):
-    """A connection to the executor's socket.
-
-    Attributes:
-        number: of the connection, never used again.
-        pid: process at the other end.
-    """
+    """A connection to the executor's socket: its number, never used again, and the process at the other end."""
 
     number: int
     pid: int
@@ -25,13 +21,7 @@ class ExecutorTick(NamedTuple):
 
 
 class Health(NamedTuple):
-    """Figures of the process, once a second; answered by `Diagnostics` to all clients.
-
-    Attributes:
-        loop: timing of the event loop since the last figures, see `Diagnostics.loop`.
-        dropped: number of snapshots and diagnostics that the server has dropped.
-        journal: why counts of switches were lost or will be lost, as a sentence; None if they are safe.
-    """
+    """Figures of the process, once a second; answered by `Diagnostics` to all clients; see there."""
 
     loop: dict[str, float]
     dropped: int
@@ -39,27 +29,16 @@ class Health(NamedTuple):
 
 
 class FromClient(NamedTuple):
-    """A client sent a message."""
-
     client: ClientId
     message: Down
 
 
 class ClientGone(NamedTuple):
-    """A connection was closed."""
-
     client: ClientId
 
 
 class FaultPlayed(NamedTuple):
-    """The answer to `ToSimulation`.
-
-    Attributes:
-        client: that asked.
-        request: number of its request.
-        message: what was done, or why not.
-        played: whether the simulated boards play the fault.
-    """
+    """The answer to `ToSimulation`: what was done, or why it is not played."""
 
     client: ClientId
     request: int
@@ -68,11 +47,7 @@ class FaultPlayed(NamedTuple):
 
 
 class Defect(NamedTuple):
-    """The event loop itself has failed.
-
-    Attributes:
-        text: the traceback.
-    """
+    """The event loop itself has failed; the text is the traceback."""
 
     text: str
 
@@ -81,8 +56,6 @@ Event = CanEvent | ExecutorTick | Health | FromClient | ClientGone | FaultPlayed
 
 
 class SendFrame(NamedTuple):
-    """A frame for a bus."""
-
     bus: str
     frame: Frame
 
@@ -103,3 +76,4 @@ class ToSimulation(NamedTuple):
 
 
 Action = SendFrame | ToClient | ToSimulation | Notify | Log
+Act = Callable[[Action], None]

@@ -1,14 +1,12 @@
 """The modes of the executor: starting, ready, executing, fault, stopped; and the active faults."""
 
 import logging
-from collections.abc import Callable
 
 from hyperbit.controller.executor.arm.locked import LockedActuators
-from hyperbit.controller.executor.core.events import Action
+from hyperbit.controller.executor.core.events import Act
 from hyperbit.controller.executor.core.reports import Reports
 from hyperbit.controller.executor.motion.motion import ArmMotion
-from hyperbit.controller.executor.motion.program_execution import ProgramExecution
-from hyperbit.controller.executor.motion.setpoint_stream import SetpointStream
+from hyperbit.controller.executor.motion.program_execution import ProgramExecution, SetpointStream
 from hyperbit.controller.host.journal import fields_of_fault, fields_of_mode
 from hyperbit.controller.host.process import Log, Notify
 from hyperbit.controller.program import Mode
@@ -16,66 +14,18 @@ from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
 
 RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
-# Codes of faults that clear by themselves.
+# Codes of faults that clear by themselves; `continue_on_stuck` adds one.
 CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing", "pulse-overdue"})
-
-
-class ActiveFaults:
-    """The active faults of the arm, in the order of their reports.
-
-    Args:
-        others: further codes of faults that clear by themselves.
-    """
-
-    def __init__(self, others: frozenset[str] = frozenset()) -> None:
-        self._clearing = CLEARING | others
-        self._faults: dict[tuple[str, str], ArmFault] = {}
-
-    def __bool__(self) -> bool:
-        return bool(self._faults)
-
-    def add(self, fault: ArmFault) -> bool:
-        """Adds a fault; returns whether it is new."""
-        new = (fault.code, fault.source) not in self._faults
-        self._faults.setdefault((fault.code, fault.source), fault)
-        return new
-
-    def clear(self) -> None:
-        """Removes all faults."""
-        self._faults.clear()
-
-    @property
-    def clearing(self) -> bool:
-        """Whether every active fault clears by itself."""
-        return all(code in self._clearing for code, _ in self._faults)
-
-    def all(self) -> tuple[ArmFault, ...]:
-        """Returns the faults, the oldest first."""
-        return tuple(self._faults.values())
-
-    def sentence(self) -> str:
-        """Returns the message of the oldest fault, and the number of the others."""
-        first, *others = self._faults.values()
-        return first.message + (f" (and {len(others)} more)" if others else "")
 
 
 class Modes:
     """The mode and the active faults.
 
     Attributes:
-        mode: of the executor.
         reason: a sentence on the mode.
         epoch: grows with each cancel, stop, reset, fault, change of the locked actuators, end of a boot, and loss of
             the planner.
-        faults: active faults.
-
-    Args:
-        master: of the boards.
-        motion: switches and supervises the actuators.
-        locked: the locked actuators.
-        reports: gets the flag `changed`.
-        act: takes actions.
-        simulated: whether the boards are simulated.
+        faults: active faults by code and source, in the order of their reports.
     """
 
     def __init__(
@@ -83,16 +33,17 @@ class Modes:
         master: Master,
         motion: ArmMotion,
         locked: LockedActuators,
+        clearing: frozenset[str],
         reports: Reports,
-        act: Callable[[Action], None],
-        simulated: bool = False,
+        act: Act,
+        simulated: bool,
     ) -> None:
         self.mode: Mode = "starting"
         self.reason = "the boards are being booted"
         self.epoch = 1
-        self.faults = ActiveFaults(frozenset({"stuck"} if locked.continue_on_stuck else ()))
+        self.faults: dict[tuple[str, str], ArmFault] = {}
         self._master, self._motion, self._locked, self._reports, self._act = master, motion, locked, reports, act
-        self._simulated = simulated
+        self._clearing, self.simulated = clearing, simulated
         self._booting = self._waits = False  # a boot is under way, or waits for the end of a pulse
         self._next_try = 0.0
 
@@ -106,8 +57,7 @@ class Modes:
             self.notify_status()
 
     def notify_status(self) -> None:
-        """Tells systemd the mode, its reason, and whether the boards are simulated."""
-        self._act(Notify(f"STATUS={self.mode}{' (simulated)' * self._simulated}: {self.reason}"))
+        self._act(Notify(f"STATUS={self.mode}{' (simulated)' * self.simulated}: {self.reason}"))
 
     def hold(self, status: str, message: str, reason: str, mode: Mode = "ready") -> None:
         """Ends what runs, gives up the frames that wait, and enters a mode. Every end of a motion comes here.
@@ -115,13 +65,11 @@ class Modes:
         Boards keep what they have latched, and the next commit replaces it before its SYNC. What was handed out
         already and switches, `Actuation.under_way`, cannot be given up.
 
-        Args:
-            status: of the result of a program.
-            message: of the result of a program.
-            reason: a sentence for the mode.
-            mode: to enter; "ready" is entered from "executing" only, since the arm holds in the other modes.
+        `status` and `message` are those of the result of a program. Mode "ready" is entered from "executing" only,
+        since the arm holds in the other modes.
         """
-        self._motion.hold(status, message)
+        self._motion.actuation.give_up(message or "the arm holds")
+        self._motion.end(status, message)
         if mode != "ready" or self.mode == "executing":
             self.enter(mode, reason)
 
@@ -145,7 +93,7 @@ class Modes:
         """Boots the boards; `update` finds the end of the boot."""
         self.faults.clear()
         self._booting = self._waits = True
-        self._motion.supervision.reset(0, 0, self._motion.readings.ends, self._motion.clock)
+        self._motion.supervision.reset(0, 0, self._motion.clock)
         self.enter("starting", reason)
         self._begin_boot(now)
 
@@ -153,27 +101,34 @@ class Modes:
         """Takes the master's faults, and finds the end of a boot. Call after each event."""
         for fault in self._master.drain_faults():
             self.fail(fault, now)
-        self._begin_boot(now)
+        if self._waits:
+            self._begin_boot(now)
         if self._booting and not self._waits and not self._master.booting:
             self._booting = False
             if self.mode == "starting":  # after a stop, only Reset boots
                 self._booted(now)
-        if not self._booting:
+        if self._motion.kinds.interlocks and not self._booting:
             for fault in self._motion.readings.interlock_faults():
                 self.fail(fault, now)
 
     def fail(self, fault: ArmFault, now: float) -> None:
         """Ends the program and enters mode fault; during a boot, the end of the boot enters it."""
-        if self.faults.add(fault):
-            self._log(logging.ERROR, fault)
+        self.report(fault)
         if self.mode in ("ready", "executing") or (self.mode == "starting" and not self._booting):
             self._enter_fault(fault.message, fault.message, now)
         else:
             self.hold("aborted", fault.message, self.reason, self.mode)
 
+    def report(self, fault: ArmFault, line: Log | None = None) -> None:
+        """Adds a fault, and logs a new one, in other words if `line` is given."""
+        key = fault.code, fault.source
+        if key not in self.faults:
+            self.faults[key] = fault
+            self._act(line or log_line(logging.ERROR, fault))
+
     def recover(self, now: float) -> None:
         """Leaves mode fault without a Reset if every fault clears by itself and all boards are heard again."""
-        if self.mode != "fault" or now < self._next_try or not self.faults.clearing:
+        if self.mode != "fault" or now < self._next_try or not all(code in self._clearing for code, _ in self.faults):
             return
         self._next_try = now + RETRY
         self._master.probe_silent(now)
@@ -192,29 +147,30 @@ class Modes:
     def _begin_boot(self, now: float) -> None:
         """Starts the master's boot when no switch is under way, and no pulse is on: the boot would delay its end."""
         actuation = self._motion.actuation
-        if self._waits and not actuation.pulsing(now) and not actuation.under_way:
+        if not actuation.pulsing(now) and not actuation.under_way:
             self._waits = False
-            actuation.retell_overdue()
+            actuation.told = 0  # overdue pulses are told again: the boot may fail before the next period
             self._master.boot(now)
 
     def _booted(self, now: float) -> None:
         for fault in (*self._master.boot_faults, *self._motion.readings.interlock_faults()):
-            if self.faults.add(fault):
-                self._log(logging.ERROR, fault)
+            self.report(fault)
         for warning in self._master.warnings():
-            self._log(logging.WARNING, warning)
+            self._act(log_line(logging.WARNING, warning))
         if self.faults:
-            self._enter_fault("", self.faults.sentence(), now)
+            oldest, *others = self.faults.values()
+            self._enter_fault("", oldest.message + (f" (and {len(others)} more)" if others else ""), now)
         else:
-            self._motion.adopt(now)
             motion = self._motion
-            motion.supervision.reset(motion.readings.measured, self._master.known, motion.readings.ends, motion.clock)
+            motion.adopt(now)
+            motion.supervision.reset(motion.readings.measured, self._master.known, motion.clock)
             self.hold_measured(now)
-
-    def _log(self, level: int, fault: ArmFault) -> None:
-        self._act(Log(level, f"{fault.code}: {fault.message}", fields_of_fault(fault.code, fault.source)))
 
     def _enter_fault(self, message: str, reason: str, now: float) -> None:
         self.new_epoch()
         self._next_try = now + RETRY
         self.hold("aborted", message, reason, "fault")
+
+
+def log_line(level: int, fault: ArmFault) -> Log:
+    return Log(level, f"{fault.code}: {fault.message}", fields_of_fault(fault.code, fault.source))

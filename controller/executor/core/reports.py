@@ -4,10 +4,10 @@ from dataclasses import asdict
 
 from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.executor.arm.arm import ExecutedArm
-from hyperbit.controller.executor.arm.bits import indices
+from hyperbit.controller.executor.arm.kinds import indices
 from hyperbit.controller.executor.arm.locked import LockedActuators
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.events import Health
-from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
 from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.program import Diagnostics, Fault, Mode, Snapshot, pack
 from hyperbit.drivers.canopen.faults import ArmFault
@@ -18,19 +18,7 @@ MOST_FAULTS, MOST_TEXT = 50, 300  # faults, and characters of each, so that a sn
 
 
 class Reports:
-    """Makes snapshots and diagnostics when they are due.
-
-    Attributes:
-        changed: whether something has changed since the last snapshot.
-        real_time: "off", "on", or a sentence on what is missing.
-
-    Args:
-        arm: the arm.
-        master: CANopen master of the boards.
-        motion: switches and supervises the actuators.
-        locked: the locked actuators.
-        journal: counts switches.
-    """
+    """Makes snapshots and diagnostics when they are due. `changed`: something has changed since the last snapshot."""
 
     def __init__(
         self, arm: ExecutedArm, master: Master, motion: ArmMotion, locked: LockedActuators, journal: SwitchJournal
@@ -52,12 +40,14 @@ class Reports:
         return self.changed or now >= self._next_snapshot
 
     def snapshot(self, now: float, mode: Mode, reason: str, epoch: int, faults: tuple[ArmFault, ...]) -> Snapshot:
-        """Returns the state of the executor."""
         self.changed, self._next_snapshot = False, now + SNAPSHOT_EVERY
         motion, size = self._motion, self._size
         execution, stream = motion.execution, motion.stream
         measured, known = motion.readings.packed()
-        every = faults + self._locked.faults() + self._master.warnings() + self._own()
+        problem, homing = self._health.journal, motion.readings.homing & self._master.known
+        own = () if problem is None else (ArmFault("journal", "executor", problem),)
+        every = faults + self._locked.faults() + self._master.warnings() + own
+        every += tuple(self._unknown(k) for k in indices(homing))
         return Snapshot(
             at=now,
             mode=mode,
@@ -67,7 +57,7 @@ class Reports:
             measured=measured,
             known=known,
             sensed=pack(motion.kinds.sensed, size),
-            homing=pack(motion.readings.homing & self._master.known, size),
+            homing=pack(homing, size),
             unread=pack(motion.actuation.unproven, size),
             locked=pack(self._locked.mask, size),
             locks=self._locked.number,
@@ -82,16 +72,13 @@ class Reports:
         )
 
     def receive_health(self, health: Health) -> None:
-        """Takes the figures of the process."""
         self.changed |= health.journal != self._health.journal
         self._health = health
 
     def diagnostics_due(self, now: float) -> bool:
-        """Returns whether diagnostics are due."""
         return now >= self._next_diagnostics
 
     def diagnostics(self, now: float) -> Diagnostics:
-        """Returns the health of loop, buses and boards."""
         self._next_diagnostics = now + DIAGNOSTICS_EVERY
         status = self._master.status()
         return Diagnostics(
@@ -104,11 +91,6 @@ class Reports:
             waits=self._motion.clearances.waits,
             dropped=self._health.dropped,
         )
-
-    def _own(self) -> tuple[ArmFault, ...]:
-        problem = self._health.journal
-        journal = () if problem is None else (ArmFault("journal", "executor", problem),)
-        return journal + tuple(self._unknown(k) for k in indices(self._motion.readings.homing & self._master.known))
 
     def _unknown(self, k: int) -> ArmFault:
         label, guess = self._arm.actuators[k], STATES[self._motion.actuation.states >> k & 1]

@@ -3,16 +3,19 @@
 import logging
 from typing import NamedTuple
 
+from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.core.clients import Clients
-from hyperbit.controller.executor.core.events import ClientId, FaultPlayed, ToClient, ToSimulation
-from hyperbit.controller.executor.core.parts import ExecutorParts
+from hyperbit.controller.executor.core.events import Act, ClientId, FaultPlayed, ToClient, ToSimulation
+from hyperbit.controller.executor.core.modes import Modes
+from hyperbit.controller.executor.motion.motion import ArmMotion
 from hyperbit.controller.executor.motion.program_execution import (
     ProgramExecution,
+    SetpointStream,
     StageMisfit,
     check_stages,
     checked_states,
 )
-from hyperbit.controller.executor.motion.setpoint_stream import SetpointStream
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.program import (
     TICK,
@@ -37,15 +40,9 @@ from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
 
 class HeldAnswer(NamedTuple):
-    """An answer to a stop or cancel that waits until nothing can switch any more.
+    """An answer to a stop or cancel that waits until nothing can switch any more, until a time at the latest [s].
 
-    Attributes:
-        client: that asked.
-        request: its number.
-        done: what was done.
-        follows: what holds now; may be empty.
-        switches: number of switches of the executor when the request came.
-        until: the answer is sent at this time at the latest [s].
+    It says what was done, and what follows. `switches`: number of switches of the executor when the request came.
     """
 
     client: ClientId
@@ -61,26 +58,22 @@ class ClientRequests:
 
     Attributes:
         quitting: the executor is ending; it accepts no more programs and set-points.
-
-    Args:
-        parts: of the executor.
-        clients: of the executor.
-        simulated: whether the boards are simulated in this process.
+        held: answers that wait.
     """
 
-    def __init__(self, parts: ExecutorParts, clients: Clients, *, simulated: bool) -> None:
-        self.quitting, self._simulated, self._clients = False, simulated, clients
-        self._arm, self._motion, self._locked, self._modes, self._act = parts
-        self._size = len(self._arm.actuators)
+    def __init__(
+        self, arm: ExecutedArm, motion: ArmMotion, locked: LockedActuators, modes: Modes, act: Act, clients: Clients
+    ) -> None:
+        self.quitting, self._clients = False, clients
+        self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
+        self._size = len(arm.actuators)
         self._program = self._stream = 0  # greatest numbers so far
-        self._held: list[HeldAnswer] = []
-        self._longest = (
-            self._arm.timing.heartbeat_timeout / 2 - 2 * TICK
-        )  # [s] for which an answer waits, until a tick at the latest
+        self.held: list[HeldAnswer] = []
+        # [s] for which an answer waits, until a tick at the latest
+        self._longest = arm.timing.heartbeat_timeout / 2 - 2 * TICK
 
     @property
     def greatest(self) -> int:
-        """The greatest number of a program or stream so far."""
         return max(self._program, self._stream)
 
     def receive_request(self, client: ClientId, message: Down, now: float) -> None:
@@ -106,12 +99,14 @@ class ClientRequests:
             case Lock():
                 self._lock(client, message, now)
             case PlayFault():
-                self._play_fault(client, message)
+                if self._modes.simulated:
+                    self._act(ToSimulation(client, message.request, message.fault))
+                else:
+                    self._refuse(client, message.request, Refusal(Reason.NOT_SIMULATED))
 
     # --- programs and set-points
 
     def _receive_program(self, message: Program, now: float) -> None:
-        """Starts a program in place of the running one, or declines it."""
         refusal = self._refusal(message, now)
         if refusal is not None:
             self._clients.to_planner(Declined(message.program, refusal.data))
@@ -149,7 +144,6 @@ class ClientRequests:
         return None
 
     def _replace(self, message: Replacement) -> None:
-        """Replaces stages of the running program, or refuses to."""
         execution = self._motion.execution
         accepted = execution is not None and execution.program.program == message.program
         if execution is not None and accepted:
@@ -177,7 +171,6 @@ class ClientRequests:
     # --- cancel, stop, reset, lock
 
     def _cancel(self, client: ClientId, message: Cancel, now: float) -> None:
-        """Ends one program, or whatever is running."""
         execution, followed = self._motion.execution, self._motion.stream is not None
         if message.program is not None and (execution is None or execution.program.program != message.program):
             self._answer(client, message.request, f"program {message.program} is not running")
@@ -200,20 +193,18 @@ class ClientRequests:
     def _hold_answer(self, client: ClientId, request: int, done: str, follows: str, now: float) -> None:
         self._motion.conclude(None, now)  # what was switched before the request is not "under way"
         held = HeldAnswer(client, request, done, follows, self._motion.actuation.switches, now + self._longest)
-        self._held.append(held)
+        self.held.append(held)
 
     def answer_held(self, now: float) -> None:
         """Answers each stop and cancel as soon as no frame that was handed out can switch an actuator any more.
 
         A bus that has not sent these frames after a part of `heartbeat_timeout` delays no answer: the answer tells so.
-        Call after each event.
+        Call after each event while answers are held.
         """
-        if not self._held:
-            return
         leaving = self._motion.actuation.under_way.bit_count()
-        waiting = [held for held in self._held if leaving and now < held.until]
-        due = [held for held in self._held if held not in waiting]
-        self._held = waiting
+        waiting = [held for held in self.held if leaving and now < held.until]
+        due = [held for held in self.held if held not in waiting]
+        self.held = waiting
         for held in due:
             done = self._motion.actuation.switches - held.switches
             told = f"{_switches(done)} under way" if done else ""
@@ -224,7 +215,6 @@ class ClientRequests:
                 self._answer(held.client, held.request, text)
 
     def _reset(self, client: ClientId, message: Reset, now: float) -> None:
-        """Boots the boards after a fault or a stop."""
         if self._modes.mode not in ("fault", "stopped"):
             self._answer(client, message.request, f"nothing to reset: the arm is {self._modes.mode}")
             return
@@ -240,11 +230,10 @@ class ClientRequests:
         self._answer(client, message.request, "resetting; the mode will be ready, or fault with the reason")
 
     def _lock(self, client: ClientId, message: Lock, now: float) -> None:
-        """Locks or unlocks an actuator; nothing moves."""
         motion = self._motion
         refusal = self._locked.refusal(message.actuator, message.state, motion.readings.read, motion.readings.definite)
         mode = self._modes.mode
-        if mode == "executing" or self._motion.moving or self._motion.busy:
+        if mode == "executing" or motion.moving or motion.busy:
             refusal = Refusal(Reason.LOCK_WHILE_MOVING, mode=mode)
         if refusal is not None:
             self._refuse(client, message.request, refusal)
@@ -257,17 +246,7 @@ class ClientRequests:
         text = f"{self._locked.sentence()}{', after a reset' if waits else ''}"
         self._answer(client, message.request, text)
 
-    # --- faults of simulated boards
-
-    def _play_fault(self, client: ClientId, message: PlayFault) -> None:
-        """Has the simulated boards play a fault."""
-        if not self._simulated:
-            self._refuse(client, message.request, Refusal(Reason.NOT_SIMULATED))
-            return
-        self._act(ToSimulation(client, message.request, message.fault))
-
     def receive_fault_played(self, event: FaultPlayed) -> None:
-        """Answers the client that asked for a fault."""
         if event.client not in self._clients.roles:
             return
         if event.played:

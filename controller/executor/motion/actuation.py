@@ -1,30 +1,16 @@
 """Actuation: the single owner of output commands, pulses, the inrush limit, rest times and switch counts."""
 
 import math
-from typing import NamedTuple
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
-from hyperbit.controller.executor.arm.bits import indices, merged
-from hyperbit.controller.executor.arm.kinds import Kinds
-from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
+from hyperbit.controller.executor.arm.kinds import Kinds, indices, mask_of, merged
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.drivers.canopen.faults import ArmFault, Busy
 from hyperbit.drivers.canopen.run.master import Master
 
 BUSY_FOR = 0.25  # [s]; a bus that accepts no command for longer is a fault
 LATE = 0.1  # [s] after its end at which a pulse is overdue, and no longer waited for: its bus accepts no frames
 EARLY = 0.004  # [s] that a pulse may end early; without it a slow bus could make a pulse longer by a whole period
-
-
-class CommitOutcome(NamedTuple):
-    """How a commit has ended.
-
-    Attributes:
-        states: commanded states.
-        reached: whether the outputs stand for these states now.
-    """
-
-    states: int
-    reached: bool
 
 
 class Actuation:
@@ -40,13 +26,8 @@ class Actuation:
         uncertain: mask of the actuators of unknown state; their bits of `states` are guesses.
         missed: mask of those among them whose last pulse was missed: nothing tells whether it was on.
         switches: number of switches since the executor started.
+        busy_since: when a bus accepted no command for the first time [s]; None: nothing waits to be switched.
         fault: set if the bus accepted no command for BUSY_FOR; cleared by the caller that reports it.
-
-    Args:
-        master: CANopen master of the boards.
-        arm: times and limits of the arm.
-        kinds: outputs and end-stops of the actuators.
-        journal: counts switches.
     """
 
     def __init__(self, master: Master, arm: ExecutedArm, kinds: Kinds, journal: SwitchJournal) -> None:
@@ -60,10 +41,10 @@ class Actuation:
         self._arrives_at = [-1e12] * len(arm.actuators)
         self._states = 0  # last states; they count for paired actuators whose outputs are both off
         self._adopted: int | None = None  # states as adopted or switched since; None before the first adoption
-        self._busy_since: float | None = None
+        self.busy_since: float | None = None
         self._pulse_ends = dict.fromkeys(kinds.pulse, -math.inf)
         self._watched = 0  # mask of the actuators whose pulse is not known to have ended
-        self._told = 0  # mask of those that are reported as overdue
+        self.told = 0  # mask of those that are reported as overdue
         self._adopted_at = -math.inf
         self._doubtful = 0  # mask of the paired actuators that the running commit energises
         self._given_up = False  # the running commit is not wanted any more
@@ -100,12 +81,7 @@ class Actuation:
         return any(now < self._pulse_ends[k] + LATE for k in indices(on))
 
     def differ(self, states: int, homing: int) -> int:
-        """Returns the mask of the actuators that a switch to `states` energises or releases.
-
-        Args:
-            states: of all actuators.
-            homing: mask of the actuators to energise although their state is uncertain.
-        """
+        """Returns the mask of the actuators that a switch to `states` energises or releases, with those of `homing`."""
         return (self.states ^ states) | (self.uncertain & homing)
 
     def ready_at(self, differ: int, strict: bool) -> float:
@@ -156,23 +132,16 @@ class Actuation:
             possible = self._master.outputs | self._master.doubtful
             self._master.commit(self._kinds.without(possible, over) & ~doubtful, now, release=True)
 
-    def retell_overdue(self) -> None:
-        """Reports overdue pulses again; a boot begins, which may fail before the next period."""
-        self._told = 0
-
     def find_overdue(self, now: float) -> list[ArmFault]:
-        """Returns a fault for each pulse that has not ended in time, once until the next boot has ended.
-
-        A pulse has ended when its outputs were read back off. Call every period.
-        """
+        """Returns a fault for each pulse that was not read back off in time, once until the next boot has ended."""
         if not self._watched or self._master.booting:
-            self._told = 0
+            self.told = 0
             return []
         on = self._kinds.actuators(self._master.outputs | self._master.doubtful)
         self._watched &= on | self._kinds.actuators(self._master.released)
-        untold = indices(self._watched & on & ~self._told)
+        untold = indices(self._watched & on & ~self.told)
         due = [k for k in untold if now >= max(self._pulse_ends[k], self._adopted_at) + LATE]
-        self._told |= sum(1 << k for k in due)
+        self.told |= mask_of(due)
         return [self._overdue(k) for k in due]
 
     def record_switched(self, lines: int, now: float) -> int:
@@ -194,31 +163,26 @@ class Actuation:
         self.switches += moved.bit_count()
         return moved
 
-    def conclude(self, now: float) -> CommitOutcome | None:
-        """Returns the result of the commit that has ended, and counts its switches; None if no commit has ended."""
+    def conclude(self, now: float) -> int | None:
+        """Counts the switches of a commit that has ended; returns its states if the outputs stand for them now."""
         if self.target is None or self._master.committing or not self._master.outputs_known:
             return None
         states, self.target = self.target, None
         self._journal.resolve(self.states)
         why = self._master.commit_failed
         if why is None or self._given_up:
-            self._busy_since = None
+            self.busy_since = None
         else:
             self._record_refused(why, now)
         reached = self.states == states and not self._doubtful
         self._doubtful = 0
-        return CommitOutcome(states, reached)
+        return states if reached else None
 
     def adopt(self, measured: int, definite: int, now: float) -> None:
         """Adopts the outputs that the boards read back, and counts the switches of an interrupted commit.
 
         Actuators whose outputs have changed rest from now on. After a start all actuators rest: the previous process
-        may have switched them just before. No output is energised.
-
-        Args:
-            measured: states read from the end-stops.
-            definite: mask of the actuators whose end-stops tell a state.
-            now: [s].
+        may have switched them just before. No output is energised. `measured`: the states of the actuators `definite`.
         """
         self.target, self.fault = None, None
         self._find_missed()
@@ -236,16 +200,12 @@ class Actuation:
         self._adopted, self._adopted_at = states, now
         self._watched = (extending | contracting) & self._kinds.pulsed
 
-    def rest(self) -> None:
-        """Resets the time for which the bus has been busy: nothing waits to be switched."""
-        self._busy_since = None
-
     def _on(self, now: float) -> int:
         """Returns the mask of the paired actuators with an output on, without those whose pulse is over."""
         extending, contracting = self._kinds.on(self._master.outputs)
         on = extending ^ contracting
         over = (k for k in indices(on & self._kinds.pulsed) if now >= self._pulse_ends[k] - EARLY)
-        return on & ~sum(1 << k for k in over)
+        return on & ~mask_of(over)
 
     def _watch_doubtful_pulses(self, now: float) -> int:
         """Watches pulses that may be on without a command; returns the mask of their output lines."""
@@ -275,18 +235,17 @@ class Actuation:
         if before == self._boots or not before:
             return 0
         board_of = self._master.board_of
-        return sum(1 << k for k in indices(self._kinds.paired) if before[board_of[k]] != self._boots[board_of[k]])
+        return mask_of(k for k in indices(self._kinds.paired) if before[board_of[k]] != self._boots[board_of[k]])
 
     def _record_moved(self, mask: int, now: float) -> None:
-        """Records that the actuators of a mask have begun to move."""
         states = self.states
         for k in indices(mask):
             self._arrives_at[k] = now + self._kinds.travel[k][states >> k & 1]
             self.free_at = max(self.free_at, self._arrives_at[k])
 
     def _record_refused(self, why: str, now: float) -> None:
-        if self._busy_since is None:
-            self._busy_since = now
-        if now - self._busy_since > BUSY_FOR:
+        if self.busy_since is None:
+            self.busy_since = now
+        if now - self.busy_since > BUSY_FOR:
             self.fault = ArmFault("bus-busy", "bus", f"no command could be sent for {BUSY_FOR:g} s: {why}")
-            self._busy_since = None
+            self.busy_since = None

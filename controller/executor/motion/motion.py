@@ -1,39 +1,67 @@
 """The motion on the boards: the running program, or the set-point that is followed; never both."""
 
 from collections.abc import Callable
-from enum import Enum, auto
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
-from hyperbit.controller.executor.arm.bits import first, merged
-from hyperbit.controller.executor.arm.kinds import Kinds
+from hyperbit.controller.executor.arm.kinds import Kinds, first, merged
 from hyperbit.controller.executor.arm.locked import LockedActuators
-from hyperbit.controller.executor.journal.switch_journal import SwitchJournal
-from hyperbit.controller.executor.motion.actuation import Actuation, CommitOutcome
-from hyperbit.controller.executor.motion.clearance import ClearanceQuestions
-from hyperbit.controller.executor.motion.motion_supervision import Finding, MotionSupervision
-from hyperbit.controller.executor.motion.program_execution import EPSILON, End, ProgramExecution
-from hyperbit.controller.executor.motion.readings import Readings
-from hyperbit.controller.executor.motion.results import ProgramResults
-from hyperbit.controller.executor.motion.setpoint_stream import SetpointStream
-from hyperbit.controller.executor.motion.travel_times import TravelTimes
-from hyperbit.controller.program import MOST_TRAVELS, Begun, Settled, Up, pack
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
+from hyperbit.controller.executor.motion.actuation import Actuation
+from hyperbit.controller.executor.motion.motion_supervision import MotionSupervision
+from hyperbit.controller.executor.motion.program_execution import (
+    EPSILON,
+    End,
+    ProgramExecution,
+    ProgramResults,
+    SetpointStream,
+)
+from hyperbit.controller.executor.motion.readings import Readings, TravelTimes
+from hyperbit.controller.program import MOST_TRAVELS, Begun, Clearance, Question, Settled, Up, pack
 from hyperbit.drivers.canopen.run.master import Master
 
+ANSWER_WITHIN = 10.0  # [s]; without an answer the stage counts as not clear
 REALIGNMENT = -1  # in place of the index of a stage
 
 
-class StageBegin(Enum):
-    """What became of a stage that is due.
+class ClearanceQuestions:
+    """Questions to the planner, one at a time: does a stage touch an obstacle, if it begins from unplanned states?
 
     Attributes:
-        BEGUN: its switch has begun, or its states were reached already.
-        WAITS: it is tried again at the next tick: for actuators, the boards, or the planner's answer.
-        NOT_CLEAR: it touches what `ArmMotion.clearances.touched` says.
+        touched: what the stage of the last question touches, in words; None if the stage is clear.
+        waits: number of periods in which the arm waited for an answer.
     """
 
-    BEGUN = auto()
-    WAITS = auto()
-    NOT_CLEAR = auto()
+    def __init__(self, send: Callable[[Up], None], actuators: int) -> None:
+        self.touched: str | None = None
+        self.waits = 0
+        self._send, self._actuators = send, actuators
+        self._number = 0
+        self._way: tuple[int, int] | None = None
+        self._asked_at = 0.0
+        self._answered = False
+
+    @property
+    def waiting(self) -> bool:
+        return self._way is not None and not self._answered
+
+    def ask(self, start: int, stage: int, now: float) -> bool:
+        """Asks the planner about `stage` from `start`, once; returns whether the answer is there, in `touched`."""
+        if (start, stage) != self._way:
+            self._number += 1
+            self._way, self._answered, self._asked_at = (start, stage), False, now
+            self._send(Question(self._number, pack(start, self._actuators), pack(stage, self._actuators)))
+        if not self._answered and now - self._asked_at > ANSWER_WITHIN:
+            unknown = f"the planner did not tell within {ANSWER_WITHIN:g} s whether the stage is clear"
+            self.receive_answer(Clearance(self._number, unknown))
+        return self._answered
+
+    def receive_answer(self, message: Clearance) -> None:
+        """Takes the planner's answer; ignores an answer to an earlier question."""
+        if message.question == self._number and self._way is not None:
+            self._answered, self.touched = True, message.touched
+
+    def forget(self) -> None:
+        self._way, self._answered = None, False
 
 
 class ArmMotion:
@@ -42,20 +70,7 @@ class ArmMotion:
     Attributes:
         execution: progress of the running program; None if none runs.
         stream: stream of set-points; None if none is followed.
-        kinds: outputs and end-stops of the actuators.
-        actuation: switches the outputs.
-        readings: what end-stops and outputs tell.
-        supervision: compares end-stops with commanded states.
-        clearances: questions to the planner.
         clock: awake time of the executor at the last event [s].
-
-    Args:
-        arm: the arm.
-        master: CANopen master of the boards.
-        journal: counts switches.
-        locked: the locked actuators.
-        results: sends the result of each program.
-        send: sends a message to the planner, if there is one.
     """
 
     def __init__(
@@ -71,9 +86,8 @@ class ArmMotion:
         self.stream: SetpointStream | None = None
         self.kinds = Kinds(arm.wiring, arm.timing)
         self.actuation = Actuation(master, arm, self.kinds, journal)
-        places = [channel.place for channel in arm.wiring.channels]
-        self.supervision = MotionSupervision(master, places, self.kinds)
-        self.readings = Readings(master, self.kinds, self.actuation, locked, len(arm.actuators))
+        self.supervision = MotionSupervision(master, [channel.place for channel in arm.wiring.channels], self.kinds)
+        self.readings = Readings(master, self.kinds, self.actuation, locked)
         self._travel_times = TravelTimes()
         self.clearances = ClearanceQuestions(send, len(arm.actuators))
         self.clock = 0.0
@@ -86,22 +100,16 @@ class ArmMotion:
 
     @property
     def moving(self) -> bool:
-        """Whether a switched actuator has not arrived."""
-        return self.supervision.moving(self.readings.ends, self.clock)
+        return self.supervision.moving(self.clock)
 
     @property
     def busy(self) -> bool:
-        """Whether a commit is under way."""
         return self.actuation.target is not None
 
     @property
     def committing(self) -> bool:
         """Whether frames of a commit still wait to be sent."""
         return self.busy and self._master.committing
-
-    def supervise(self, now: float) -> list[Finding]:
-        """Returns new findings of the motion supervision. Call every period."""
-        return self.supervision.tick(self.readings.ends, self._master.known, self.clock, now)
 
     def adopt(self, now: float) -> None:
         """Adopts outputs and end-stops as they are now; switches nothing."""
@@ -112,7 +120,7 @@ class ArmMotion:
 
     def run(self, execution: ProgramExecution) -> None:
         """Starts a program in place of what runs. Only `Modes.run` calls this, since the mode changes too."""
-        self._end("replaced", f"replaced by {execution.program.name}")
+        self.end("replaced", f"replaced by {execution.program.name}")
         self.execution = execution
 
     def follow(self, stream: SetpointStream) -> None:
@@ -122,7 +130,7 @@ class ArmMotion:
         the previous set-point.
         """
         if self.execution is not None:
-            self._end("replaced", "replaced by a setpoint")
+            self.end("replaced", "replaced by a setpoint")
         last = self.stream
         if last is not None and self.clearances.waiting and stream.stages and stream.start == last.start:
             last.until, last.reason, last.number = stream.until, stream.reason, stream.number
@@ -130,19 +138,11 @@ class ArmMotion:
             self.stream = stream
             self.clearances.forget()
 
-    def hold(self, status: str, message: str) -> None:
-        """Ends program and stream, and gives up a commit whose SYNC was not handed out.
-
-        Only `Modes.hold` calls this, since the mode changes too.
-        """
-        self.actuation.give_up(message or "the arm holds")
-        self._end(status, message)
-
-    def _end(self, status: str, message: str) -> None:
-        """Ends program and stream. The result waits for the running commit."""
+    def end(self, status: str, message: str) -> None:
+        """Ends program and stream. The result waits for the running commit. Other rooms call `Modes.hold`."""
         execution, self.execution, self.stream = self.execution, None, None
         self.clearances.forget()
-        self.actuation.rest()
+        self.actuation.busy_since = None
         if execution is None:
             return
         self._ended = execution, status, message
@@ -150,7 +150,7 @@ class ArmMotion:
             self.send_result()
 
     def send_result(self) -> None:
-        """Sends the result of a program that has ended."""
+        """Sends the result of a program that has ended, if it was not sent."""
         if self._ended is not None:
             execution, status, message = self._ended
             self._ended = None
@@ -165,27 +165,25 @@ class ArmMotion:
     def conclude(self, at: float | None, now: float) -> None:
         """Records the switches and arrivals since the last call. Call after each event.
 
-        Args:
-            at: time of the event's frame on the bus [s]; None: unknown.
-            now: [s].
+        `at`: time of the event's frame on the bus [s]; None: unknown.
         """
         running = self.execution if self._ended is None else self._ended[0]
         for lines, switched_at in self._master.drain_switched():
             mask = self.actuation.record_switched(lines, switched_at)
-            self.supervision.record_switched(mask, self.actuation.states, self.readings.ends, self.clock, now)
+            self.supervision.record_switched(mask, self.actuation.states, self.clock, now)
             self._travel_times.begin(mask, self.actuation.states, self.readings.ends, at)
             if running is not None:
                 running.switches += mask.bit_count()
                 running.verified &= not mask & self.kinds.trusted
-        if self._travel_times.measuring:
+        if any(self._travel_times.travelling):
             travels = self._travel_times.drain_arrived(self.readings.ends, at)
             if running is not None and len(running.travels) < MOST_TRAVELS:
                 running.travels += travels
-        commit = self.actuation.conclude(now)
-        if not self.committing:
+        reached = self.actuation.conclude(now) if self.busy else None
+        if self._ended is not None and not self.committing:
             self.send_result()
-        if commit is not None and commit.reached and self._index != REALIGNMENT:
-            self._record_reached(commit, now)
+        if reached is not None and self._index != REALIGNMENT:
+            self._record_reached(reached, now)
 
     def advance(self, now: float) -> End | None:
         """Starts what is due; returns an end if the program or stream has ended by itself."""
@@ -194,10 +192,12 @@ class ArmMotion:
         execution = self.execution
         if execution is None:
             return None
-        decided = self.supervision.decided(self.readings.ends, self._master.known) and not self.actuation.unproven
+        decided = self.supervision.decided() and not self.actuation.unproven
         rests = not self.busy and not self.moving and decided
-        if execution.waiting and rests and execution.settle(now):
-            self._send(self._settled(execution))
+        if rests and execution.settle(now):
+            program, counted = execution.program.program, (execution.switches, execution.stages)
+            packed = self.readings.packed()
+            self._send(Settled(program, execution.mark, *packed, *counted, execution.planned))
         if execution.idle and rests and now >= self.actuation.free_at - EPSILON:
             end = execution.find_end(self.clock)
             if end is not None:
@@ -207,15 +207,8 @@ class ArmMotion:
     def _realign(self, homed: int, target: int, now: float) -> bool:
         """Sets the outputs of locked actuators to their locked states, and homes others, before any stage.
 
-        A locked actuator that comes loose then stays in its locked state. A missed pulse is given again.
-
-        Args:
-            homed: mask of the actuators to home if their state is unknown.
-            target: states to home them to.
-            now: [s].
-
-        Returns:
-            Whether this is done, so that a stage may begin.
+        A locked actuator that comes loose then stays in its locked state. A missed pulse is given again. Actuators of
+        unknown state in the mask `homed` are homed to `target`. Returns whether this is done: a stage may begin.
         """
         before, most, missed = self.actuation.states, self._arm.most, self.actuation.missed
         states = self._locked.realigned(before, most)
@@ -230,8 +223,8 @@ class ArmMotion:
             return False
         if self._homes and (self.busy or self.moving or now < self.actuation.free_at - EPSILON):
             return False
-        if self._homes and self.execution is not None:
-            self.execution.delay(now)
+        if self._homes and self.execution is not None and self.execution.taken < 0:
+            self.execution.begin = max(self.execution.begin, now)  # its first stage was due before homing ended
         self._homes = False
         return True
 
@@ -245,7 +238,7 @@ class ArmMotion:
             reason = f"holding; {execution.program.name} was aborted: the outputs are too far from its next stage"
             return End("aborted", "the outputs are too far from the next stage; the arm holds", reason)
         planned = execution.state(execution.taken)
-        if self._begin_stage(index, planned, states, execution.strict, now) is not StageBegin.NOT_CLEAR:
+        if self._begin_stage(index, planned, states, execution.strict, now):
             return None
         why = f"the next stage cannot begin: {self.clearances.touched}"
         return End("aborted", f"{why}; the arm holds", f"holding; {execution.program.name} was aborted: {why}")
@@ -259,61 +252,48 @@ class ArmMotion:
         index = stream.due(self.actuation.states, self._arm.most)
         if index is None:
             self.clearances.forget()
-            self.actuation.rest()
-        elif now >= self.actuation.free_at and not self.moving:
-            begin = self._begin_stage(index, stream.start, stream.stages[index], stream.strict, now)
-            if begin is StageBegin.NOT_CLEAR:
-                stream.stages = []  # the planner's follower must find other stages
+            self.actuation.busy_since = None
+        elif now < self.actuation.free_at or self.moving:
+            return None
+        elif not self._begin_stage(index, stream.start, stream.stages[index], stream.strict, now):
+            stream.stages = []  # the planner's follower must find other stages
         return None
 
-    def _begin_stage(self, index: int, planned: int, states: int, strict: bool, now: float) -> StageBegin:
-        """Starts the switch of a stage if it may begin now.
+    def _begin_stage(self, index: int, planned: int, states: int, strict: bool, now: float) -> bool:
+        """Starts the switch of a stage to `states` if it may begin now; else the next tick tries again.
 
-        Args:
-            index: of the stage.
-            planned: states from which the stage was planned.
-            states: states at the end of the stage.
-            strict: the stage begins only when nothing moves and it is known to be clear.
-            now: [s].
+        A strict stage begins only when nothing moves, and from the states from which it was planned, unless the planner
+        knows that it is clear. Returns False if it touches what `clearances.touched` says.
         """
         self._index, self._before = index, self.actuation.states
         if strict and (self.moving or self.actuation.unproven):
-            return StageBegin.WAITS
+            return True
         if states == self._before:
-            self._record_reached(CommitOutcome(states, reached=True), now)
-            return StageBegin.BEGUN
+            self._record_reached(states, now)
+            return True
         if now < self.actuation.ready_at(self.actuation.differ(states, 0), strict) - EPSILON:
-            return StageBegin.WAITS
-        if strict and (start := self._start_of(states)) not in (planned, states):
-            if not self.clearances.ask(start, states, now):
-                self.clearances.waits += 1
-                self.actuation.rest()
-                return StageBegin.WAITS
-            if self.clearances.touched is not None:
-                return StageBegin.NOT_CLEAR
-        if not self.actuation.switch(states, now):
-            return StageBegin.WAITS
-        self.clearances.forget()  # if the stage must begin again, obstacles may have changed
-        if self.execution is not None:
-            self.execution.record_begun(index)
-        return StageBegin.BEGUN
+            return True
+        if strict:
+            measured = self.readings.measured
+            start = merged(measured ^ states, measured, self._before)  # a stuck actuator may come free in the stage
+            if start not in (planned, states):
+                if not self.clearances.ask(start, states, now):
+                    self.clearances.waits += 1
+                    self.actuation.busy_since = None
+                    return True
+                if self.clearances.touched is not None:
+                    return False
+        if self.actuation.switch(states, now):
+            self.clearances.forget()  # if the stage must begin again, obstacles may have changed
+            if self.execution is not None:
+                self.execution.begun = max(self.execution.begun, index)
+        return True
 
-    def _start_of(self, states: int) -> int:
-        """Returns the states from which a stage moves to `states`: a stuck actuator may come free during the stage."""
-        measured = self.readings.measured
-        return merged(measured ^ states, measured, self._before)
-
-    def _record_reached(self, commit: CommitOutcome, now: float) -> None:
-        """Records that the outputs have reached the stage begun last."""
-        self.supervision.await_anew(commit.states, self.readings.ends, self.clock, now)
-        execution, stream = self.execution, self.stream
-        if stream is not None and self._index < len(stream.stages) and stream.stages[self._index] == commit.states:
-            stream.record_reached(self._index)
+    def _record_reached(self, states: int, now: float) -> None:
+        self.supervision.await_anew(states, self.clock, now)
+        execution, stream, index = self.execution, self.stream, self._index
+        if stream is not None and index < len(stream.stages) and stream.stages[index] == states:
+            stream.start, stream.stages = states, stream.stages[index + 1 :]
         if execution is not None:
-            switched = commit.states != self._before
-            execution.record_reached(self._index, self._before, switched, self.actuation.free_at)
-            self._send(Begun(execution.program.program, self._index, execution.switches))
-
-    def _settled(self, execution: ProgramExecution) -> Settled:
-        counted = execution.switches, execution.stages
-        return Settled(execution.program.program, execution.mark, *self.readings.packed(), *counted, execution.planned)
+            execution.record_reached(index, self._before, states != self._before, self.actuation.free_at)
+            self._send(Begun(execution.program.program, index, execution.switches))

@@ -1,23 +1,14 @@
 """Motion supervision: compares the commanded states with the end-stops."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from hyperbit.controller.armfile.locks import STATES
-from hyperbit.controller.executor.arm.bits import indices, merged
-from hyperbit.controller.executor.arm.kinds import Ends, Kinds
+from hyperbit.controller.executor.arm.kinds import Ends, Kinds, indices, mask_of, merged
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
 
 MOST_MISSED = 3  # successive commands that an actuator may miss, each reversed before it counts as stuck
 ASK_EVERY = 0.01  # [s] between two questions to a board
-
-
-class Finding(NamedTuple):
-    """A fault and the index of its actuator."""
-
-    actuator: int
-    fault: ArmFault
 
 
 class MotionSupervision:
@@ -28,10 +19,8 @@ class MotionSupervision:
     fault at once: a contact may bounce, and a TPDO may be lost. First the board of the actuator is asked for its inputs
     by SDO, and has answered or has not answered in time.
 
-    Args:
-        boards: CANopen master of the boards.
-        places: label and wiring of each actuator for messages, shape (A,).
-        kinds: outputs and end-stops of the actuators.
+    `clock`: awake time of the executor [s]; a stall of its loop is no delay of an actuator. `now`: for questions [s].
+    `places`: label and wiring of each actuator for messages, shape (A,).
     """
 
     def __init__(self, boards: Master, places: Sequence[str], kinds: Kinds) -> None:
@@ -39,15 +28,20 @@ class MotionSupervision:
         self._switched_at = [0.0] * len(places)
         self._ask_at = [0.0] * len(places)
         self._missed = [0] * len(places)
-        self.reset(0, 0, Ends(0, 0), 0.0)
+        self.reset(0, 0, 0.0)
 
-    def reset(self, states: int, known: int, ends: Ends, clock: float) -> None:
+    @property
+    def _ends(self) -> Ends:
+        return self._kinds.ends(self._boards.ends)
+
+    def reset(self, states: int, known: int, clock: float) -> None:
         """Forgets all motions and reports, and takes `states` as commanded where known.
 
         An actuator between its two end-stops counts as moving.
         """
+        ends = self._ends
         self._commanded, self._commanded_known = states, known
-        self._pending = self._confirms = self._reported = self._suspect = self._final = self._doubtful = 0
+        self._reported = self._suspect = self._final = self._doubtful = 0
         self._strayed = 0  # actuators that seem to move without a command, and whose boards were asked
         self._last = ends
         self._missed = [0] * len(self._places)
@@ -61,16 +55,9 @@ class MotionSupervision:
         self._commanded = merged(self._pending, self._commanded, states)
         self._commanded_known = merged(self._pending, self._commanded_known, known)
 
-    def record_switched(self, mask: int, states: int, ends: Ends, clock: float, now: float) -> None:
-        """Records that the actuators of a mask were switched to `states`.
-
-        Args:
-            mask: of the actuators.
-            states: of all actuators.
-            ends: before the switch.
-            clock: see `tick` [s].
-            now: for a question [s].
-        """
+    def record_switched(self, mask: int, states: int, clock: float, now: float) -> None:
+        """Records that the actuators of a mask were switched to `states`."""
+        ends = self._ends
         self._count_missed(mask, ends, clock, now)
         self._commanded = merged(mask, states, self._commanded)
         self._commanded_known |= mask
@@ -82,55 +69,43 @@ class MotionSupervision:
             self._switched_at[k] = clock
             self._ask_at[k] = clock + self._travel(k)
 
-    def await_anew(self, states: int, ends: Ends, clock: float, now: float) -> None:
-        """Expects a motion of actuators that did not follow their outputs before a reset.
+    def await_anew(self, states: int, clock: float, now: float) -> None:
+        """Expects a motion to `states` of actuators that did not follow their outputs before a reset.
 
         Their outputs already have the states of the stage, so nothing switches.
-
-        Args:
-            states: states at the end of the stage.
-            ends: what the end-stops read.
-            clock: see `tick` [s].
-            now: for a question [s].
         """
         behind = (states ^ self._commanded) & self._commanded_known & ~self._pending
         if behind:
-            self.record_switched(behind, states, ends, clock, now)
+            self.record_switched(behind, states, clock, now)
 
-    def moving(self, ends: Ends, clock: float) -> bool:
+    def moving(self, clock: float) -> bool:
         """Returns whether a switched actuator has not arrived, by its end-stop or by the travel time."""
-        if self._pending & self._confirms & self._late(ends):
+        if not self._pending:
+            return False
+        if self._pending & self._confirms & self._late(self._ends):
             return True
         unconfirmed = self._pending & ~self._confirms
         return any(clock - self._switched_at[k] < self._travel(k) for k in indices(unconfirmed))
 
-    def decided(self, ends: Ends, known: int) -> bool:
-        """Returns whether no end-stop contradicts the commanded state in a way that may still become a fault.
+    def decided(self) -> bool:
+        """Returns whether no end-stop contradicts the commanded state in a way that may still become a fault."""
+        contradicted = self._strayed | self._doubtful | (self._pending and self._pending & self._late(self._ends))
+        return not contradicted & self._boards.known & self._commanded_known
 
-        Args:
-            ends: what the end-stops read.
-            known: mask of the actuators whose boards are operational.
-        """
-        readable = known & self._commanded_known
-        return not (self._pending & self._late(ends) & readable or (self._strayed | self._doubtful) & readable)
-
-    def tick(self, ends: Ends, known: int, clock: float, now: float) -> list[Finding]:
+    def tick(self, clock: float, now: float) -> list[tuple[int, ArmFault]]:
         """Compares commanded states with the end-stops, and asks the boards of late actuators for their inputs.
 
-        Args:
-            ends: what the end-stops read.
-            known: mask of the actuators whose boards are operational.
-            clock: awake time of the executor [s]; a stall of its loop is no delay of an actuator.
-            now: time for the questions [s].
-
-        Returns:
-            "end-stops" for each actuator with both end-stops at 1, "stuck" for each that did not arrive, and
-            "unexpected-motion" for each that moved without a command; at most one for an actuator until `reset`.
+        Returns faults with the index of their actuator: "end-stops" for each with both end-stops at 1, "stuck" for each
+        that did not arrive, and "unexpected-motion" for each that moved without a command; at most one until `reset`.
         """
+        ends, known = self._ends, self._boards.known
         readable = known & self._commanded_known
         late = self._late(ends) & readable
-        self._forgive(ends)
         both = ends.extended & ends.contracted & known
+        if ends != self._last:
+            self._forgive(ends)
+        if not (late | both | self._pending | self._suspect | self._strayed | self._doubtful):
+            return []  # at rest
         broken, self._doubtful = self._confirm(both, self._doubtful, now)
         broken &= ~self._reported
         doubtful = self._doubtful | broken
@@ -140,9 +115,9 @@ class MotionSupervision:
         stuck &= ~self._reported
         self._reported |= stuck | stray | broken
         return [
-            *(self._broken(k) for k in indices(broken)),
-            *(self._stuck(k, ends) for k in indices(stuck)),
-            *(self._stray(k, ends) for k in indices(stray)),
+            *((k, self._broken(k)) for k in indices(broken)),
+            *((k, self._stuck(k, ends)) for k in indices(stuck)),
+            *((k, self._stray(k, ends)) for k in indices(stray)),
         ]
 
     def _travel(self, k: int) -> float:
@@ -164,20 +139,13 @@ class MotionSupervision:
         return self._awaited(ends) | self._at_other_end(ends)
 
     def _confirm(self, suspects: int, asked: int, now: float) -> tuple[int, int]:
-        """Asks the boards of actuators whose end-stops read what they should not.
+        """Asks the boards of actuators whose end-stops read what they should not, unless they were asked before.
 
-        Args:
-            suspects: mask of these actuators now.
-            asked: mask of those whose boards were asked before.
-            now: for the questions [s].
-
-        Returns:
-            Mask of the actuators that read the same after the answer, and mask of those that wait for it.
+        Returns the mask of the actuators that read the same after the answer, and of those that wait for it.
         """
         for k in indices(suspects & ~asked & ~self._reported):
             self._question(k, now)
-        again = (k for k in indices(suspects & asked) if not self._questioning(k))
-        certain = sum(1 << k for k in again)
+        certain = mask_of(k for k in indices(suspects & asked) if not self._questioning(k))
         return certain, suspects & ~certain
 
     def _find_stuck(self, late: int, clock: float, now: float) -> int:
@@ -193,7 +161,10 @@ class MotionSupervision:
                 if not self._questioning(k):
                     stuck |= bit
             elif over >= 0 and clock >= self._ask_at[k]:
-                self._ask(k, clock, now)
+                self._ask_at[k] = clock + max(margin / 3, ASK_EVERY)
+                for board in self._boards.input_boards_of[k]:
+                    if not self._boards.questioning(board):
+                        self._boards.question(board, now)
                 if over >= margin:
                     self._final |= bit
         self._pending &= ~stuck
@@ -201,8 +172,7 @@ class MotionSupervision:
 
     def _find_unreliable(self, readable: int) -> int:
         """Returns the mask of the actuators that missed MOST_MISSED commands and whose boards have answered."""
-        asked = [k for k in indices(self._suspect & readable) if not self._questioning(k)]
-        mask = sum(1 << k for k in asked)
+        mask = mask_of(k for k in indices(self._suspect & readable) if not self._questioning(k))
         self._suspect &= ~mask
         self._pending &= ~mask
         return mask
@@ -219,18 +189,10 @@ class MotionSupervision:
 
     def _forgive(self, ends: Ends) -> None:
         """Forgets the missed commands of actuators whose end-stops have changed."""
-        if ends == self._last:
-            return
         for k in indices((ends.extended ^ self._last.extended) | (ends.contracted ^ self._last.contracted)):
             self._missed[k] = 0
             self._suspect &= ~(1 << k)
         self._last = ends
-
-    def _ask(self, actuator: int, clock: float, now: float) -> None:
-        self._ask_at[actuator] = clock + max(self._kinds.margin[actuator] / 3, ASK_EVERY)
-        for board in self._boards.input_boards_of[actuator]:
-            if not self._boards.questioning(board):
-                self._boards.question(board, now)
 
     def _question(self, actuator: int, now: float) -> None:
         """Asks the boards of an actuator's end-stops for their inputs, after running questions once more."""
@@ -238,35 +200,29 @@ class MotionSupervision:
             self._boards.question(board, now)
 
     def _questioning(self, actuator: int) -> bool:
-        """Returns whether a board of an actuator's end-stops has not answered yet."""
         return any(self._boards.questioning(board) for board in self._boards.input_boards_of[actuator])
 
-    def _reads(self, k: int, ends: Ends) -> str:
-        """Returns in words what the end-stops of a late actuator read."""
+    def _stuck(self, k: int, ends: Ends) -> ArmFault:
         should, other = STATES[self._commanded >> k & 1], STATES[1 - (self._commanded >> k & 1)]
+        place, limit = self._places[k], self._travel(k) + self._kinds.margin[k]
+        reads = f"its end-stop does not read {should}"
         if self._at_other_end(ends) >> k & 1:
-            return f"its end-stop still reads {other}"
-        if self._kinds.ends_extended & self._kinds.ends_contracted & 1 << k:
-            return f"it has left its {other} end, and neither end-stop reads"
-        return f"its end-stop does not read {should}"
-
-    def _stuck(self, k: int, ends: Ends) -> Finding:
-        should, place = STATES[self._commanded >> k & 1], self._places[k]
-        limit = self._travel(k) + self._kinds.margin[k]
+            reads = f"its end-stop still reads {other}"
+        elif self._kinds.ends_extended & self._kinds.ends_contracted & 1 << k:
+            reads = f"it has left its {other} end, and neither end-stop reads"
+        text = f"actuator {place} did not become {should} within {limit:g} s; {reads}"
         if self._missed[k] >= MOST_MISSED:
             text = f"actuator {place} missed {self._missed[k]} commands; its end-stop did not change"
-        else:
-            text = f"actuator {place} did not become {should} within {limit:g} s; {self._reads(k, ends)}"
-        return Finding(k, ArmFault("stuck", place, text))
+        return ArmFault("stuck", place, text)
 
-    def _stray(self, k: int, ends: Ends) -> Finding:
+    def _stray(self, k: int, ends: Ends) -> ArmFault:
         should, other = STATES[self._commanded >> k & 1], STATES[1 - (self._commanded >> k & 1)]
         place = self._places[k]
         reads = f"reads {other}" if self._at_other_end(ends) >> k & 1 else f"does not read {should} any more"
         text = f"actuator {place} moved without a command: its end-stop {reads}; check it, then reset"
-        return Finding(k, ArmFault("unexpected-motion", place, text))
+        return ArmFault("unexpected-motion", place, text)
 
-    def _broken(self, k: int) -> Finding:
+    def _broken(self, k: int) -> ArmFault:
         place = self._places[k]
         text = f"both end-stops of actuator {place} read 1 at once: check their wires and switches, then reset"
-        return Finding(k, ArmFault("end-stops", place, text))
+        return ArmFault("end-stops", place, text)

@@ -1,26 +1,34 @@
-"""Progress of one motion program: which stage is due, and which mark has settled. `motion` does the switching."""
+"""Progress and result of a program, or progress of a set-point: which stage is due. `motion` does the switching."""
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from hyperbit.controller.executor.arm.locked import LockedActuators
-from hyperbit.controller.program import MOST_PROGRAM_STAGES, Program, Replacement, Stage, Travel, unpack
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
+from hyperbit.controller.program import (
+    MOST_PROGRAM_STAGES,
+    MOST_TRAVELS,
+    Counted,
+    Ended,
+    Program,
+    Replacement,
+    Setpoint,
+    Stage,
+    Travel,
+    Up,
+    unpack,
+)
 
 EPSILON = 1e-9  # [s]
 MOST_AHEAD = 1_000  # stages that may be skipped at once
 FED_WITHIN = 10.0  # [s]; a program that waits for its next stages for longer is aborted
+MOST_STORED = 1_000  # results
 STARVED = f"the planner sent no further stages for {FED_WITHIN:g} s"
 
 
 class End(NamedTuple):
-    """How a program or stream has ended by itself.
-
-    Attributes:
-        status: of the result.
-        message: of the result.
-        reason: a sentence for the mode.
-    """
+    """How a program or stream has ended by itself: status and message of the result, and a reason for the mode."""
 
     status: str
     message: str
@@ -28,50 +36,39 @@ class End(NamedTuple):
 
 
 class StageMisfit(ValueError):
-    """Stages do not fit the arm or the running program; the text says why.
-
-    Attributes:
-        locked: whether a locked actuator is the reason.
-    """
+    """Stages do not fit the arm or the running program; the text says why; `locked`: for a locked actuator."""
 
     def __init__(self, reason: str, locked: bool = False) -> None:
-        """Takes the reason, and whether a locked actuator is the reason."""
         super().__init__(reason)
         self.locked = locked
 
 
 class ProgramExecution:
-    """The progress of a running program.
+    """The progress of a running program, whose stages were checked.
 
     Attributes:
-        program: the program as it was sent.
         begin: zero of the program's time [s].
+        begun: index of the last stage whose commit was begun; -1 before the first. It can no longer be replaced.
         taken: index of the last stage that the outputs have reached; -1 before the first.
         mark: the last mark reached; -1 before the first.
-        switches: number of switches so far.
+        switches: number so far.
         stages: number of stages that switched something since the previous mark.
         planned: whether all stages since the previous mark were taken as planned.
         travels: travel times measured so far.
         verified: whether something tells that each switched actuator has followed.
         strict: no stage is skipped, and none begins before the previous one has settled.
         final: no more stages will come.
-
-    Args:
-        program: a program whose stages were checked.
-        begin: zero of the program's time [s].
-        locked: the locked actuators; they have their locked states in every stage.
     """
 
     def __init__(self, program: Program, begin: float, locked: LockedActuators) -> None:
         self.program, self.begin = program, begin
         self.strict, self.final = program.strict, program.final
-        self.taken = self.mark = -1
+        self.begun = self.taken = self.mark = -1
         self.switches = self.stages = 0
         self.planned = True
         self.travels: list[Travel] = []
         self.verified = True
         self._generation = -1
-        self._begun = -1  # the last stage whose commit was begun
         self._stages = list(program.stages)
         self._locked = locked
         self._states = [locked.aligned(unpack(stage.states)) for stage in program.stages]
@@ -96,20 +93,10 @@ class ProgramExecution:
             return unpack(self.program.homed), self._states[-1] if self._states else self._start
         return -1, self._start
 
-    def delay(self, now: float) -> None:
-        """Moves the zero of time to now if the first stage was due before homing ended."""
-        if self.taken < 0:
-            self.begin = max(self.begin, now)
-
     def due(self, now: float, outputs: int, most: int) -> int | None:
         """Returns the index of the stage to switch to now, or None. Overdue stages are skipped, unless `strict`.
 
-        The latest due stage within `most` switches is returned, else the next stage.
-
-        Args:
-            now: [s].
-            outputs: states that the outputs command.
-            most: actuators that may switch at once.
+        The latest due stage within `most` switches from the commanded states `outputs` is returned, else the next one.
         """
         following = self.taken + 1
         latest = bisect_right(self._at, now - self.begin + EPSILON, lo=following) - 1
@@ -121,26 +108,15 @@ class ProgramExecution:
                     return k
         return following
 
-    def record_begun(self, index: int) -> None:
-        """Records that the commit of a stage has begun: the stage can no longer be replaced."""
-        self._begun = max(self._begun, index)
-
     def record_reached(self, index: int, before: int, switched: bool, settled: float) -> None:
-        """Records that the outputs have reached a stage.
-
-        Args:
-            index: of the stage.
-            before: states before the stage.
-            switched: whether anything was switched.
-            settled: when the last switched actuator has settled, by its travel time [s].
-        """
+        """Records that the outputs have reached a stage from the states `before`; it settles at `settled` [s]."""
         if self.taken >= 0 and self._stages[self.taken].mark >= 0:
             self.stages, self.planned = 0, True
         skipped = range(self.taken + 1, index)
         as_planned = before == self.state(self.taken) and all(self._states[k] == before for k in skipped)
         self.planned = self.planned and as_planned
         self.stages += switched
-        self.record_begun(index)
+        self.begun = max(self.begun, index)
         self.taken = index
         stage = self._stages[index]
         if stage.mark >= 0:
@@ -155,11 +131,6 @@ class ProgramExecution:
         return True
 
     @property
-    def waiting(self) -> bool:
-        """Whether the mark reached has not settled yet."""
-        return self._settles is not None
-
-    @property
     def idle(self) -> bool:
         """Whether all stages so far were taken, and the last mark has settled."""
         return self.taken == len(self._stages) - 1 and self._settles is None
@@ -167,8 +138,7 @@ class ProgramExecution:
     def find_end(self, clock: float) -> End | None:
         """Returns how an idle program ends; None while it waits for further stages. Call every period.
 
-        Args:
-            clock: awake time of the executor [s]; its own stall is no delay of the planner.
+        `clock` is the executor's awake time [s]: its own stall is no delay of the planner.
         """
         name = self.program.name
         if self.final:
@@ -188,7 +158,7 @@ class ProgramExecution:
         first = message.first
         if message.generation <= self._generation:
             raise StageMisfit("it is older than the last replacement")
-        if not self._begun < first <= len(self._stages):
+        if not self.begun < first <= len(self._stages):
             raise StageMisfit(f"stage {first} has begun, or is not the next to append")
         if first + len(message.stages) > MOST_PROGRAM_STAGES:
             raise StageMisfit(f"a program may have {MOST_PROGRAM_STAGES} stages")
@@ -207,19 +177,7 @@ class ProgramExecution:
 
 
 def check_stages(stages: Sequence[Stage], before: int, earliest: float, most: int, locked: int, actuators: int) -> None:
-    """Checks successive stages.
-
-    Args:
-        stages: stages to check.
-        before: states before the first stage.
-        earliest: earliest time of the first stage, from the program's zero of time [s].
-        most: actuators that may switch at once.
-        locked: mask of the locked actuators.
-        actuators: number.
-
-    Raises:
-        StageMisfit: a stage does not fit; the text says why.
-    """
+    """Raises StageMisfit if stages do not fit. The first begins from `before`, not before the time `earliest` [s]."""
     for k, stage in enumerate(stages):
         states = checked_states(stage.states, actuators)
         differ = states ^ before
@@ -233,12 +191,85 @@ def check_stages(stages: Sequence[Stage], before: int, earliest: float, most: in
 
 
 def checked_states(states: bytes, actuators: int) -> int:
-    """Returns packed states as an integer.
-
-    Raises:
-        StageMisfit: they are states of another number of actuators.
-    """
+    """Returns packed states as an integer. Raises StageMisfit if they are of another number of actuators."""
     bits = unpack(states)
     if len(states) != (actuators + 7) // 8 or bits >> actuators:
         raise StageMisfit(f"states of {actuators} actuators are needed")
     return bits
+
+
+class SetpointStream:
+    """The latest set-point of a stream. The constructor raises StageMisfit if a stage does not fit the arm.
+
+    Attributes:
+        number: of the stream.
+        until: time after which the stream counts as stopped [s].
+        reason: sentence on the set-point, for the mode.
+        strict: no stage is skipped.
+        start: states from which the stages were planned, with the locked states of locked actuators.
+        stages: states at the end of each stage, likewise; empty: do not move.
+    """
+
+    def __init__(self, message: Setpoint, most: int, locked: LockedActuators, actuators: int) -> None:
+        self.number, self.until, self.reason = message.stream, message.until, message.reason
+        self.strict = message.strict
+        before = checked_states(message.start, actuators)
+        self.start, self.stages = locked.aligned(before), list[int]()
+        for states in (checked_states(packed, actuators) for packed in message.stages):
+            if (states ^ before) & locked.mask:
+                raise StageMisfit("a set-point switches a locked actuator", locked=True)
+            if (states ^ before).bit_count() > most:
+                raise StageMisfit(f"a stage of a set-point switches more than {most} actuators at once")
+            self.stages.append(locked.aligned(states))
+            before = states
+
+    def due(self, outputs: int, most: int) -> int | None:
+        """Returns the index of the stage to switch to; None without one, or if it was planned from other states."""
+        if not self.stages or self.start != outputs:
+            return None
+        if self.strict:
+            return 0
+        near = (k for k, states in enumerate(self.stages) if (states ^ outputs).bit_count() <= most)
+        return max(near, default=0)
+
+
+class ProgramResults:
+    """Sends the results of programs, and stores them until the planner acknowledges them."""
+
+    def __init__(self, send: Callable[[Up], None], journal: SwitchJournal) -> None:
+        self.stored: dict[int, Ended] = {}
+        self._send, self._journal = send, journal
+        self._number = 0
+
+    def add(self, execution: ProgramExecution, status: str, message: str, measured: bytes, known: bytes) -> None:
+        """Sends the single result of a program after the counts, and stores it."""
+        self._number += 1
+        program = execution.program
+        result = self.stored[self._number] = Ended(
+            result=self._number,
+            program=program.program,
+            context=program.context,
+            status=status,  # type: ignore[arg-type]
+            message=message[:1_000],
+            mark=execution.mark,
+            switches=execution.switches,
+            measured=measured,
+            known=known,
+            travels=tuple(execution.travels[:MOST_TRAVELS]),
+            verified=execution.verified,
+        )
+        if len(self.stored) > MOST_STORED:  # the planner acknowledges nothing
+            del self.stored[min(self.stored)]
+        self.send_counts()
+        self._send(result)
+
+    def acknowledge(self, number: int) -> None:
+        self.stored.pop(number, None)
+
+    def send_counts(self) -> None:
+        self._send(Counted(tuple(self._journal.counts)))
+
+    def send_again(self) -> None:
+        """Sends all stored results to a planner that has just connected."""
+        for result in self.stored.values():
+            self._send(result)

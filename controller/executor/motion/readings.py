@@ -1,34 +1,22 @@
-"""The readings of an arm: what end-stops and outputs tell about its actuators and interlocks."""
+"""What end-stops and outputs tell about an arm's actuators and interlocks, and how long travels take."""
 
-from hyperbit.controller.executor.arm.bits import merged
-from hyperbit.controller.executor.arm.kinds import Ends, Kinds
+from hyperbit.controller.executor.arm.kinds import Ends, Kinds, indices, merged
 from hyperbit.controller.executor.arm.locked import LockedActuators
 from hyperbit.controller.executor.motion.actuation import Actuation
-from hyperbit.controller.program import pack
+from hyperbit.controller.program import Travel, pack
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
 
 
 class Readings:
-    """What is known of the A actuators of an arm now; reads only.
+    """What is known of the A actuators of an arm now; reads only."""
 
-    Args:
-        master: CANopen master of the boards.
-        kinds: outputs and end-stops of the actuators.
-        actuation: the commanded states.
-        locked: the locked actuators.
-        actuators: number, A.
-    """
-
-    def __init__(
-        self, master: Master, kinds: Kinds, actuation: Actuation, locked: LockedActuators, actuators: int
-    ) -> None:
-        self._master, self._kinds, self._actuation = master, kinds, actuation
-        self._locked, self._actuators = locked, actuators
+    def __init__(self, master: Master, kinds: Kinds, actuation: Actuation, locked: LockedActuators) -> None:
+        self._master, self._kinds, self._actuation, self._locked = master, kinds, actuation, locked
+        self._actuators = len(kinds.travel)
 
     @property
     def ends(self) -> Ends:
-        """What the end-stops read."""
         return self._kinds.ends(self._master.ends)
 
     @property
@@ -48,7 +36,6 @@ class Readings:
 
     @property
     def known(self) -> int:
-        """Mask of the actuators whose measured state is known."""
         return self._master.known & ~self.homing
 
     @property
@@ -57,11 +44,52 @@ class Readings:
         return self._actuation.uncertain & ~self._locked.mask
 
     def packed(self) -> tuple[bytes, bytes]:
-        """Returns the measured states and the mask of the known ones, packed."""
-        return pack(self.measured & self.known, self._actuators), pack(self.known, self._actuators)
+        known = self.known
+        return pack(self.measured & known, self._actuators), pack(known, self._actuators)
 
     def interlock_faults(self) -> list[ArmFault]:
-        """Returns a fault for each open interlock."""
         opened = self._kinds.open(self._master.ends, self._master.inputs_known)
         places = (f"{lock.name} ({lock.bus}/{lock.node} input {lock.input})" for lock in opened)
         return [ArmFault("interlock", place, f"interlock {place} is open: close it, then reset") for place in places]
+
+
+class TravelTimes:
+    """Measures travel times from the SYNC that switched an actuator to the frame that reports its end-stop.
+
+    Times are those of the frames on the bus, so that a late loop measures the same. A travel is not measured if its
+    SYNC is not echoed, if its end-stop is read by SDO, or if the end-stop reads 1 from the beginning.
+
+    Attributes:
+        travelling: masks of the actuators whose travel to the contracted, and to the extended end is measured.
+    """
+
+    def __init__(self) -> None:
+        self.travelling = [0, 0]
+        self._begun: dict[int, float] = {}
+
+    def begin(self, mask: int, states: int, ends: Ends, at: float | None) -> None:
+        """Records that actuators were switched to `states`, at a time on the bus [s]; None: unknown.
+
+        `ends`: before the switch.
+        """
+        self.forget(mask)
+        if at is None:
+            return
+        for k in indices(mask):
+            self._begun[k] = at
+        self.travelling[0] |= mask & ~states & ~ends.contracted
+        self.travelling[1] |= mask & states & ~ends.extended
+
+    def forget(self, mask: int) -> None:
+        self.travelling = [going & ~mask for going in self.travelling]
+
+    def drain_arrived(self, ends: Ends, at: float | None) -> list[Travel]:
+        """Returns the travels that have ended since the last call, by a frame of the time `at` [s]; None: unknown."""
+        arrived = self.travelling[0] & ends.contracted | self.travelling[1] & ends.extended
+        if not arrived:
+            return []
+        extended = self.travelling[1]
+        self.forget(arrived)
+        if at is None:
+            return []
+        return [Travel(k, extended >> k & 1, max(at - self._begun[k], 0.0)) for k in indices(arrived)]

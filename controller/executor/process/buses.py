@@ -5,7 +5,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Sequence
-from typing import Protocol
 
 from hyperbit.drivers.canopen.faults import BusError
 from hyperbit.drivers.canopen.wire import cia301
@@ -23,37 +22,10 @@ APART = 0.01  # [s] between two heartbeats of a master; what the kernel kept of 
 MASTER_BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 
 
-class Buses(Protocol):
-    """All buses of an arm."""
-
-    def filenos(self) -> list[int]:
-        """Returns the file descriptors to wait on."""
-
-    def wait(self, now: float) -> float:
-        """Returns the longest time to wait before the next `poll` [s]."""
-
-    def poll(self, now: float) -> Sequence[Event]:
-        """Returns the events since the last call."""
-
-    def send_frame(self, bus: str, frame: Frame, now: float) -> None:
-        """Sends a frame; an event tells whether it was sent."""
-
-    def play_fault(self, text: str) -> str:
-        """Plays a fault in the boards; returns what happened.
-
-        Raises:
-            ValueError: the boards are real, or know no such fault.
-        """
-
-    def close(self) -> None:
-        """Closes all buses and sends nothing: the boards lose the master and do what `on_loss` says."""
-
-
 class CanBuses:
-    """CAN buses over python-can. See `Buses`. A missing bus is opened as soon as it exists."""
+    """All buses of an arm, over python-can. A missing bus is opened as soon as it exists."""
 
     def __init__(self, settings: Sequence[BusWiring]) -> None:
-        """Takes the settings of each bus."""
         self._buses = {one.name: CanBus(one) for one in settings}
         self._unopened = set(self._buses)
         self._told: dict[str, str] = {}  # why a bus could not be opened
@@ -63,11 +35,8 @@ class CanBuses:
     def listen(self, heartbeat: float) -> None:
         """Listens for another master; blocks, so call it before the loop. Other frames are dropped.
 
-        Args:
-            heartbeat: period of the own heartbeat [s].
-
-        Raises:
-            BusError: another master sends its heartbeat, or another process of this computer owns an interface.
+        `heartbeat`: period of the own one [s]. Raises BusError if another master sends its heartbeat, or if another
+        process of this computer owns an interface.
         """
         until = time.monotonic() + max(LISTEN, PERIODS * heartbeat)
         first: dict[str, float] = {}  # time of the first heartbeat, by bus
@@ -83,18 +52,18 @@ class CanBuses:
             time.sleep(POLL_EVERY)
 
     def filenos(self) -> list[int]:
-        """See `Buses`."""
+        """Returns the file descriptors to wait on."""
         numbers = [bus.fileno() for bus in self._buses.values()]
         return [number for number in numbers if number is not None]
 
     def wait(self, now: float) -> float:
-        """See `Buses`."""
+        """Returns the longest time to wait before the next `poll` [s]."""
         if self._waiting:
             return 0.0
         return math.inf if all(bus.fileno() is not None for bus in self._buses.values()) else POLL_EVERY
 
     def poll(self, now: float) -> Sequence[Event]:
-        """See `Buses`."""
+        """Returns the events since the last call."""
         if self._unopened and now >= self._next_try:
             self._open(now)
         events = list(self._waiting)
@@ -104,17 +73,17 @@ class CanBuses:
         return events
 
     def send_frame(self, bus: str, frame: Frame, now: float) -> None:
-        """See `Buses`."""
+        """Sends a frame; an event tells whether it was sent."""
         why = self._buses[bus].send_frame(frame)
         if why is not None:
             self._waiting.append(SendFailed(bus, frame, why))
 
     def play_fault(self, text: str) -> str:
-        """See `Buses`."""
+        """Raises ValueError, as simulated boards do if they know no such fault."""
         raise ValueError("the boards are real: faults are played in simulated boards only")
 
     def close(self) -> None:
-        """See `Buses`."""
+        """Closes all buses and sends nothing: the boards lose the master and do what `on_loss` says."""
         for bus in self._buses.values():
             bus.close()
 

@@ -6,7 +6,7 @@ import select
 import stat
 import sys
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from hyperbit.controller.armfile.strict import InputFaults
@@ -24,11 +24,7 @@ MOST_STEPS = 500  # of the boards in one poll, as a socket buffers a limited num
 
 
 def simulated_boards(arm: ExecutedArm, board: Sequence[str]) -> "EmbeddedBoards":
-    """Returns the simulated boards of an arm.
-
-    Args:
-        arm: from its file.
-        board: variants of the boards, in the notation of `choose`.
+    """Returns the simulated boards of an arm, with variants in the notation of `choose`.
 
     Raises:
         InputFaults: a board or variant is unknown.
@@ -41,7 +37,7 @@ def simulated_boards(arm: ExecutedArm, board: Sequence[str]) -> "EmbeddedBoards"
 
 
 class EmbeddedBoards:
-    """Simulated boards, with faults from lines on the standard input. See `Buses`.
+    """Simulated boards in place of `CanBuses`, with faults from lines on the standard input.
 
     The boards live in real time, as real boards do. While this process stands still, their heartbeats continue, and
     they lose their master after its heartbeat timeout. The next poll returns their frames, each with the time of its
@@ -49,7 +45,6 @@ class EmbeddedBoards:
     """
 
     def __init__(self, wiring: Wiring, timing: Timing, variants: Mapping[str, Variant] | None = None) -> None:
-        """Takes wiring and times of the arm, and the variant of each board by the board's name."""
         self._events: deque[Event] = deque(BusChanged(bus.name, "active", "", None) for bus in wiring.buses)
         self._boards = SimulatedBuses(
             wiring,
@@ -58,49 +53,51 @@ class EmbeddedBoards:
             variants,
             lambda bus, state: self._events.append(BusChanged(bus, state, "", None)),
         )
-        self._lines = FaultLines(self.play_fault)
+        self._reads_lines, self._rest = readable(), b""  # of faults, from the standard input
         self._at = -math.inf  # time of the boards [s]
 
     def simulation(self) -> PlayableFaults:
-        """Returns the description of these boards for clients."""
         verbs = tuple(FaultVerb(verb, *described) for verb, described in VERBS.items())
         return PlayableFaults(
             verbs, tuple(self._boards.names), tuple(self._boards.buses), tuple(self._boards.interlocks)
         )
 
     def play_fault(self, text: str) -> str:
-        """Causes or ends a fault, such as "silence can0/5"; returns the answer.
-
-        Raises:
-            ValueError: the text is no fault; the message names the choices.
-        """
         return play(self._boards, text)
 
     def filenos(self) -> list[int]:
-        """See `Buses`."""
-        return [INPUT] if self._lines.open else []
+        return [INPUT] if self._reads_lines else []
 
     def wait(self, now: float) -> float:
-        """See `Buses`."""
         return 0.0 if self._events else max(self._boards.next_due() - now, 0.0)
 
     def poll(self, now: float) -> Sequence[Event]:
-        """See `Buses`."""
-        self._lines.read()
+        self._read_lines()
         self._advance(now)
         events = list(self._events)
         self._events.clear()
         return events
 
     def send_frame(self, bus: str, frame: Frame, now: float) -> None:
-        """See `Buses`."""
         self._advance(now)  # what the boards did before this frame
         if self._boards.passes(bus):
             self._events.append(FrameEchoed(bus, frame, now))
         self._boards.receive(bus, frame, now)
 
     def close(self) -> None:
-        """See `Buses`."""
+        """Leaves the boards, as `CanBuses.close` does."""
+
+    def _read_lines(self) -> None:
+        if not self._reads_lines or not select.select([INPUT], [], [], 0)[0]:
+            return
+        data = os.read(INPUT, 4096)
+        self._reads_lines = bool(data)
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for text in filter(None, (line.decode(errors="replace").strip() for line in lines)):
+            try:
+                print(self.play_fault(text), flush=True)
+            except ValueError as error:
+                print(f"not done: {error}", file=sys.stderr, flush=True)
 
     def _advance(self, now: float) -> None:
         """Advances the boards to `now` [s], from one of their times to the next; the first call switches them on."""
@@ -111,39 +108,6 @@ class EmbeddedBoards:
             self._boards.step(self._at)
         self._at = max(now, self._at)
         self._boards.step(self._at)
-
-
-class FaultLines:
-    """Reads faults of simulated boards from lines on the standard input.
-
-    Attributes:
-        open: whether more lines may come.
-
-    Args:
-        play_fault: causes a fault; returns the answer, or raises ValueError.
-    """
-
-    def __init__(self, play_fault: Callable[[str], str]) -> None:
-        self.open = readable()
-        self._play_fault, self._rest = play_fault, b""
-
-    def read(self) -> None:
-        """Causes the faults of the lines that wait."""
-        if not self.open or not select.select([INPUT], [], [], 0)[0]:
-            return
-        data = os.read(INPUT, 4096)
-        self.open = bool(data)
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        for line in lines:
-            text = line.decode(errors="replace").strip()
-            if text:
-                self._act(text)
-
-    def _act(self, text: str) -> None:
-        try:
-            print(self._play_fault(text), flush=True)
-        except ValueError as error:
-            print(f"not done: {error}", file=sys.stderr, flush=True)
 
 
 def readable() -> bool:

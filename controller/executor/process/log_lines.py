@@ -5,6 +5,7 @@ processes are busy, and the event loop would wait for it. A thread writes only i
 write to a disk can take a tenth of a second.
 """
 
+import contextlib
 import logging
 import os
 import queue
@@ -23,18 +24,13 @@ LAST_LINES_TIMEOUT = 0.5  # [s] for the waiting lines at the end
 
 
 class LogLines(logging.Handler):
-    """Writes each line at once if the output accepts it, else with a later line.
-
-    Args:
-        output: file descriptor.
-    """
+    """Writes each line to a file descriptor at once if that accepts it, else with a later line."""
 
     def __init__(self, output: int) -> None:
         super().__init__()
         self._output, self._waiting = output, deque[bytes]()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Writes a record, queues it, or drops it if too many wait."""
         try:
             line = (self.format(record) + "\n").encode(errors="backslashreplace")
         except Exception:  # a message that does not fit its arguments must not stop the arm
@@ -44,7 +40,6 @@ class LogLines(logging.Handler):
         self._write(0.0)
 
     def close(self) -> None:
-        """Writes the waiting lines, as far as the reader accepts them."""
         self._write(LAST_LINES_TIMEOUT)
         super().close()
 
@@ -64,21 +59,14 @@ class QueuedLines(QueueHandler):
     """Queues records for the thread that writes them; drops them if the queue is full."""
 
     def enqueue(self, record: logging.LogRecord) -> None:
-        """Queues a record, or drops it."""
-        try:
+        with contextlib.suppress(queue.Full):
             self.queue.put_nowait(record)
-        except queue.Full:
-            return
 
 
 def start_logging(arm: str) -> Callable[[], None]:
     """Sends all log lines to the standard error, or to systemd's journal if the standard error is connected to it.
 
-    Args:
-        arm: name of the arm, a field of each line in the journal.
-
-    Returns:
-        A function that writes the waiting lines at the end.
+    The arm's name is a field of each line in the journal. Returns a function that writes the waiting lines at the end.
     """
     output, form = sys.stderr.fileno(), logging.Formatter("%(levelname)s %(name)s: %(message)s")
     handler: logging.Handler = LogLines(output)

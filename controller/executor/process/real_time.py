@@ -19,15 +19,10 @@ CAP_IPC_LOCK = 14  # from linux/capability.h
 def enter_real_time(settings: RealTimeSettings | None) -> str:
     """Gives the process a priority of SCHED_FIFO, unless it has one, and locks its memory.
 
-    Without permission the executor continues: motions are as safe, but the loop's period varies more.
-
-    Args:
-        settings: field `real_time` of the arm's file; None: the unit alone decides.
-
-    Returns:
-        "off", "on", or a sentence on what is missing.
+    Without permission the executor continues: motions are as safe, but the loop's period varies more. Without settings
+    the unit alone decides. Returns "off", "on", or a sentence on what is missing.
     """
-    given = is_real_time()
+    given = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in (os.SCHED_FIFO, os.SCHED_RR)
     if settings is None and not given:
         shorten_slice()
         return "off"
@@ -36,11 +31,6 @@ def enter_real_time(settings: RealTimeSettings | None) -> str:
     for word in missing:
         log.warning("real time: %s; continuing without it", word)
     return "; ".join(missing) or "on"
-
-
-def is_real_time() -> bool:
-    """Returns whether the process was started with a real-time priority."""
-    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in (os.SCHED_FIFO, os.SCHED_RR)
 
 
 def raise_priority(priority: int) -> str | None:

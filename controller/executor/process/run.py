@@ -1,5 +1,7 @@
 """The event loop: CAN, socket, ticks and signals around the core. One thread, which blocks only in `select`."""
 
+from __future__ import annotations
+
 import contextlib
 import gc
 import logging
@@ -9,6 +11,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import (
@@ -22,13 +25,16 @@ from hyperbit.controller.executor.core.events import (
     ToClient,
     ToSimulation,
 )
-from hyperbit.controller.executor.process.buses import Buses
+from hyperbit.controller.executor.process.buses import CanBuses
 from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.host.signals import ENDING, end_on_signals, ignore
 from hyperbit.controller.program import TICK
+
+if TYPE_CHECKING:
+    from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards
 
 log = logging.getLogger("executor")
 
@@ -48,21 +54,13 @@ class EventLoop:
 
     Frames are sent at once, since the arm waits for them. Messages and log lines are sent when no more events and no
     echoes of RPDOs are awaited, and at the next tick at the latest. Messages of clients that come shortly before a tick
-    wait for it.
-
-    Args:
-        core: the executor's core.
-        buses: the buses of the arm.
-        server: the socket of the clients.
-        notifier: sends states to systemd.
-        clock: CLOCK_MONOTONIC [s].
-        recorder: of the events; None: they are not recorded.
+    wait for it. `clock`: CLOCK_MONOTONIC [s].
     """
 
     def __init__(
         self,
         core: Executor,
-        buses: Buses,
+        buses: CanBuses | EmbeddedBoards,
         server: ExecutorServer,
         notifier: Notifier,
         clock: Callable[[], float] = time.monotonic,
@@ -99,11 +97,9 @@ class EventLoop:
         ignore(ENDING)  # a second signal, such as that of a parent's death, must not interrupt the end
 
     def _may_report(self, now: float) -> bool:
-        """Whether a message waits and may be sent now."""
         return bool(self._queued) and not self._core.collecting and not self._time.tick_is_near(now)
 
     def _round(self) -> None:
-        """Waits for events and handles them."""
         try:
             ready = self._wait()
             self._receive_frames()
@@ -155,46 +151,39 @@ class EventLoop:
     def _step(self, event: Event) -> None:
         """Passes an event to the core, sends its frames, and queues its other actions for `_report`."""
         now = self._clock()
+        actions: list[Action] | None = None
         try:
             actions = self._core.step(event, now)
-        except Exception:
-            self._record(event, now, None)
-            raise
-        for action in actions:
-            if isinstance(action, SendFrame):
-                self._buses.send_frame(action.bus, action.frame, self._clock())
-            else:
-                self._queued.append(action)
-        self._record(event, now, actions)
+            for action in actions:
+                if isinstance(action, SendFrame):
+                    self._buses.send_frame(action.bus, action.frame, self._clock())
+                else:
+                    self._queued.append(action)
+        finally:
+            if self._recorder is not None:
+                self._recorder(event, now, None, actions)
 
     def _may_checkpoint(self, count: int) -> bool:
         """Whether the core may be pickled: while the arm holds, or after CHECKPOINT_AT events while it moves."""
         spare = self._time.remaining(self._clock()) > CHECKPOINTING
         return spare and self._core.calm and (self._core.modes.mode != "executing" or count >= CHECKPOINT_AT)
 
-    def _record(self, event: Event, now: float, actions: list[Action] | None) -> None:
-        if self._recorder is not None:
-            self._recorder(event, now, None, actions)
-
     def _report(self, action: Action) -> None:
         match action:
             case ToClient():
                 self._server.send_message(action.client, action.message)
             case ToSimulation():
-                self._step(self._fault_played(action))
+                try:
+                    text, played = self._buses.play_fault(action.fault), True
+                except ValueError as error:
+                    text, played = str(error), False
+                self._step(FaultPlayed(action.client, action.request, text, played))
             case Notify():
                 self._notifier.notify(action.text)
             case Log():
                 log.log(action.level, "%s", action.text, extra={"journal": action.fields})
             case _:
                 pass
-
-    def _fault_played(self, action: ToSimulation) -> FaultPlayed:
-        """Plays a fault in the simulated boards."""
-        try:
-            return FaultPlayed(action.client, action.request, self._buses.play_fault(action.fault), True)
-        except ValueError as error:
-            return FaultPlayed(action.client, action.request, str(error), False)
 
     def _report_all(self) -> None:
         while self._queued:
@@ -221,22 +210,14 @@ class EventLoop:
 
 
 class Timekeeper:
-    """Ticks at a fixed phase; missed ticks are counted and skipped.
-
-    Args:
-        period: between two ticks [s].
-    """
+    """Ticks at a fixed phase, every `period` seconds; missed ticks are counted and skipped."""
 
     def __init__(self, period: float) -> None:
-        self._period = period
+        self._period, self._overruns = period, 0
         self._next = self._last = 0.0
-        self._late: list[float] = []
-        self._periods: list[float] = []
-        self._works: list[float] = []
-        self._overruns = 0
+        self._late, self._periods, self._works = list[float](), list[float](), list[float]()
 
     def start(self, now: float) -> None:
-        """Makes the first tick due now."""
         self._next = self._last = now
 
     def remaining(self, now: float) -> float:
@@ -248,7 +229,6 @@ class Timekeeper:
         return 0.0 < self._next - now < CLOSE
 
     def ticked(self, began: float, ended: float) -> None:
-        """Records begin and end of a tick, and sets the next one."""
         self._late.append(began - self._next)
         self._periods.append(began - self._last)
         self._works.append(ended - began)
@@ -285,7 +265,7 @@ class Garbage:
     Objects that live as long as the process are excluded from collection.
     """
 
-    def __enter__(self) -> "Garbage":
+    def __enter__(self) -> Garbage:
         gc.collect()
         gc.freeze()
         gc.disable()

@@ -1,15 +1,17 @@
 """The executor's socket: its clients and their messages. Nothing here blocks."""
 
-import fcntl
 import logging
 import os
 import socket
+import struct
 import time
-from collections.abc import Callable, Collection
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
+from typing import Literal
 
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
-from hyperbit.controller.executor.process.connections import ClientConnection, LimitedLog, late, superfluous
+from hyperbit.controller.host.keeper import lock_file
 from hyperbit.controller.program import (
     MOST_BYTES,
     Diagnostics,
@@ -24,15 +26,72 @@ from hyperbit.controller.program import (
 
 log = logging.getLogger(__name__)
 BACKLOG = 128  # connections that wait to be accepted
-
 MOST_ACCEPTED = 16  # connections in one poll, so that a flood of them does not block the loop
 MOST_MESSAGES = 64  # of all clients in one poll, about, so that a flood does not block the loop
 LEAST_MESSAGES = 4  # of one client in one poll
 MOST_QUEUED = 1_000  # messages that wait for a client that does not read; it is disconnected with more
+HELLO_TIMEOUT = 1.0  # [s] from the connection to its Hello
+PLACES = {"silent": 16, "operator": 15}  # the core refuses a second planner, and its connection ends at once
+LINES_EVERY = 1.0  # [s] between two lines of the log
+CREDENTIALS = struct.Struct("3i")  # SO_PEERCRED: pid, uid, gid
 
 
-class SocketInUse(Exception):
-    """Another executor uses the socket."""
+class ClientConnection:
+    """The connection of one client, with the messages that wait to be sent.
+
+    Attributes:
+        role: as its Hello says; None before the Hello.
+        closing: whether a Goodbye was sent.
+        since: time of the connection [s].
+    """
+
+    def __init__(self, number: int, connected: socket.socket, now: float) -> None:
+        connected.setblocking(False)
+        options = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
+        self.client = ClientId(number, CREDENTIALS.unpack(options)[0])
+        self.socket, self.since = connected, now
+        self.waiting: deque[bytes] = deque()
+        self.role: Literal["planner", "operator"] | None = None
+        self.closing = False
+
+    @property
+    def place(self) -> str:
+        """Which kind of place the connection takes: "silent", "operator" or "planner"."""
+        return "silent" if self.role is None or self.closing else self.role
+
+    def flush(self) -> bool:
+        """Sends waiting messages until the client's buffer is full; returns whether the connection is still open."""
+        try:
+            while self.waiting:
+                self.socket.send(self.waiting[0])
+                self.waiting.popleft()
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        return not self.closing
+
+
+def late(connection: ClientConnection, now: float) -> bool:
+    """Returns whether a connection has no role, or does not read its Goodbye, after HELLO_TIMEOUT."""
+    return connection.place == "silent" and now - connection.since >= HELLO_TIMEOUT
+
+
+def superfluous(connections: Iterable[ClientConnection]) -> Iterator[ClientConnection]:
+    """Yields the connections that are too many for PLACES.
+
+    The process with the most connections of a kind gives way, with its oldest one. A process with one connection keeps
+    its place, however many another process opens.
+    """
+    every = sorted(connections, key=lambda connection: connection.client.number)
+    for place, places in PLACES.items():
+        group = [connection for connection in every if connection.place == place]
+        counts = Counter(connection.client.pid for connection in group)
+        for _ in range(len(group) - places):
+            first = max(group, key=lambda connection: counts[connection.client.pid])  # of equals the oldest
+            group.remove(first)
+            counts[first.client.pid] -= 1
+            yield first
 
 
 class ExecutorServer:
@@ -49,19 +108,19 @@ class ExecutorServer:
         clock: of the event loop [s].
 
     Raises:
-        SocketInUse: another executor listens there; the text names its process.
+        FileInUse: another executor listens there; the text names its process.
         OSError: the socket cannot be created.
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
         self.dropped = 0
-        self._clock, self._log = clock, LimitedLog(log)
+        self._clock = clock
+        self._next_line, self._omitted = 0.0, 0  # when the next line of the log is written, and lines until then
         self._path, self._number = path, 0
         self._connections: dict[ClientId, ClientConnection] = {}
         self._gone: list[ClientId] = []
         self._buffer = memoryview(bytearray(MOST_BYTES + 1))
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._lock = lock(path.with_name(path.name + ".lock"))
+        self._lock = lock_file(path.with_name(path.name + ".lock"), f"an executor is running on {path}, process")
         path.unlink(missing_ok=True)
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         try:
@@ -72,19 +131,13 @@ class ExecutorServer:
         self._listening.listen(BACKLOG)
 
     def readable(self) -> list[int]:
-        """Returns the file descriptors to wait on for `poll`."""
         return [self._listening.fileno(), *(c.socket.fileno() for c in self._connections.values())]
 
     def writable(self) -> list[int]:
-        """Returns the file descriptors to wait on until they can be written, for `flush`."""
         return [c.socket.fileno() for c in self._connections.values() if c.waiting]
 
     def poll(self, ready: Collection[int] | None = None) -> list[FromClient | ClientGone]:
-        """Returns what the clients sent since the last call.
-
-        Args:
-            ready: readable file descriptors; None: try all.
-        """
+        """Returns what the clients sent since the last call; `ready`: readable file descriptors, None: try all."""
         now = self._clock()
         events: list[FromClient | ClientGone] = []
         known = list(self._connections.values())
@@ -101,7 +154,6 @@ class ExecutorServer:
         return events
 
     def send_message(self, client: ClientId, message: Up) -> None:
-        """Sends a message to a client, or queues it."""
         connection = self._connections.get(client)
         if connection is None or connection.closing:
             return
@@ -116,18 +168,15 @@ class ExecutorServer:
             self._drop(connection)
 
     def flush(self) -> None:
-        """Sends what waits."""
         for connection in list(self._connections.values()):
             if connection.waiting and not connection.flush():
                 self._drop(connection)
 
     @property
     def waiting(self) -> bool:
-        """Whether anything waits to be sent."""
         return any(connection.waiting for connection in self._connections.values())
 
     def close(self) -> None:
-        """Closes all connections and removes the socket."""
         for connection in list(self._connections.values()):
             self._drop(connection)
         self._listening.close()
@@ -142,7 +191,7 @@ class ExecutorServer:
             except BlockingIOError:
                 return
             except OSError as error:  # out of file descriptors
-                self._log.warning(f"a client cannot connect: {error}", now)
+                self._warn(f"a client cannot connect: {error}", now)
                 return
             self._number += 1
             connection = ClientConnection(self._number, connected, now)
@@ -158,7 +207,6 @@ class ExecutorServer:
             self._close(connection, f"too many {connection.place} connections", now)
 
     def _read(self, connection: ClientConnection, events: list[FromClient | ClientGone]) -> None:
-        """Reads the messages of a client; drops a connection that was closed."""
         for _ in range(max(LEAST_MESSAGES, MOST_MESSAGES // len(self._connections))):
             try:
                 size = connection.socket.recv_into(self._buffer)
@@ -172,7 +220,7 @@ class ExecutorServer:
             try:
                 message = decode_down(bytes(self._buffer[:size]))
             except Malformed as error:
-                self._log.warning(f"process {connection.client.pid}: {error}", self._clock())
+                self._warn(f"process {connection.client.pid}: {error}", self._clock())
                 self.send_message(connection.client, Goodbye(str(error)[:1_000]))
                 return
             if not connection.closing:
@@ -181,8 +229,7 @@ class ExecutorServer:
                 events.append(FromClient(connection.client, message))
 
     def _close(self, connection: ClientConnection, why: str, now: float) -> None:
-        """Closes a connection and logs the reason."""
-        self._log.warning(f"the connection of process {connection.client.pid} is closed: {why}", now)
+        self._warn(f"the connection of process {connection.client.pid} is closed: {why}", now)
         self._drop(connection)
 
     def _drop(self, connection: ClientConnection) -> None:
@@ -190,20 +237,11 @@ class ExecutorServer:
             connection.socket.close()
             self._gone.append(connection.client)
 
-
-def lock(path: Path) -> int:
-    """Locks a file, writes the process id into it, and returns its file descriptor.
-
-    Raises:
-        SocketInUse: another process has locked the file.
-    """
-    number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        pid = os.pread(number, 32, 0).decode(errors="replace").strip() or "unknown"
-        os.close(number)
-        raise SocketInUse(f"an executor is running on {path.with_suffix('')}, process {pid}") from None
-    os.ftruncate(number, 0)
-    os.pwrite(number, b"%d\n" % os.getpid(), 0)
-    return number
+    def _warn(self, text: str, now: float) -> None:
+        """Writes at most one warning in LINES_EVERY, and counts the others."""
+        if now < self._next_line:
+            self._omitted += 1
+            return
+        more = f" ({self._omitted} warnings like this were not written)" if self._omitted else ""
+        log.warning("%s%s", text, more)
+        self._next_line, self._omitted = now + LINES_EVERY, 0

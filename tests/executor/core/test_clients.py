@@ -2,9 +2,9 @@
 
 import pytest
 
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ExecutorTick
-from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.host.process import Notify, Quit
 from hyperbit.controller.program import (
     MOST_BYTES,
@@ -176,7 +176,7 @@ def test_a_snapshot_fits_a_message_whatever_is_wrong(rig: Rig) -> None:
 def test_systemd_is_told_that_the_boards_are_simulated() -> None:
     core = Executor(
         small_arm(),
-        MemoryJournal(SIZE),
+        SwitchJournal(SIZE),
         instance=7,
         simulation=PlayableFaults((), (), (), ()),
         build_master=FakeMaster,

@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from hyperbit.controller.executor.motion.actuation import BUSY_FOR
-from hyperbit.controller.executor.motion.clearance import ANSWER_WITHIN
+from hyperbit.controller.executor.motion.motion import ANSWER_WITHIN
 from hyperbit.controller.program import TICK, Clearance, Ended, Question, Replaced, Replacement, Stage, pack
 from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.executor.arm.kinds import Ends
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
-from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
-from hyperbit.controller.executor.motion.travel_times import TravelTimes
+from hyperbit.controller.executor.motion.readings import TravelTimes
 from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards
 from hyperbit.controller.program import VERSION, Alive, Ended, Hello, Program, Snapshot, Stage, Travel, pack
 from hyperbit.drivers.simulation.buses import _LEAST_PULSE
@@ -65,7 +65,7 @@ def test_frames_that_are_read_late_give_the_same_times() -> None:
 def test_boards_inside_an_executor_that_stalls_give_their_own_times(lateness: float) -> None:
     now = 50.0
     arm = small_arm(channel={**BOTH, "travel": (0.16, 0.24)})
-    core, boards = Executor(arm, MemoryJournal(SIZE), instance=1), EmbeddedBoards(arm.wiring, arm.timing)
+    core, boards = Executor(arm, SwitchJournal(SIZE), instance=1), EmbeddedBoards(arm.wiring, arm.timing)
     heard: list[Any] = []
 
     def do(event: Any) -> None:
@@ -106,7 +106,7 @@ def test_a_way_whose_frames_tell_no_time_is_not_measured(begun: float | None, en
     times = TravelTimes()
     times.begin(0b1, 0b1, Ends(0, 0b1), begun)
     assert times.drain_arrived(Ends(0b1, 0), ended) == []
-    assert not times.measuring
+    assert not any(times.travelling)
 
 
 def test_a_way_that_was_called_back_is_measured_anew() -> None:
@@ -115,4 +115,4 @@ def test_a_way_that_was_called_back_is_measured_anew() -> None:
     times.begin(0b1, 0b0, Ends(0, 0), 1.1)
     assert times.drain_arrived(Ends(0, 0), 1.15) == []
     assert times.drain_arrived(Ends(0, 0b1), 1.2) == [Travel(0, 0, pytest.approx(0.1))]
-    assert not times.measuring
+    assert not any(times.travelling)

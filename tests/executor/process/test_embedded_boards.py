@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ExecutorTick, FromClient, SendFrame, ToClient
-from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.executor.process.embedded_boards import EmbeddedBoards, simulated_boards
 from hyperbit.controller.program import TICK, VERSION, Alive, Hello, Snapshot
 from tests.executor.rig import PLANNER, SIZE, small_arm
@@ -27,7 +27,7 @@ class Loop:
         self.arm, self.now = small_arm(), 50.0
         self.boards: EmbeddedBoards = simulated_boards(self.arm, [])
         self.snapshots: list[Snapshot] = []
-        self._core = Executor(self.arm, MemoryJournal(SIZE), instance=1)
+        self._core = Executor(self.arm, SwitchJournal(SIZE), instance=1)
         self._do(FromClient(PLANNER, Hello(VERSION, "planner", "small")))
         self.run(3.0)
         assert self.snapshots[-1].mode == "ready", self.snapshots[-1].reason

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import DEFECT, Executor
 from hyperbit.controller.executor.core.events import Defect, ExecutorTick, ToClient
-from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.executor.process.run import CLOSE, EventLoop
 from hyperbit.controller.executor.process.server import ExecutorServer
 from hyperbit.controller.host.notify import Notifier
@@ -62,7 +62,7 @@ class Bench:
 
     def __init__(self, path: Path, **fields: Any) -> None:
         self.now, self.step = 10.0, TICK
-        self.core = Executor(small_arm(**fields), MemoryJournal(SIZE), 1, build_master=FakeMaster)
+        self.core = Executor(small_arm(**fields), SwitchJournal(SIZE), 1, build_master=FakeMaster)
         self.buses, self.server = NoBuses(), ExecutorServer(path, lambda: self.now)
         self.loop = EventLoop(self.core, self.buses, self.server, Notifier(), clock=lambda: self.now)
         self.loop._time.start(self.now + TICK)

@@ -11,8 +11,15 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
-from hyperbit.controller.executor.process.connections import HELLO_TIMEOUT, PLACES, ClientConnection, superfluous
-from hyperbit.controller.executor.process.server import MOST_QUEUED, ExecutorServer, SocketInUse
+from hyperbit.controller.executor.process.server import (
+    HELLO_TIMEOUT,
+    MOST_QUEUED,
+    PLACES,
+    ClientConnection,
+    ExecutorServer,
+    superfluous,
+)
+from hyperbit.controller.host.keeper import FileInUse
 from hyperbit.controller.host.sockets import default_socket, found_sockets, socket_path
 from hyperbit.controller.program import (
     MOST_BYTES,
@@ -262,7 +269,7 @@ def test_a_flood_of_connections_writes_few_lines(
 
 
 def test_a_second_executor_hears_who_the_first_is(server: ExecutorServer, path: Path) -> None:
-    with pytest.raises(SocketInUse, match=f"running on {path}, process {os.getpid()}"):
+    with pytest.raises(FileInUse, match=f"running on {path}, process {os.getpid()}"):
         ExecutorServer(path)
 
 

@@ -8,9 +8,9 @@ import time
 from pathlib import Path
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, ExecutorTick, FromClient, ToClient
-from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.program import TICK, decode_down, encode
 from tests.executor.rig import SIZE, FakeMaster, small_arm
 from tests.planning.rig.executor import DIGEST
@@ -27,7 +27,7 @@ class CoreExecutor:
     def __init__(self, path: Path) -> None:
         arm: ExecutedArm = small_arm()
         assert arm.digest == DIGEST
-        self.journal = MemoryJournal(SIZE)
+        self.journal = SwitchJournal(SIZE)
         self.core = Executor(arm, self.journal, instance=1, build_master=FakeMaster)
         self.master: FakeMaster = self.core._master  # type: ignore[assignment]
         self.frozen, self.closed = threading.Event(), threading.Event()

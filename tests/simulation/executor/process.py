@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from random import Random
 
 from hyperbit.controller.executor.arm.arm import ExecutedArm
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
 from hyperbit.controller.executor.core.core import Executor
 from hyperbit.controller.executor.core.events import (
     Action,
@@ -19,7 +20,6 @@ from hyperbit.controller.executor.core.events import (
     ToClient,
     ToSimulation,
 )
-from hyperbit.controller.executor.journal.switch_journal import MemoryJournal
 from hyperbit.controller.flight_recorder import FlightRecorder
 from hyperbit.controller.host.process import Log, Notify, Quit
 from hyperbit.controller.program import TICK, Goodbye, Up
@@ -92,7 +92,7 @@ class ExecutorProcess:
         witness: Witness,
         habits: Habits | None = None,
     ) -> None:
-        self.journal = MemoryJournal(len(arm.actuators))
+        self.journal = SwitchJournal(len(arm.actuators))
         self.core: Executor | None = None
         self.instances = 0
         self.recorder: FlightRecorder | None = None

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperbit.controller.executor.journal.journal_copy import PAGE, JournalInUse
-from hyperbit.controller.executor.journal.switch_journal import FileJournal, MemoryJournal, default_path, shared_path
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
+from hyperbit.controller.executor.process.journal_file import PAGE, FileJournal, default_path, shared_path
+from hyperbit.controller.host.keeper import FileInUse
 
 LABELS = [f"1.{k}" for k in range(11)]
 
@@ -22,8 +23,8 @@ def path(tmp_path: Path) -> Path:
 
 def killed(journal: FileJournal) -> None:
     """Releases the files like the end of the process, without a further write."""
-    journal._closing.close()
     journal._map.close()
+    journal._memory.close()
 
 
 def switched(journal: FileJournal, states: int) -> None:
@@ -36,7 +37,7 @@ def test_a_journal_is_pickled_without_its_files(path: Path) -> None:
     switched(journal, 0b101)
     journal.intend(0b101, 0b100)
     copy = pickle.loads(pickle.dumps(journal))
-    assert type(copy) is MemoryJournal
+    assert type(copy) is SwitchJournal
     assert (copy.resolve(0b100), copy.counts) == (1, [2, 0, 1] + [0] * 8)
     assert journal.counts[0] == 1
     journal.close()
@@ -57,7 +58,7 @@ def test_counts_survive_a_killed_process(path: Path) -> None:
 
 
 def test_intended_switches_that_did_not_happen_are_not_counted() -> None:
-    journal = MemoryJournal(4)
+    journal = SwitchJournal(4)
     journal.intend(0b0011, 0b1100)
     assert journal.resolve(0b1011) == 0b1000
     assert journal.counts == [0, 0, 0, 1]
@@ -72,7 +73,7 @@ def test_a_torn_record_leaves_the_previous_one(tmp_path_factory: pytest.TempPath
         journal.resolve(k + 1)
     last, number = list(journal.counts), journal._number
     journal.intend(0, 1)
-    begin = journal._layout.begin((number + 1) % 2)
+    begin = journal._slots[(number + 1) % 2]
     journal._map[begin + at] ^= 0xFF
     killed(journal)
     journal = FileJournal(path, LABELS)
@@ -160,7 +161,7 @@ def test_a_disk_that_fails_at_the_end_leaves_the_file_in_memory(
     journal = FileJournal(path, LABELS)
     switched(journal, 0b11)
     with monkeypatch.context() as patched:
-        patched.setattr(os, "fdatasync", fail)
+        patched.setattr(os, "fsync", fail)
         journal.close()
     assert "no space left" in caplog.text
     path.unlink()
@@ -200,7 +201,7 @@ def test_a_start_without_a_writable_folder_is_a_warning(tmp_path: Path) -> None:
     journal = FileJournal(path, LABELS)
     assert f"cannot be written to {path}" in (journal.problem or "")
     switched(journal, 0b11)
-    with pytest.raises(JournalInUse):
+    with pytest.raises(FileInUse):
         FileJournal(path, LABELS)
     killed(journal)
     journal = FileJournal(path, LABELS)
@@ -222,7 +223,7 @@ def test_counts_of_other_actuators_are_not_taken_over(path: Path) -> None:
 
 def test_a_second_user_hears_who_the_first_is(path: Path) -> None:
     journal = FileJournal(path, LABELS)
-    with pytest.raises(JournalInUse, match=f"in use by process {os.getpid()}"):
+    with pytest.raises(FileInUse, match=f"in use by process {os.getpid()}"):
         FileJournal(path, LABELS)
     journal.close()
     FileJournal(path, LABELS).close()

@@ -1,6 +1,5 @@
 """The copier: counts of switches survive a power failure, and the event loop never waits for the disk."""
 
-import itertools
 import os
 import resource
 import shutil
@@ -14,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from hyperbit.controller.executor.journal import copier
-from hyperbit.controller.executor.journal.journal_copy import PAGE, JournalInUse, locked_file
-from hyperbit.controller.executor.journal.switch_journal import FileJournal, shared_path
+from hyperbit.controller.executor.process import journal_file
+from hyperbit.controller.executor.process.journal_file import PAGE, FileJournal, shared_path
+from hyperbit.controller.host.keeper import FileInUse, lock_file
 
 LABELS = [f"1.{k}" for k in range(11)]
 OFTEN, NEVER = 0.02, 1e6  # [s] between two copies
@@ -24,7 +23,7 @@ OFTEN, NEVER = 0.02, 1e6  # [s] between two copies
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from hyperbit.controller.executor.journal.switch_journal import FileJournal
+from hyperbit.controller.executor.process.journal_file import FileJournal
 journal = FileJournal(Path(sys.argv[1]), [f"1.{k}" for k in range(11)])
 journal.start_copier(1e6)
 journal.intend(0, 0b11)
@@ -42,7 +41,7 @@ class Bench:
         self.journal.start_copier(interval)
 
     @property
-    def copier(self) -> copier.Copier:
+    def copier(self) -> subprocess.Popen[bytes]:
         assert self.journal._copier is not None
         return self.journal._copier
 
@@ -97,79 +96,60 @@ def test_signals_to_all_processes_of_the_executor_do_not_end_the_copier(bench: B
     eventually(lambda: after_power_failure(bench.path)[0] == 1)
 
 
-def test_the_disk_is_written_only_if_counts_have_changed(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_disk_is_written_only_if_counts_have_changed(bench: Bench) -> None:
     bench.switch()
     eventually(lambda: after_power_failure(bench.path)[0] == 1)
-    content = bench.path.read_bytes()
-    disk = bench.journal._disk
-    disk.copy(bench.journal._map[:])
-    written: list[int] = []
-    monkeypatch.setattr(os, "pwrite", lambda *_: written.append(1))
-    disk.copy(bench.journal._map[:])
-    assert (written, bench.path.read_bytes()) == ([], content)
+    file = bench.path.stat().st_ino
+    time.sleep(10 * OFTEN)
+    assert bench.path.stat().st_ino == file
+    bench.switch()
+    eventually(lambda: bench.path.stat().st_ino != file)
 
 
-def test_a_copy_is_one_record_over_the_older_one(path: Path) -> None:
+@pytest.mark.parametrize("length", [0, 1, PAGE, PAGE + 50])
+def test_a_copy_that_a_power_failure_cuts_off_leaves_the_last_one(path: Path, length: int) -> None:
     bench = Bench(path, NEVER)
-    disk, layout = bench.journal._disk, bench.journal._layout
-    changed = []
-    for _ in range(5):
-        bench.switch(2)  # the numbers of both copied records are even
-        before = path.read_bytes()
-        disk.copy(bench.journal._map[:])
-        after = path.read_bytes()
-        places = {(at - PAGE) // layout.slot for at, (a, b) in enumerate(zip(before, after, strict=True)) if a != b}
-        assert len(places) == 1
-        changed += places
-    assert sorted(changed[:2]) == [0, 1]
-    assert all(a != b for a, b in itertools.pairwise(changed))
+    bench.switch()
+    bench.journal._save()
+    path.with_name(f".{path.name}.1").write_bytes(path.read_bytes()[:length])
+    assert after_power_failure(path)[0] == 1
     bench.journal.close()
 
 
-@pytest.mark.parametrize("rest", ["old", "zeros", "random"])
-def test_after_a_power_failure_at_each_byte_of_a_copy_one_record_is_whole(path: Path, rest: str) -> None:
+def test_a_copy_that_fails_leaves_the_last_one(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(path, NEVER)
-    disk, layout = bench.journal._disk, bench.journal._layout
-    for count in range(1, 4):  # each slot is written
-        before = path.read_bytes()
-        bench.switch()
-        disk.copy(bench.journal._map[:])
-        after = path.read_bytes()
-        begin = next(at for at, (a, b) in enumerate(zip(before, after, strict=True)) if a != b) // PAGE * PAGE
-        length = 4 + layout.size
-        old = {"old": before[begin : begin + length], "zeros": bytes(length), "random": os.urandom(length)}[rest]
-        for at in range(length + 1):
-            torn = after[begin : begin + at] + old[at:]
-            path.write_bytes(before[:begin] + torn + before[begin + length :])
-            expected = {count} if torn == after[begin : begin + length] else {count - 1}
-            assert {after_power_failure(path)[0]} == expected
-        path.write_bytes(after)
+    before = path.read_bytes()
+    bench.switch()
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("no space left")))
+        bench.journal._save()
+    assert "no space left" in (bench.journal.problem or "")
+    assert (path.read_bytes(), list(path.parent.iterdir())) == (before, [path])
     bench.journal.close()
 
 
 @pytest.mark.parametrize("length", [0, 1, PAGE, PAGE + 50])
-def test_a_file_that_was_cut_off_is_extended_by_the_next_copy(bench: Bench, length: int) -> None:
+def test_a_file_that_was_cut_off_is_replaced_by_the_next_copy(bench: Bench, length: int) -> None:
+    eventually(lambda: bench.path.exists())
     os.truncate(bench.path, length)
     bench.switch()
-    layout = bench.journal._layout
-    eventually(lambda: any(layout.records(bench.path.read_bytes())))
-    assert bench.path.stat().st_size == layout.length
+    eventually(lambda: bench.path.stat().st_size == len(bench.journal._map))
     eventually(lambda: after_power_failure(bench.path)[0] == 1)
 
 
 def test_the_last_record_reaches_the_disk_after_a_kill(path: Path) -> None:
     ended = subprocess.run([sys.executable, "-c", KILLED, str(path)], stderr=subprocess.PIPE, text=True)
     assert ended.returncode == -signal.SIGKILL, ended.stderr
-    shared_path(path).unlink()
 
     def released() -> bool:
         try:
-            locked_file(path).close()
-        except JournalInUse:  # the last copy
+            os.close(lock_file(shared_path(path), ""))
+        except FileInUse:  # the last copy
             return False
         return True
 
     eventually(released)
+    shared_path(path).unlink()
     journal = FileJournal(path, LABELS)
     assert journal.counts[:4] == [1, 1, 0, 0]
     assert journal.resolve(0b111) == 0b100, "the intention is on the disk as well"
@@ -177,16 +157,17 @@ def test_the_last_record_reaches_the_disk_after_a_kill(path: Path) -> None:
 
 
 def test_a_start_waits_for_the_last_copy_of_a_killed_executor(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperbit.controller.executor.journal.switch_journal.LAST_COPY", 60.0)
+    monkeypatch.setattr("hyperbit.controller.executor.process.journal_file.LAST_COPY", 60.0)
     bench = Bench(path, NEVER)
     bench.switch()
     os.kill(bench.copier.pid, signal.SIGSTOP)
-    bench.copier._input.close()
+    assert bench.copier.stdin is not None
+    bench.copier.stdin.close()
     bench.journal._map.close()
-    bench.journal._closing.close()  # as the end of the process does
+    bench.journal._memory.close()  # as the end of the process does
     waking = subprocess.Popen(["sh", "-c", f"sleep 0.3; kill -CONT {bench.copier.pid}"])
     journal = FileJournal(path, LABELS)
-    assert bench.copier._process.wait(60) == waking.wait(60) == 0
+    assert bench.copier.wait(60) == waking.wait(60) == 0
     journal.close()
     assert after_power_failure(path)[0] == 1
 
@@ -229,7 +210,7 @@ def test_a_folder_that_cannot_be_written_at_the_start_is_used_when_it_can(tmp_pa
 def test_a_disk_that_hangs_at_the_end_is_left_to_the_copier(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(copier, "ENDING", 0.05)
+    monkeypatch.setattr(journal_file, "ENDING", 0.05)
     bench = Bench(path, NEVER)
     bench.switch()
     before = path.read_bytes()
@@ -239,7 +220,7 @@ def test_a_disk_that_hangs_at_the_end_is_left_to_the_copier(
     assert bench.journal.problem in caplog.text
     assert (path.read_bytes(), shared_path(path).exists()) == (before, True)
     os.kill(bench.copier.pid, signal.SIGCONT)
-    assert bench.copier._process.wait(60) == 0
+    assert bench.copier.wait(60) == 0
     shared_path(path).unlink()
     assert after_power_failure(path)[0] == 1
 
@@ -270,11 +251,11 @@ def test_the_copier_keeps_no_file_of_the_executor_but_its_own(bench: Bench) -> N
     eventually(lambda: after_power_failure(bench.path)[0] == 1)
     folder = Path(f"/proc/{bench.copier.pid}/fd")
     opened = sorted(os.readlink(file).split(":")[0] for file in folder.iterdir())
-    assert opened == sorted(["pipe", "pipe", "/dev/null", str(bench.path), str(shared_path(bench.path))])
+    assert opened == sorted(["pipe", "pipe", "/dev/null", str(shared_path(bench.path))])
     assert os.sched_getscheduler(bench.copier.pid) == os.SCHED_OTHER
-    with pytest.raises(JournalInUse, match=f"the switch journal {bench.path} is in use by process {os.getpid()}"):
+    with pytest.raises(FileInUse, match=f"the switch journal {bench.path} is in use by process {os.getpid()}"):
         FileJournal(bench.path, LABELS)
-    locked_file(bench.path.with_name("other")).close()
+    os.close(lock_file(bench.path.with_name("other"), ""))
 
 
 def test_switching_calls_nothing_that_may_wait_for_a_file(bench: Bench) -> None:

@@ -1,0 +1,170 @@
+"""The switch journal's files: counts of switches survive a killed process, a reboot and a power failure.
+
+A disk can keep a writer waiting for seconds, even if the file is mapped into memory. Therefore the executor writes to a
+file in memory, which systemd keeps for a service, and which is in /dev/shm otherwise. This file outlives the process,
+but not a reboot. So a keeper copies it whole to the disk once a minute, and once more when the executor has ended in
+any way. The executor itself writes the disk only at its start, and at its end when the keeper has ended.
+"""
+
+import contextlib
+import hashlib
+import logging
+import mmap
+import os
+import struct
+import subprocess
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO
+
+from hyperbit.controller.executor.arm.switch_journal import SwitchJournal
+from hyperbit.controller.host.folders import state_folder
+from hyperbit.controller.host.keeper import SHARED, lock_file, start_keeper, write_whole
+
+log = logging.getLogger(__name__)
+
+INTERVAL = 60.0  # [s] between two copies, which a power failure loses
+LAST_COPY = 2.0  # [s] for the last copy after an earlier executor
+ENDING = 1.0  # [s] for the last copy
+PAGE = mmap.PAGESIZE
+CRC = 4  # bytes of the checksum before each record
+
+
+class FileJournal(SwitchJournal):
+    """A journal in a file in memory and its copy on the disk.
+
+    The file begins with a page that names the process. Two slots of whole pages follow. Each write goes over the older
+    of their records, so that a process that is killed meanwhile leaves the other one. A record has a checksum, its
+    number, a checksum of the actuators' labels, the counts, and the intended switches.
+
+    A disk that is full or read-only is a problem, but no error: counts are kept in memory, and each copy tries again.
+
+    Args:
+        path: of the file on the disk.
+        actuators: labels (A,); counts of other actuators are not read.
+        memory: file in memory, empty or of an earlier process; None: one in /dev/shm, which `close` removes. FileInUse
+            is raised if another process uses it.
+    """
+
+    def __init__(self, path: Path, actuators: Sequence[str], memory: IO[bytes] | None = None) -> None:
+        super().__init__(len(actuators))
+        self._path, self._labels, self._number = path, zlib.crc32("\n".join(actuators).encode()), 0
+        self._octets = (len(actuators) + 7) // 8
+        self._record = struct.Struct(f"<QI{len(actuators)}Q{self._octets}s{self._octets}s")
+        slot = -(-(CRC + self._record.size) // PAGE) * PAGE
+        self._slots, length = (PAGE, PAGE + slot), PAGE + 2 * slot
+        self._copier: subprocess.Popen[bytes] | None = None
+        self._damaged = self._unsaved = ""
+        self._shared = None
+        if memory is None:
+            self._shared = shared_path(path)
+            number = lock_file(self._shared, f"the switch journal {path} is in use by process", LAST_COPY)
+            memory = os.fdopen(number, "r+b", buffering=0)
+        self._memory = memory
+        os.posix_fallocate(memory.fileno(), 0, length)  # no SIGBUS when the memory is full
+        self._map = mmap.mmap(memory.fileno(), length)
+        kept = b""
+        with contextlib.suppress(OSError):
+            kept = path.read_bytes()
+        found = self._read(kept), self._read(self._map[:])
+        if any(kept) and not any(found):
+            self._damaged = f"{path} is damaged or of other actuators: counts of switches continue from the ledger's"
+            log.warning("%s", self._damaged)
+        self._write()
+        self._save()
+
+    @property
+    def problem(self) -> str | None:
+        """See `SwitchJournal`. Never waits."""
+        if self._copier is not None and self._copier.stdout is not None and not self._copier.stdout.closed:
+            with contextlib.suppress(BlockingIOError):
+                told = os.read(self._copier.stdout.fileno(), 1 << 16).splitlines()
+                self._note(told[-1].decode(errors="replace") if told else "the process that copies them has ended")
+                if not told:
+                    self._copier.stdout.close()
+        return "; ".join(text for text in (self._unsaved, self._damaged) if text) or None
+
+    def start_copier(self, interval: float = INTERVAL) -> None:
+        """Starts the keeper that copies the counts to the disk. Call before the real time begins.
+
+        The keeper shares the lock on the file in memory: another executor begins after the last copy. Without a keeper
+        the counts are copied by `close`.
+        """
+        memory = self._memory.fileno()
+        try:
+            self._copier = start_keeper("copy", memory, self._path.absolute(), interval, files=[memory])
+        except OSError as error:
+            self._note(f"the process that copies them cannot be started: {error}")
+
+    def close(self) -> None:
+        """Copies the counts to the disk and closes the files. Does not write beside a keeper that hangs."""
+        if self._map.closed:
+            return
+        if (copier := self._copier) is not None:
+            for pipe in filter(None, (copier.stdin, copier.stdout)):
+                pipe.close()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                copier.wait(ENDING)
+        if copier is not None and copier.returncode is None:
+            self._note(f"the disk is slow; process {copier.pid} still copies them")
+        elif self._save() and self._shared is not None:
+            self._shared.unlink(missing_ok=True)
+        self._map.close()
+        self._memory.close()
+
+    def _save(self) -> bool:
+        """Copies the counts to the disk; returns whether that succeeded. A failure becomes the problem."""
+        error = ""
+        try:
+            write_whole(self._path, self._map[:])
+        except OSError as failure:
+            error = str(failure)
+        self._note(error)
+        return not error
+
+    def _note(self, error: str) -> None:
+        """Notes why the last copy to the disk failed, "" if it succeeded; a change is logged."""
+        text = error and (
+            f"counts of switches cannot be written to {self._path}: {error}; they are kept in memory, and a power"
+            " failure loses them: free disk space, make the folder writable, or restart the executor"
+        )
+        if text and text != self._unsaved:
+            log.error("%s", text)
+        elif self._unsaved and not text:
+            log.info("counts of switches are written to %s again", self._path)
+        self._unsaved = text
+
+    def _write(self) -> None:
+        if self._map.closed:
+            return
+        self._number += 1
+        intended, after = (bits.to_bytes(self._octets, "little") for bits in (self._intended, self._after))
+        body = self._record.pack(self._number, self._labels, *self.counts, intended, after)
+        begin = self._slots[self._number % 2]
+        self._map[begin : begin + CRC + len(body)] = zlib.crc32(body).to_bytes(CRC, "little") + body
+
+    def _read(self, content: bytes) -> bool:
+        """Takes the newest intact record if it is newer; returns whether there is a record of these actuators."""
+        found = False
+        for begin in self._slots:
+            body = content[begin + CRC : begin + CRC + self._record.size]
+            intact = zlib.crc32(body).to_bytes(CRC, "little") == content[begin : begin + CRC]
+            if len(body) < self._record.size or not intact:
+                continue
+            number, labels, *counts, intended, after = self._record.unpack(body)
+            found |= labels == self._labels
+            if labels == self._labels and number > self._number:
+                self._number, self.counts = number, list(counts)
+                self._intended, self._after = (int.from_bytes(bits, "little") for bits in (intended, after))
+        return found
+
+
+def shared_path(path: Path) -> Path:
+    """Returns the path in /dev/shm of the file in memory of a journal on the disk."""
+    name = hashlib.blake2b(os.fsencode(path.absolute()), digest_size=8).hexdigest()
+    return SHARED / f"hyperbit-{os.getuid()}-{name}.switches"
+
+
+def default_path(arm: str, *, simulated: bool = False) -> Path:
+    return state_folder(simulated=simulated) / f"{arm}.switches"
