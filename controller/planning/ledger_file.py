@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperbit.controller.host.folders import state_folder
-from hyperbit.controller.planning.core.events import Identity, OpenGoal, Record
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Record
 
 log = logging.getLogger(__name__)
 
@@ -154,7 +154,7 @@ def counted(path: Path) -> dict[str, int]:
         return {}
 
 
-def owed(path: Path) -> tuple[OpenGoal, ...]:
+def owed(path: Path) -> dict[Identity, AcceptanceEntry]:
     """Returns the newest thousand goals without a result, the oldest first; none if the ledger cannot be read.
 
     Goals of earlier versions have no identity: no result can be found for them.
@@ -164,8 +164,8 @@ def owed(path: Path) -> tuple[OpenGoal, ...]:
             rows = connection.execute(OWED, (MOST_OWED,)).fetchall()
     except sqlite3.Error as error:  # also a missing file, and one of an earlier version
         log.debug("no goals in the ledger %s: %s", path, error)
-        return ()
-    return tuple(OpenGoal(Identity(*row[:2]), *row[2:]) for row in reversed(rows))
+        return {}
+    return {Identity(*row[:2]): AcceptanceEntry(*row[2:]) for row in reversed(rows)}
 
 
 def read(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:

@@ -33,15 +33,9 @@ Message = GoalMessage | Jog | CancelMessage | DegradeMessage | SentObstacles | F
 # --- events
 
 
-class Arrival(NamedTuple):
-    """The arrival of a request, set-point or measured tip at the gateway.
-
-    Requests may reach the core in another order: their numbers decide. What arrives just after the process stood still
-    may have waited since it did: `at` is then the beginning of the standstill.
-    """
-
-    number: int  # from 1, ascending
-    at: float  # [s, the monotonic clock]
+class Arrival(NamedTuple):  # of a request, set-point or measured tip at the gateway
+    number: int  # from 1, ascending; requests may reach the core in another order: their numbers decide
+    at: float  # [s, the monotonic clock]; after a standstill its beginning, because the request may have waited since
 
 
 class Request(NamedTuple):
@@ -68,7 +62,7 @@ class Unsent(NamedTuple):  # of a `stop` or `cancel` to the executor; comes afte
 class SetpointArrived(NamedTuple):  # the latest one of a sender
     payload: bytes
     arrival: Arrival
-    sender: str = ""  # what the sender attaches; "" if nothing
+    sender: str = ""  # what the sender attaches
 
 
 class TipArrived(NamedTuple):  # the latest measured tip of a sender
@@ -106,8 +100,8 @@ class Warned(NamedTuple):
     warnings: tuple[Fault, ...]  # active ones of the shell: clock, network, ledger
 
 
-class Tick(NamedTuple):
-    """The time of the last `Wake` has come."""
+class Tick(NamedTuple):  # the time of the last `Wake` has come
+    pass
 
 
 Event = Request | Unsent | Arrived | FromExecutor | LinkDown | Answered | Published | Recorded | Warned | Tick | Quit
@@ -126,18 +120,9 @@ class Publish(NamedTuple):
     payload: Payload
 
 
-class Identity(NamedTuple):
-    """Identifies a program for ever: the executor's process, and the number of the program."""
-
-    instance: int
+class Identity(NamedTuple):  # identifies a program for ever
+    instance: int  # the executor's process
     program: int
-
-
-class OpenGoal(NamedTuple):  # accepted, without a result
-    identity: Identity
-    goal: str
-    wall: float
-    waypoints: int
 
 
 class PublishResult(NamedTuple):
@@ -211,10 +196,8 @@ class Fail(NamedTuple):  # a worker does not answer: the process must end; the s
     reason: str
 
 
-ForClients = Reply | Publish | PublishResult
-ForLedger = Record | RecordCounts
-ForWorkers = Start | Abandon | Hurry
-Action = ForClients | ForLedger | ForWorkers | ToExecutor | Disconnect | Wake | Notify | Log | Fail
+ForShell = Disconnect | Wake | Notify | Log | Fail
+Action = Reply | Publish | PublishResult | Record | RecordCounts | Start | Abandon | Hurry | ToExecutor | ForShell
 
 
 def done(message: str) -> Payload:
