@@ -51,13 +51,10 @@ REMEMBERED = 10.0  # [s] for which a warning stays after its cause
 
 
 class Daemon:
-    """A daemon that serves an arm."""
-
     def __init__(self) -> None:
         self.failure: str | None = None  # why the process must end, so that the service manager starts it again
 
-    def fail(self, message: str) -> None:
-        """Notes that the process must end. For any thread."""
+    def fail(self, message: str) -> None:  # for any thread
         log.critical("the daemon must end: %s", message)
         self.failure = self.failure or message
 
@@ -92,8 +89,8 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
         closing.callback(book.close)
         published = PublishedResults(published_path(name, socket))
         goals, notifier = RepeatedGoals(), Notifier()
-        prefix = f"hyperbit/{name}"
-        outbox = Outbox(session, prefix, goals.ended, published.add, inbox.post, daemon.fail, lease(config))
+        hooks = goals.ended, published.add, inbox.post, daemon.fail
+        outbox = Outbox(session, f"hyperbit/{name}", *hooks, lease(config))
         outbox.start()
         closing.callback(outbox.close)
         warnings = Warnings(reachable(session, config), book.faults)
@@ -104,8 +101,9 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
         link = ExecutorLink(socket, name, digest, simulated=simulated)
         planner = closing.enter_context(planning(arm, densities, link, services, recorder, simulated=simulated))
         claim.confirm()
-        parts = GatewayParts(planner, outbox, goals, saved_poses(arm, ledger), partial(find, ledger))
-        server = Server(session, name, parts)
+        first = format_configuration(arm.manipulator, np.zeros(len(arm.manipulator.modules), np.int64))
+        poses = Poses(ledger.with_name(f"{ledger.stem}.poses.json"), first)
+        server = Server(session, name, GatewayParts(planner, outbox, goals, poses, partial(find, ledger)))
         closing.callback(server.close)
         planner.loop.start()  # not before the keys are declared: who receives a state may send a request
         gc.collect()
@@ -117,12 +115,6 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
             log.warning("%s", warning)
         log.info("serving the arm %s%s", name, ", whose boards are simulated" if simulated else "")
         yield daemon
-
-
-def saved_poses(arm: Arm, ledger: Path) -> Poses:
-    """Returns the poses of an arm, which are kept beside its ledger; "home" has all modules in their first state."""
-    first = np.zeros(len(arm.manipulator.modules), np.int64)
-    return Poses(ledger.with_name(f"{ledger.stem}.poses.json"), format_configuration(arm.manipulator, first))
 
 
 class Warnings:

@@ -16,7 +16,8 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, Any, NamedTuple
@@ -95,7 +96,10 @@ class Ledger:
         due, closing = 0.0, False  # the first transaction opens the file, and detects damage
         try:
             while not closing:
-                waiting = self._waiting(due)
+                waiting = list[Record | None]()
+                with suppress(Empty):
+                    waiting.append(self._queue.get(timeout=max(due - time.monotonic(), 0.0)))
+                    waiting += [self._queue.get() for _ in range(self._queue.qsize())]
                 closing, records = None in waiting, [record for record in waiting if record is not None]
                 unwritten.extend(records)
                 if self._write(unwritten):
@@ -109,15 +113,7 @@ class Ledger:
         finally:
             self._file.close()
 
-    def _waiting(self, due: float) -> list[Record | None]:
-        """Returns what is in the queue; waits for it until the time `due` [s]."""
-        try:
-            first = self._queue.get(timeout=max(due - time.monotonic(), 0.0))
-        except Empty:
-            return []
-        return [first, *(self._queue.get() for _ in range(self._queue.qsize()))]
-
-    def _write(self, records: Iterable[Record]) -> bool:
+    def _write(self, records: Sequence[Record]) -> bool:
         for _ in range(2):  # the second time into a new file, if the old one is damaged
             try:
                 self._file.write(records, self.known)
@@ -163,9 +159,7 @@ def locked_file(ledger: Path) -> IO[bytes] | None:
     return file
 
 
-class Mark(NamedTuple):
-    """A published result, one JSON array in a line."""
-
+class Mark(NamedTuple):  # a published result, one JSON array in a line
     instance: int
     program: int
     status: str
@@ -209,9 +203,9 @@ class PublishedResults:
         if len(self._marks) > 2 * MOST_MARKS:
             self._marks = dict(list(self._marks.items())[-MOST_MARKS:])
             new = self._path.with_name(f"{self._path.name}.new")
-            self._write(new, os.O_TRUNC, b"".join(map(encoded, self._marks.values())), self._path)
+            self._write(new, os.O_TRUNC, msgspec.json.Encoder().encode_lines(self._marks.values()), self._path)
         else:
-            self._write(self._path, os.O_APPEND, b"\n" * self._torn + encoded(mark))
+            self._write(self._path, os.O_APPEND, b"\n" * self._torn + msgspec.json.encode(mark) + b"\n")
 
     def _write(self, path: Path, flag: int, data: bytes, target: Path | None = None) -> None:
         """Writes data. The file is opened each time: systemd may have deleted the folder, and made it again."""
@@ -235,10 +229,6 @@ def published_path(arm: str, socket: Path) -> Path:
     """Returns the path of an arm's marks: in systemd's RuntimeDirectory, otherwise beside the executor's socket."""
     folder = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
     return (Path(folder) if folder else socket.parent) / f"{arm}.published"
-
-
-def encoded(mark: Mark) -> bytes:
-    return msgspec.json.encode(mark) + b"\n"
 
 
 def decoded(line: bytes) -> Mark | None:

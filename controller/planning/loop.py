@@ -37,17 +37,13 @@ Receive = Callable[[], Iterable[events.SetpointArrived | events.TipArrived]]
 OnReply = Callable[[events.Payload], None]
 
 
-class Out(Protocol):
-    """Publishes payloads; no method waits."""
-
+class Out(Protocol):  # no method waits
     def publish(self, key: Literal["state", "diagnostics", "feedback"], payload: events.Payload) -> None: ...
 
     def publish_result(self, result: events.PublishResult) -> None: ...  # notes it, and posts `Published`
 
 
-class Services(NamedTuple):
-    """What the planner needs from its process."""
-
+class Services(NamedTuple):  # what the planner needs from its process
     inbox: Inbox  # event queue; ledger, outbox and workers post to it
     ledger: Ledger
     published: PublishedResults
@@ -65,8 +61,7 @@ class Loop:
     """Runs the core. For any thread.
 
     An exception of the core ends the process, because its state may be wrong then. An exception in carrying out an
-    action is logged, and the next action follows. The recorder takes each event, its times, and the actions, None after
-    an exception. The link is closed with this object.
+    action is logged, and the next action follows. The link is closed with this object.
     """
 
     def __init__(
@@ -99,7 +94,6 @@ class Loop:
         self._thread.start()
 
     def end_goals(self) -> None:
-        """Ends the running goal, and waits for its result; the executor stays connected."""
         self._inbox.post(Quit())
         self.ended.wait(LAST_RESULTS)
 
@@ -166,7 +160,10 @@ class Loop:
         After the link was read, the posted events come before its messages: a request is posted before its stop is sent
         to the executor, so that the core knows the request when the executor's answer comes.
         """
-        ready = self._wait()
+        due = min(self._wake, self._warnings_at, self.mailboxes.due)
+        if self._link.fileno() < 0:
+            due = min(due, self._link.retry_at)
+        ready = self._inbox.wait(0.0 if self._link.pending else max(due - self._clock(), 0.0), self._link)
         self._note_alive()
         self._handle_posted()
         self._link.connect(self._clock())
@@ -175,7 +172,8 @@ class Loop:
         if ready or self._link.pending:
             messages = self._link.receive()
             self._handle_posted()
-            self._step_all(messages)
+            for message in messages:
+                self._step(message)
         self._handle_times()
         if self._core.ended and not self._link.sending:
             self.ended.set()
@@ -184,15 +182,12 @@ class Loop:
         for _ in range(len(self._inbox.events)):
             event = self._inbox.events.popleft()
             if isinstance(event, events.Request):  # set-points that wait may have arrived before
-                self._step_all(self.mailboxes.look(self._clock()))
+                self._look(self._clock())
             self._step(event)
 
-    def _wait(self) -> bool:
-        """Waits for events or the next time; returns whether the link is ready."""
-        due = min(self._wake, self._warnings_at, self.mailboxes.due)
-        if self._link.fileno() < 0:
-            due = min(due, self._link.retry_at)
-        return self._inbox.wait(0.0 if self._link.pending else max(due - self._clock(), 0.0), self._link)
+    def _look(self, now: float) -> None:
+        for arrived in self.mailboxes.look(now):
+            self._step(arrived)
 
     def _handle_times(self) -> None:
         now = self._clock()
@@ -200,7 +195,7 @@ class Loop:
             self._wake = math.inf
             self._step(events.Tick())
         if now >= self.mailboxes.due:
-            self._step_all(self.mailboxes.look(now))
+            self._look(now)
         if now >= self._warnings_at:
             self._warnings_at = now + WARNINGS_EVERY
             warnings = self._warned
@@ -214,10 +209,6 @@ class Loop:
 
     # --- the core
 
-    def _step_all(self, all_events: Iterable[events.Event]) -> None:
-        for event in all_events:
-            self._step(event)
-
     def _step(self, event: events.Event) -> None:
         """Passes an event to the core and carries out the actions; raises what the core raises, and PlannerFailed."""
         now, wall = self._clock(), self._wall()
@@ -230,7 +221,7 @@ class Loop:
             self._record(event, now, wall, actions)
 
     def _record(self, event: events.Event, now: float, wall: float, actions: Sequence[events.Action] | None) -> None:
-        """Gives a step to the recorder, until the recorder fails."""
+        """Gives a step to the recorder, until the recorder fails; `actions` are None after an exception."""
         if self._recorder is None:
             return
         try:
@@ -242,7 +233,6 @@ class Loop:
             log.exception("the recording of events has ended")
 
     def _carry_out(self, action: events.Action) -> None:
-        """Carries out an action, and logs its exception; only PlannerFailed is raised."""
         try:
             self._act(action)
         except PlannerFailed:
