@@ -137,7 +137,6 @@ class Warnings:
         self._own: dict[str, tuple[Fault, float]] = {}  # by code; and when each ends [s]
 
     def active(self) -> tuple[Fault, ...]:
-        """Returns the active warnings; logs each when it begins."""
         now = self._clock()
         self._own = {code: own for code, own in self._own.items() if now < own[1]}
         offset = self._wall() - now

@@ -21,7 +21,6 @@ from hyperbit.controller.motion.decoding.goal import GoalMessage, Undecodable
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.events import Payload, done, refused
-from hyperbit.controller.planning.loop import Receive
 from hyperbit.controller.planning.planner import Planner
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
@@ -74,10 +73,9 @@ class Server:
         self._query("plan", "all", ordered=True)
         self._query("arm", "all", ordered=False)
         self._query("result", "all", ordered=False)
-        mailboxes = planner.loop.mailboxes
-        mailboxes.set(events.SetpointArrived, self._mailbox("setpoint", events.SetpointArrived))
+        self._mailbox("setpoint", events.SetpointArrived)
         if planner.decoder.tracker:
-            mailboxes.set(events.TipArrived, self._mailbox("measured_tip", events.TipArrived))
+            self._mailbox("measured_tip", events.TipArrived)
         self._declared.callback(session.liveliness().declare_token(f"{self._prefix}/alive").undeclare)
 
     def close(self) -> None:
@@ -95,8 +93,8 @@ class Server:
         self._declared.callback(self._session.declare_queryable(way.name, on_query).undeclare)
         return way
 
-    def _mailbox(self, key: str, kind: type[events.Arrived]) -> Receive:
-        """Returns a function that returns the latest sample of each sender once. A put must name the key in full."""
+    def _mailbox(self, key: str, kind: type[events.Arrived]) -> None:
+        """Has the loop receive the latest sample of each sender once. A put must name the key in full."""
         name, loop = f"{self._prefix}/{key}", self._parts.planner.loop
         latest: dict[str, events.Arrived] = {}
 
@@ -115,8 +113,8 @@ class Server:
             waiting = [latest.pop(sender, None) for sender in list(latest)]
             return sorted(filter(None, waiting), key=lambda arrived: arrived.arrival.number)
 
+        loop.set_mailbox(kind, receive)
         self._subscribe(name, put)
-        return receive
 
     def _publish_refusal(self, answer: Payload) -> None:
         """Publishes the answer to a put on `result` if it is a refusal, at most MOST_REFUSALS in a second."""

@@ -80,7 +80,6 @@ class Ledger:
         self.known = tuple(map(max, self.known, counts))
 
     def faults(self) -> tuple[Fault, ...]:
-        """Returns the faults of the file; they do not stop the arm."""
         problems = (("ledger-unwritten", self.fault), ("ledger-damaged", self.damage))
         return tuple(Fault(code, "ledger", message) for code, message in problems if message is not None)
 
@@ -188,7 +187,6 @@ class PublishedResults:
             content = path.read_bytes()
         except OSError:  # the first start
             content = b""
-        self._torn = bool(content) and not content.endswith(b"\n")
         self._marks = {Identity(*mark[:2]): mark for mark in map(decoded, content.splitlines()) if mark is not None}
 
     def known(self) -> dict[Identity, ResultEntry]:
@@ -205,18 +203,17 @@ class PublishedResults:
             new = self._path.with_name(f"{self._path.name}.new")
             self._write(new, os.O_TRUNC, msgspec.json.Encoder().encode_lines(self._marks.values()), self._path)
         else:
-            self._write(self._path, os.O_APPEND, b"\n" * self._torn + msgspec.json.encode(mark) + b"\n")
+            self._write(self._path, os.O_APPEND, b"\n" + msgspec.json.encode(mark))  # the line before may be torn
 
     def _write(self, path: Path, flag: int, data: bytes, target: Path | None = None) -> None:
         """Writes data. The file is opened each time: systemd may have deleted the folder, and made it again."""
         try:
             file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | flag, 0o600)
             try:
-                self._torn = os.write(file, data) < len(data)
+                if os.write(file, data) < len(data):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             finally:
                 os.close(file)
-            if self._torn:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             if target is not None:
                 os.replace(path, target)
         except OSError as error:
@@ -232,7 +229,6 @@ def published_path(arm: str, socket: Path) -> Path:
 
 
 def decoded(line: bytes) -> Mark | None:
-    """Returns the mark of a line, None if the line has none."""
     try:
         return msgspec.json.decode(line, type=Mark)
     except (msgspec.DecodeError, UnicodeDecodeError):

@@ -89,7 +89,6 @@ class LedgerFile:
             self._connection = None
 
     def set_aside(self) -> str | None:
-        """Renames a damaged file; returns its new name, or None if that fails."""
         renamed = self._path.with_name(f"{self._path.name}.damaged-{time.time():.0f}")
         try:
             for suffix in ("", "-wal", "-shm"):

@@ -74,7 +74,6 @@ class ExecutorLink:
         return bool(self._received)
 
     def connect(self, now: float) -> None:
-        """Connects and sends Hello, at most every RETRY seconds; does nothing while there is a connection."""
         if self._connection is not None or now < self.retry_at:
             return
         self.retry_at = now + RETRY

@@ -83,7 +83,8 @@ class Loop:
         self._alive_at = self._clock()  # time of the last round [s]
         self._stood_still = (-math.inf, -math.inf)  # since when, and until when requests of that time may arrive [s]
         self._replies: dict[int, OnReply] = {}
-        self.mailboxes = Mailboxes()
+        self._mailboxes: Mapping[type[events.Arrived], Receive] = {}
+        self._look_at, self._stream_until = math.inf, -math.inf  # time of the next look into them [s]
         self._wake, self._warnings_at = 0.0, 0.0  # the core steps once, also while no executor answers
         self._warned: tuple[Fault, ...] = ()
         self._closing = False
@@ -112,6 +113,11 @@ class Loop:
         now = self._note_alive()
         since, until = self._stood_still
         return events.Arrival(next(self._numbers), since if now < until else now)
+
+    def set_mailbox(self, kind: type[events.Arrived], receive: Receive) -> None:
+        """Sets the mailbox of a kind: `receive` returns the latest of each sender once, and never waits."""
+        self._mailboxes = {**self._mailboxes, kind: receive}
+        self._look_at = 0.0
 
     def _note_alive(self) -> float:
         """Returns the time, and notes whether the process stood still until now [s]."""
@@ -160,7 +166,7 @@ class Loop:
         After the link was read, the posted events come before its messages: a request is posted before its stop is sent
         to the executor, so that the core knows the request when the executor's answer comes.
         """
-        due = min(self._wake, self._warnings_at, self.mailboxes.due)
+        due = min(self._wake, self._warnings_at, self._look_at)
         if self._link.fileno() < 0:
             due = min(due, self._link.retry_at)
         ready = self._inbox.wait(0.0 if self._link.pending else max(due - self._clock(), 0.0), self._link)
@@ -186,15 +192,28 @@ class Loop:
             self._step(event)
 
     def _look(self, now: float) -> None:
-        for arrived in self.mailboxes.look(now):
-            self._step(arrived)
+        """Handles what the mailboxes have received."""
+        arrived: list[events.Arrived] = []
+        for kind, receive in self._mailboxes.items():
+            try:
+                latest = list(receive())
+            except Exception:
+                log.exception("a mailbox cannot be read")
+                continue
+            arrived += latest
+            if latest and kind is events.SetpointArrived:
+                self._stream_until = now + STREAM_ENDS
+        if self._mailboxes:
+            self._look_at = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
+        for event in arrived:
+            self._step(event)
 
     def _handle_times(self) -> None:
         now = self._clock()
         if now >= self._wake:
             self._wake = math.inf
             self._step(events.Tick())
-        if now >= self.mailboxes.due:
+        if now >= self._look_at:
             self._look(now)
         if now >= self._warnings_at:
             self._warnings_at = now + WARNINGS_EVERY
@@ -276,33 +295,3 @@ class Loop:
                 log.log(level, "%s", text, extra={"journal": fields})
             case events.Fail(reason):
                 raise PlannerFailed(reason)
-
-
-class Mailboxes:
-    """The mailboxes, which the loop reads regularly. For the loop's thread, except `set`."""
-
-    def __init__(self) -> None:
-        self.due = math.inf  # time of the next look [s]
-        self._boxes: Mapping[type[events.Arrived], Receive] = {}
-        self._stream_until = -math.inf
-
-    def set(self, kind: type[events.Arrived], receive: Receive) -> None:
-        """Sets the mailbox of a kind: `receive` returns the latest of each sender once, and never waits."""
-        self._boxes = {**self._boxes, kind: receive}
-        self.due = 0.0
-
-    def look(self, now: float) -> list[events.Arrived]:
-        """Returns what has arrived, and sets `due`."""
-        arrived: list[events.Arrived] = []
-        for kind, receive in self._boxes.items():
-            try:
-                latest = list(receive())
-            except Exception:
-                log.exception("a mailbox cannot be read")
-                continue
-            arrived += latest
-            if latest and kind is events.SetpointArrived:
-                self._stream_until = now + STREAM_ENDS
-        if self._boxes:
-            self.due = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
-        return arrived

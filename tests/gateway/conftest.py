@@ -63,7 +63,7 @@ class FakePlanner:
         self.waiting: list[tuple[Reply, Payload]] = []
         self.receive: dict[str, Receive] = {}
         self.tracker = True
-        self.loop = self.decoder = self.mailboxes = self
+        self.loop = self.decoder = self
 
     def decode(self, key: str, payload: bytes) -> Message:
         self.decoded.append(key)
@@ -112,7 +112,7 @@ class FakePlanner:
     def keys(self) -> list[str]:
         return [key for key, _ in self.heard if key != "arm"]
 
-    def set(self, kind: type[SetpointArrived | TipArrived], receive: Receive) -> None:
+    def set_mailbox(self, kind: type[SetpointArrived | TipArrived], receive: Receive) -> None:
         self.receive["setpoint" if kind is SetpointArrived else "measured_tip"] = receive
 
     def description(self, wanted: Collection[str] = ()) -> Payload:

@@ -177,12 +177,12 @@ def test_set_points_are_followed(chain: Chain) -> None:
         position = chain.arm.manipulator.tip(np.array(wanted[0]))[:2, 3].tolist()
         return [SetpointArrived(json.dumps({"position": position}).encode(), loop.arrive())]
 
-    loop.mailboxes.set(SetpointArrived, put)
+    loop.set_mailbox(SetpointArrived, put)
     for goal in (A, C, (0, 0)):
         wanted[0] = goal
         eventually(lambda: chain.error(wanted[0]) < 0.003)
     assert chain.planner.state["mode"] == "executing"
-    loop.mailboxes.set(SetpointArrived, list)
+    loop.set_mailbox(SetpointArrived, list)
     eventually(lambda: chain.planner.state["mode"] == "ready")
 
 

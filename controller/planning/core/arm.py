@@ -39,7 +39,6 @@ class ArmState:
 
     @cached_property
     def outputs(self) -> States:
-        """The boards' outputs, as last switched."""
         return self.unpacked(self.snapshot.outputs)
 
     @cached_property
@@ -200,7 +199,6 @@ class ExecutorView:
         return np.full(len(self.manipulator.actuators), -1, np.int8) if self.state is None else self.state.measured
 
     def mode(self) -> tuple[Mode, str]:
-        """Returns the executor's mode, and its reason as a sentence."""
         if self.state is None:
             return "fault" if self._was_connected else "starting", self.problem
         snapshot = self.state.snapshot

@@ -201,7 +201,6 @@ Action = Reply | Publish | PublishResult | Record | RecordCounts | Start | Aband
 
 
 def done(message: str) -> Payload:
-    """Returns the answer to a request that was carried out."""
     return {"accepted": True, "code": codes.SUCCESSFUL, "message": message}
 
 

@@ -112,7 +112,6 @@ class Goals:
         return goal
 
     def accepted(self, message: Accepted) -> None:
-        """Hands a request over whose program the executor has accepted."""
         if (goal := self._offered(message.program)) is not None:
             self._parts.admission.end_streams(goal.ticket)
             self._drop(goal)
@@ -131,14 +130,12 @@ class Goals:
             self._end(goal, message.refused.refusal)
 
     def lost(self, reason: str) -> None:
-        """Refuses the request whose program the executor has not answered, because the connection is lost."""
         if (goal := self._offered()) is not None:
             self._end(goal, Refusal(Reason.EXECUTOR_LOST, why=reason))
 
     # --- one request; each of these functions raises Refusal if the request cannot be carried out
 
     def _check(self, goal: Goal) -> None:
-        """Checks that a request may still begin: it is not barred, and its time is not over."""
         if self.quitting:
             raise Refusal(Reason.SHUTTING_DOWN)
         if self._parts.admission.barred(goal.ticket, goal.id):
@@ -151,7 +148,6 @@ class Goals:
         self.due = min(self.due, goal.begin_by)
 
     def _proceed(self, goal: Goal) -> None:
-        """Plans a request, offers it, or lets it wait."""
         if goal.state == "offered":
             if self._waits(goal, EXECUTOR_TIMEOUT):
                 return
@@ -180,7 +176,6 @@ class Goals:
             self._plan(goal, basis)
 
     def _stale(self, goal: Goal, basis: tasks.Basis | None) -> Refusal:
-        """Returns why a plan is made anew."""
         assert goal.basis is not None
         if self._locks.rebuilding or (basis is not None and basis.tables != goal.basis.tables):
             return Refusal(Reason.LOCKS_CHANGING)
@@ -221,7 +216,6 @@ class Goals:
             self._jobs.hurry(goal.job)
 
     def _answered(self, goal: Goal, answer: tasks.Answer) -> None:
-        """Takes the plan of a goal, or the check of a jog."""
         goal.job = None
         match answer:
             case tasks.Planned():
@@ -234,7 +228,6 @@ class Goals:
                 self._end(goal, tasks.refusal_of(answer))
 
     def _offer(self, goal: Goal) -> None:
-        """Sends the program of a planned request."""
         running, state = self._programs.current, self._view.state
         assert state is not None
         if isinstance(goal.wanted, GoalMessage) and running is not None and running.id == goal.id:

@@ -32,7 +32,6 @@ class Locks:
 
     @property
     def listed(self) -> list[tuple[str, int]]:
-        """Label and state of each locked actuator."""
         labels, states = self._view.manipulator.actuators, np.frombuffer(self._locked, np.int8).tolist()
         return [(label, state) for label, state in zip(labels, states, strict=True) if state >= 0]
 

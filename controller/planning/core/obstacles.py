@@ -53,7 +53,6 @@ class ObstacleOwner:
 
     @property
     def regions(self) -> list[Any]:
-        """The obstacles that were sent, as they came."""
         return [] if self._sent is None else self._sent.regions
 
     # --- requests
@@ -71,7 +70,6 @@ class ObstacleOwner:
         return True
 
     def note(self, effect: str) -> None:
-        """Notes what the obstacles did to a running goal, for the answer."""
         for change in self._changes:
             change.effects.append(effect)
 

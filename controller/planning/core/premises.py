@@ -63,7 +63,6 @@ class TipBiasEstimator:
         return self._filter.measure(position - computed, measured_at)
 
     def bias(self) -> NDArray[np.float64]:
-        """Returns the bias that corrects goals, shape (dimension,)."""
         return self._filter.at(self._moment.now)
 
     def status(self) -> Payload:

@@ -30,11 +30,9 @@ class Programs:
 
     @property
     def current(self) -> Goal | None:
-        """The running goal; None if there is none."""
         return next((goal for goal in reversed(self._goals.values()) if goal.state == "running"), None)
 
     def find(self, goal: str) -> Goal | None:
-        """Returns the offered or running goal of an id; None if there is none."""
         return next((found for found in self._goals.values() if found.id == goal), None)
 
     @property
@@ -52,7 +50,6 @@ class Programs:
         return not self._goals and not self._unrecorded
 
     def unchecked(self) -> list[str]:
-        """Returns the ids of goals whose stages are not yet checked among the present obstacles."""
         return [goal.id for goal in self._goals.values() if goal.outcome is None and goal.feed.waits_for_check]
 
     # --- sending
@@ -106,13 +103,11 @@ class Programs:
         self._feed(goal)
 
     def recorded(self, entry: int) -> None:
-        """Answers the request of a goal whose acceptance the ledger has."""
         if (goal := self._unrecorded.pop(entry, None)) is not None:
             goal.unrecorded = None
             self._act(Reply(goal.request, goal.answer))
 
     def receive_report(self, message: Begun | Replaced | Settled | Ended) -> None:
-        """Handles what the executor tells of a program, own or of an earlier planner process."""
         goal = self._goals.get(message.program)
         if goal is None:
             if isinstance(message, Ended):

@@ -88,7 +88,6 @@ class GoalReport:
         return self._target(max(self._point, 0))
 
     def begun(self, point: int) -> None:
-        """Notes that the stages to a point have begun."""
         self._point = max(point, self._point)
 
     def settled(self, message: Settled, measured: Measured, deviation: float | None) -> Payload | None:

@@ -62,7 +62,6 @@ class Queries:
         return query is not None
 
     def end_queries(self) -> None:
-        """Refuses all queries: the process ends."""
         for query in list(self._waiting.values()):
             self._refuse(query, Refusal(Reason.SHUTTING_DOWN))
 
@@ -149,12 +148,10 @@ class ExecutorRequests:
         self._finish(message.request, done(message.message) if refusal is None else refused(refusal.refusal))
 
     def lost(self, reason: str) -> None:
-        """Refuses all requests that are not answered: the connection is lost."""
         for number in list(self._pending):
             self._finish(number, refused(Refusal(Reason.EXECUTOR_LOST, why=reason)))
 
     def overdue(self) -> bool:
-        """Returns whether the executor has not answered a request in time."""
         now = self._parts.moment.now
         return any(now > at + EXECUTOR_TIMEOUT for number, at in self._pending.items() if number not in self._resets)
 

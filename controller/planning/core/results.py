@@ -67,7 +67,6 @@ class Results:
         return self._last
 
     def waive(self, identity: Identity) -> None:
-        """Suppresses the result of an abandoned program."""
         self._told.add(identity)
 
     # --- made

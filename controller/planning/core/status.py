@@ -52,7 +52,6 @@ class Status:
             self._act(Notify("WATCHDOG=1"))
 
     def publish_state(self) -> None:
-        """Publishes `state`, and tells systemd and the log what it shows."""
         self.changed, self._published = False, self._moment.now
         payload, active = self.state(), by_code(self._faults())
         self._act(Publish("state", payload))
@@ -71,7 +70,6 @@ class Status:
 
     @property
     def due(self) -> float:
-        """Time of the next publication [s]."""
         return max(self._moment.now, min(self._state_due(), self._diagnosed + DIAGNOSTICS_EVERY))
 
     def _state_due(self) -> float:
@@ -132,7 +130,6 @@ class Status:
         }
 
     def _faults(self) -> Iterator[Fault]:
-        """Yields the executor's faults and the planner's own."""
         premises, state = self._premises, self._view.state
         if state is None:
             mode, reason = premises.locks.mode()
@@ -150,7 +147,6 @@ class Status:
 
 
 def by_code(faults: Iterable[Fault]) -> dict[tuple[str, str], Fault]:
-    """Returns the first fault of each code and source."""
     first: dict[tuple[str, str], Fault] = {}
     for fault in faults:
         first.setdefault((fault.code, fault.source), fault)

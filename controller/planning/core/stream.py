@@ -140,7 +140,6 @@ class Stream:
 
     @property
     def due(self) -> float:
-        """Time of the next consideration [s]; infinite without a stream."""
         if not self._alive(self._fitted):
             return math.inf
         next_search = math.inf if self._job is not None else self._next_search

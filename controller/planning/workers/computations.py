@@ -59,7 +59,6 @@ class ArmModel:
         self._solver: Solver | None = None
 
     def solver(self, tables: tasks.Tables, scene: tasks.VersionedScene) -> Solver:
-        """Returns the solver of the reduced arm that avoids the obstacles of a scene."""
         generations = tables.generation, scene.generation
         if self._solver is None or generations != self._generations:
             solver: Solver = tables.solvers[self._worker]
@@ -181,7 +180,6 @@ def search_plan(
 
 
 def check_size(model: ArmModel, transitions: Sequence[Staged]) -> None:
-    """Raises Refusal if a plan has more stages than the executor accepts."""
     counts = [len(transition.stages) for transition in transitions]
     total, longest, most = sum(counts), max(counts), most_stages(len(model.arm.manipulator.actuators))
     if longest > most or total > MOST_PROGRAM_STAGES:

@@ -35,7 +35,6 @@ SPAWN = multiprocessing.get_context("spawn")  # a fork would copy the locks of t
 
 
 def is_long(task: tasks.Task) -> bool:
-    """Returns whether a task is a plan that may take longer than LONG."""
     return isinstance(task, DescribePlan) and (task.goal.message.deadline or 0.0) > LONG
 
 
@@ -95,7 +94,6 @@ def packed(task: DescribePlan) -> DescribePlan:
 
 
 def serve(connection: Connection, arm: Arm, weights: NDArray[np.float64], expected: str) -> None:
-    """Answers plans until the other process ends."""
     ignore(OF_TERMINAL)  # the planner ends this process
     threading.Thread(target=end_with_parent, daemon=True).start()
     with contextlib.suppress(OSError):
@@ -135,7 +133,6 @@ class Planner:
         self._scene: tasks.VersionedScene | None = None
 
     def answer(self, task: DescribePlan) -> Answer:
-        """Returns the answer to a packed plan, also for an exception."""
         try:
             start, tables, scene = task.goal.basis
             if self._scene is None or self._scene.generation != scene.generation:

@@ -92,7 +92,6 @@ class Workers:
             queued.abandoned = True
 
     def hurry(self, number: int) -> None:
-        """Lets a task end its search as soon as it has an answer."""
         if (queued := self._queued.get(number)) is not None:
             queued.hurried = True
 

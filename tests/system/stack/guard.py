@@ -10,7 +10,7 @@ import zenoh
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.planning.core.events import Key, Message, SetpointArrived, TipArrived
-from hyperbit.controller.planning.loop import Mailboxes, Receive
+from hyperbit.controller.planning.loop import Loop, Receive
 from hyperbit.controller.planning.planner import RequestDecoder
 from tests.keys import certificates, openssl
 from tests.system.stack.observer import Observer
@@ -47,13 +47,13 @@ class Seen:
         self.all: list[tuple[str, bytes]] = []
         seen = self.all
 
-        decode, set_mailbox = RequestDecoder.decode, Mailboxes.set
+        decode, set_mailbox = RequestDecoder.decode, Loop.set_mailbox
 
         def decoding(self: RequestDecoder, key: Key, payload: bytes) -> Message:
             seen.append((key, payload))
             return decode(self, key, payload)
 
-        def setting(self: Mailboxes, kind: type[SetpointArrived | TipArrived], receive: Receive) -> None:
+        def setting(self: Loop, kind: type[SetpointArrived | TipArrived], receive: Receive) -> None:
             key = "setpoint" if kind is SetpointArrived else "measured_tip"
             set_mailbox(self, kind, watched(key, receive))
 
@@ -66,7 +66,7 @@ class Seen:
             return look
 
         monkeypatch.setattr(RequestDecoder, "decode", decoding)
-        monkeypatch.setattr(Mailboxes, "set", setting)
+        monkeypatch.setattr(Loop, "set_mailbox", setting)
 
 
 def answers(session: zenoh.Session, key: str, payload: bytes = b"") -> list[bool]:
