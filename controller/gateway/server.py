@@ -21,13 +21,13 @@ from hyperbit.controller.motion.decoding.goal import GoalMessage, Undecodable
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.events import Payload, done, refused
+from hyperbit.controller.planning.loop import Mailbox
 from hyperbit.controller.planning.planner import Planner
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 
-MOST_SENDERS = 16  # of set-points or measured tips whose latest one waits; one more displaces the oldest
 MOST_SENDER = 64  # bytes of what a sender attaches that tell it from others
 MOST_UNANSWERED = 100  # requests on one key; a planner refuses more than 16 goals by itself, if it is not too slow
 MOST_REFUSALS = 50  # refusals of puts published in one second
@@ -73,9 +73,9 @@ class Server:
         self._query("plan", "all", ordered=True)
         self._query("arm", "all", ordered=False)
         self._query("result", "all", ordered=False)
-        self._mailbox("setpoint", events.SetpointArrived)
+        self._mailbox("setpoint", planner.loop.setpoints)
         if planner.decoder.tracker:
-            self._mailbox("measured_tip", events.TipArrived)
+            self._mailbox("measured_tip", planner.loop.tips)
         self._declared.callback(session.liveliness().declare_token(f"{self._prefix}/alive").undeclare)
 
     def close(self) -> None:
@@ -93,27 +93,15 @@ class Server:
         self._declared.callback(self._session.declare_queryable(way.name, on_query).undeclare)
         return way
 
-    def _mailbox(self, key: str, kind: type[events.Arrived]) -> None:
-        """Has the loop receive the latest sample of each sender once. A put must name the key in full."""
+    def _mailbox(self, key: str, mailbox: Mailbox) -> None:
+        """Puts samples of a key into a mailbox. A put must name the key in full."""
         name, loop = f"{self._prefix}/{key}", self._parts.planner.loop
-        latest: dict[str, events.Arrived] = {}
 
         def put(sample: zenoh.Sample) -> None:
-            if str(sample.key_expr) != name:
-                return
-            sender = content(sample.attachment)[:MOST_SENDER].decode("ascii", "backslashreplace")
-            if len(latest) >= MOST_SENDERS and sender not in latest:
-                latest.pop(next(iter(latest)), None)
-            arrival, waiting = loop.arrive(), latest.get(sender)
-            if waiting is not None:  # a stream that began before a stop does not begin anew after it
-                arrival = arrival._replace(number=waiting.arrival.number)
-            latest[sender] = kind(content(sample.payload), arrival, sender)
+            if str(sample.key_expr) == name:
+                sender = content(sample.attachment)[:MOST_SENDER].decode("ascii", "backslashreplace")
+                mailbox.put(content(sample.payload), loop.arrive(), sender)
 
-        def receive() -> list[events.Arrived]:
-            waiting = [latest.pop(sender, None) for sender in list(latest)]
-            return sorted(filter(None, waiting), key=lambda arrived: arrived.arrival.number)
-
-        loop.set_mailbox(kind, receive)
         self._subscribe(name, put)
 
     def _publish_refusal(self, answer: Payload) -> None:

@@ -5,7 +5,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple, Protocol
 
 from hyperbit.controller.flight_recorder import FlightRecorder
@@ -27,13 +27,13 @@ log = logging.getLogger(__name__)
 WARNINGS_EVERY = 0.25  # [s]
 LOOK_EVERY = 0.02  # [s] between two looks into the mailboxes
 STREAM_EVERY = 0.005  # [s] the same while set-points come
+MOST_SENDERS = 16  # whose latest set-point or measured tip waits; one more displaces the oldest
 STREAM_ENDS = 0.5  # [s] after its last set-point
 LAST_RESULTS = 1.5  # [s] for the core and the executor to end the running goal
 
 STILL = 1.0  # [s] without a round of the loop, after which the process counts as having stood still
 SETTLES = 1.0  # [s] in which what was sent meanwhile arrives
 
-Receive = Callable[[], Iterable[events.SetpointArrived | events.TipArrived]]
 OnReply = Callable[[events.Payload], None]
 
 
@@ -51,6 +51,27 @@ class Services(NamedTuple):  # what the planner needs from its process
     notifier: Notifier
     warnings: Callable[[], tuple[Fault, ...]]  # active ones of the clock, the network and the ledger
     fatal: Callable[[str], None]  # ends the process with a message
+
+
+class Mailbox:
+    """The latest set-point or measured tip of each sender. For any thread."""
+
+    def __init__(self, kind: type[events.Arrived]) -> None:
+        self._kind = kind
+        self._latest: dict[str, events.Arrived] = {}
+
+    def put(self, payload: bytes, arrival: events.Arrival, sender: str) -> None:
+        """Replaces what waits of a sender, or of the oldest sender if there are too many."""
+        if len(self._latest) >= MOST_SENDERS and sender not in self._latest:
+            self._latest.pop(next(iter(self._latest)), None)
+        if (waiting := self._latest.get(sender)) is not None:
+            # A stream that began before a stop does not begin anew after it.
+            arrival = arrival._replace(number=waiting.arrival.number)
+        self._latest[sender] = self._kind(payload, arrival, sender)
+
+    def take(self) -> list[events.Arrived]:
+        waiting = [self._latest.pop(sender, None) for sender in list(self._latest)]
+        return sorted(filter(None, waiting), key=lambda arrived: arrived.arrival.number)
 
 
 class PlannerFailed(Exception):
@@ -83,8 +104,8 @@ class Loop:
         self._alive_at = self._clock()  # time of the last round [s]
         self._stood_still = (-math.inf, -math.inf)  # since when, and until when requests of that time may arrive [s]
         self._replies: dict[int, OnReply] = {}
-        self._mailboxes: Mapping[type[events.Arrived], Receive] = {}
-        self._look_at, self._stream_until = math.inf, -math.inf  # time of the next look into them [s]
+        self.setpoints, self.tips = Mailbox(events.SetpointArrived), Mailbox(events.TipArrived)
+        self._look_at, self._stream_until = 0.0, -math.inf  # time of the next look into them [s]
         self._wake, self._warnings_at = 0.0, 0.0  # the core steps once, also while no executor answers
         self._warned: tuple[Fault, ...] = ()
         self._closing = False
@@ -113,11 +134,6 @@ class Loop:
         now = self._note_alive()
         since, until = self._stood_still
         return events.Arrival(next(self._numbers), since if now < until else now)
-
-    def set_mailbox(self, kind: type[events.Arrived], receive: Receive) -> None:
-        """Sets the mailbox of a kind: `receive` returns the latest of each sender once, and never waits."""
-        self._mailboxes = {**self._mailboxes, kind: receive}
-        self._look_at = 0.0
 
     def _note_alive(self) -> float:
         """Returns the time, and notes whether the process stood still until now [s]."""
@@ -193,19 +209,11 @@ class Loop:
 
     def _look(self, now: float) -> None:
         """Handles what the mailboxes have received."""
-        arrived: list[events.Arrived] = []
-        for kind, receive in self._mailboxes.items():
-            try:
-                latest = list(receive())
-            except Exception:
-                log.exception("a mailbox cannot be read")
-                continue
-            arrived += latest
-            if latest and kind is events.SetpointArrived:
-                self._stream_until = now + STREAM_ENDS
-        if self._mailboxes:
-            self._look_at = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
-        for event in arrived:
+        setpoints, tips = self.setpoints.take(), self.tips.take()
+        if setpoints:
+            self._stream_until = now + STREAM_ENDS
+        self._look_at = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
+        for event in (*setpoints, *tips):
             self._step(event)
 
     def _handle_times(self) -> None:
