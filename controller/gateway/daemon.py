@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import zenoh
@@ -59,26 +58,22 @@ class Daemon:
         self.failure = self.failure or message
 
 
-class ServedArm(NamedTuple):
-    arm: Arm  # with wiring
-    densities: Densities  # of the arm reduced by locked actuators
-    digest: str  # SHA-256 of the arm's file, in hexadecimal
-    simulated: bool = False  # whether the executor simulates the boards
-
-
 @contextlib.contextmanager
-def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path) -> Iterator[Daemon]:
-    """Serves an arm while the context lasts.
+def running(
+    arm: Arm, densities: Densities, digest: str, config: zenoh.Config, ledger: Path, socket: Path, *, simulated: bool
+) -> Iterator[Daemon]:
+    """Serves an arm, which has its wiring, while the context lasts.
 
-    At the end the server closes its keys first, so that no more requests come. Then goals end, and their results and
-    the last state are published. The connection to the executor closes last. `socket` is that of the executor.
+    `densities` are of the arm reduced by locked actuators, `digest` is the SHA-256 of the arm's file, `socket` is that
+    of the executor, which simulates the boards if `simulated`. At the end the server closes its keys first, so that no
+    more requests come. Then goals end, and their results and the last state are published. The connection to the
+    executor closes last.
 
     Raises:
         zenoh.ZError: the session cannot be opened.
         AlreadyRunning: another daemon of this arm is in the network.
         LedgerInUse: another process writes the ledger.
     """
-    arm, densities, digest, simulated = served
     name, daemon, inbox = arm.settings.name, Daemon(), Inbox()
     with ExitStack() as closing:
         os.environ.setdefault("ZENOH_RUNTIME", RECEIVERS)

@@ -38,14 +38,9 @@ class Arrival(NamedTuple):  # of a request, set-point or measured tip at the gat
     at: float  # [s, the monotonic clock]; after a standstill its beginning, because the request may have waited since
 
 
-class Request(NamedTuple):
-    """A request of a client, decoded. It is answered by exactly one `Reply`.
-
-    A `stop`, and a `cancel` without an id, was sent to the executor before, as the executor's request of this number.
-    """
-
+class Request(NamedTuple):  # of a client; it is answered by exactly one `Reply`
     arrival: Arrival
-    key: Key
+    key: Key  # a `stop`, and a `cancel` without an id, was sent to the executor before, as its request of this number
     message: Message
     wall: float  # time of arrival [UNIX s]
 
@@ -125,15 +120,10 @@ class Identity(NamedTuple):  # identifies a program for ever
     program: int
 
 
-class PublishResult(NamedTuple):
-    """A result. The shell publishes it, notes durably that it did, and then posts `Published` with this number.
-
-    If an earlier planner process accepted the goal, the result is `inherited`: clients must first find this process.
-    """
-
+class PublishResult(NamedTuple):  # the shell publishes it, notes durably that it did, and then posts `Published`
     number: int
     identity: Identity
-    inherited: bool
+    inherited: bool  # an earlier planner process accepted the goal: clients must first find this process
     payload: Payload
 
 
@@ -151,15 +141,10 @@ class ResultEntry(NamedTuple):
     switches: int
 
 
-class Record(NamedTuple):
-    """An entry for the ledger. The shell posts `Recorded` with its number when it is written, or cannot be written.
-
-    With both `accepted` and `ended`, the goal may not be in the ledger yet.
-    """
-
+class Record(NamedTuple):  # for the ledger; the shell posts `Recorded` when it is written, or cannot be written
     entry: int
     identity: Identity
-    accepted: AcceptanceEntry | None
+    accepted: AcceptanceEntry | None  # with both, the goal may not be in the ledger yet
     ended: ResultEntry | None
 
 

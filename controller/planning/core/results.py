@@ -96,7 +96,8 @@ class Results:
             outcome = outcome._replace(message=f"{outcome.message}; commanded, not verified")
         view.ended(outcome.sentence)
         payload = result_of(view.manipulator, message, measured, context, outcome, target)
-        self._tell(Untold(identity, message.result, accepted_of(context), payload), goal)
+        accepted = AcceptanceEntry(context.id, context.sent, context.waypoints)
+        self._tell(Untold(identity, message.result, accepted, payload), goal)
 
     def lost(self, identity: Identity, data: bytes, outcome: GoalOutcome, switches: int, goal: Goal | None) -> None:
         """Ends a program of which the executor tells nothing any more; `goal`: None if of an earlier process."""
@@ -104,7 +105,8 @@ class Results:
         unknown = bytes((len(manipulator.actuators) + 7) // 8)
         silent = Ended(0, identity.program, b"", "aborted", outcome.message, -1, switches, unknown, unknown)
         payload = result_of(manipulator, silent, self._view.measured, context, outcome, None)
-        self._tell(Untold(identity, None, accepted_of(context), payload), goal)
+        accepted = AcceptanceEntry(context.id, context.sent, context.waypoints)
+        self._tell(Untold(identity, None, accepted, payload), goal)
 
     def met(self, instance: int) -> None:
         """Ends as lost what earlier executors owed, because another one has come.
@@ -182,10 +184,6 @@ def decode_context(data: bytes) -> Context | None:
         return msgspec.msgpack.decode(data, type=Context)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):
         return None
-
-
-def accepted_of(context: Context) -> AcceptanceEntry:
-    return AcceptanceEntry(context.id, context.sent, context.waypoints)
 
 
 # --- the outcome, and the payload of a result

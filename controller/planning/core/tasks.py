@@ -73,14 +73,9 @@ class FollowSetpoint(NamedTuple):  # answered by `Followed` or `Failed`
     bias: tuple[float, ...] | None = None  # of the tip, that corrects `position`, for the note; None: no tracker
 
 
-class CheckStages(NamedTuple):
-    """Check the states before and after consecutive stages for collisions. Answered by `Checked` or `Failed`.
-
-    The bits of locked actuators are their states, not their outputs.
-    """
-
+class CheckStages(NamedTuple):  # answered by `Checked` or `Failed`
     scene: VersionedScene
-    before: bytes
+    before: bytes  # states before the first stage; the bits of locked actuators are their states, not their outputs
     stages: tuple[bytes, ...]
 
 
