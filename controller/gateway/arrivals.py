@@ -121,10 +121,7 @@ class RepeatedGoals:
         self._known: dict[bytes, ArrivedGoal] = {}
 
     def receive_goal(self, keys: list[bytes], reply: Reply, request: Callable[[Reply], object]) -> None:
-        """Calls `request` for a new goal, with what takes its answer, or repeats the answer to a known one.
-
-        For any thread.
-        """
+        """Calls `request` for a new goal, with what takes its answer, or repeats the answer to a known one."""
         goal = ArrivedGoal(keys, self._clock())
         goal.await_answer(reply)
         for key in keys:

@@ -20,9 +20,7 @@ class AlreadyRunning(Exception):
     """Another daemon of this arm is in the network; the text says where."""
 
 
-class Claimant(msgspec.Struct):
-    """The owner of a claim, as it answers."""
-
+class Claimant(msgspec.Struct):  # the owner of a claim, as it answers
     host: str
     pid: int
     serves: bool = True  # false until it has looked for other claims
@@ -74,11 +72,18 @@ class Claim:
 
     def _silent_tokens(self) -> list[str]:
         """Returns the tokens of daemons that do not answer; raises AlreadyRunning if one serves, or comes first."""
-        silent = []
-        for token in [*self._tokens("@claim/*"), *self._tokens("alive")]:  # earlier versions have only "alive"
+        silent, prefix = [], f"hyperbit/{self._arm}"
+        replies = [
+            reply
+            for key in ("@claim/*", "alive")  # earlier versions have only "alive"
+            for reply in self._session.liveliness().get(f"{prefix}/{key}", timeout=ANSWER)
+        ]
+        for token in [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]:
             if (other := token.rpartition("/")[2]) == self._own:
                 continue
-            claimants = self._claimants(f"hyperbit/{self._arm}/arm" if other == "alive" else token)
+            key = f"{prefix}/arm" if other == "alive" else token
+            answers = list(self._session.get(key, target=zenoh.QueryTarget.ALL, timeout=ANSWER))
+            claimants = [claimant(reply.ok.payload.to_bytes()) for reply in answers if reply.ok is not None]
             for who in claimants:
                 if who.serves or other < self._own:
                     boards = ", with simulated boards" if who.simulated else ""
@@ -87,14 +92,6 @@ class Claim:
             if not claimants:
                 silent.append(token)
         return silent
-
-    def _tokens(self, key: str) -> list[str]:
-        replies = self._session.liveliness().get(f"hyperbit/{self._arm}/{key}", timeout=ANSWER)
-        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
-
-    def _claimants(self, key: str) -> list[Claimant]:
-        replies = self._session.get(key, target=zenoh.QueryTarget.ALL, timeout=ANSWER)
-        return [claimant(reply.ok.payload.to_bytes()) for reply in replies if reply.ok is not None]
 
 
 def claimant(answer: bytes) -> Claimant:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import zenoh
@@ -51,37 +50,30 @@ REMEMBERED = 10.0  # [s] for which a warning stays after its cause
 
 
 class Daemon:
-    """A daemon that serves an arm."""
-
     def __init__(self) -> None:
         self.failure: str | None = None  # why the process must end, so that the service manager starts it again
 
-    def fail(self, message: str) -> None:
-        """Notes that the process must end. For any thread."""
+    def fail(self, message: str) -> None:  # for any thread
         log.critical("the daemon must end: %s", message)
         self.failure = self.failure or message
 
 
-class ServedArm(NamedTuple):
-    arm: Arm  # with wiring
-    densities: Densities  # of the arm reduced by locked actuators
-    digest: str  # SHA-256 of the arm's file, in hexadecimal
-    simulated: bool = False  # whether the executor simulates the boards
-
-
 @contextlib.contextmanager
-def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path) -> Iterator[Daemon]:
-    """Serves an arm while the context lasts.
+def running(
+    arm: Arm, densities: Densities, digest: str, config: zenoh.Config, ledger: Path, socket: Path, *, simulated: bool
+) -> Iterator[Daemon]:
+    """Serves an arm, which has its wiring, while the context lasts.
 
-    At the end the server closes its keys first, so that no more requests come. Then goals end, and their results and
-    the last state are published. The connection to the executor closes last. `socket` is that of the executor.
+    `densities` are of the arm reduced by locked actuators, `digest` is the SHA-256 of the arm's file, `socket` is that
+    of the executor, which simulates the boards if `simulated`. At the end the server closes its keys first, so that no
+    more requests come. Then goals end, and their results and the last state are published. The connection to the
+    executor closes last.
 
     Raises:
         zenoh.ZError: the session cannot be opened.
         AlreadyRunning: another daemon of this arm is in the network.
         LedgerInUse: another process writes the ledger.
     """
-    arm, densities, digest, simulated = served
     name, daemon, inbox = arm.settings.name, Daemon(), Inbox()
     with ExitStack() as closing:
         os.environ.setdefault("ZENOH_RUNTIME", RECEIVERS)
@@ -92,8 +84,8 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
         closing.callback(book.close)
         published = PublishedResults(published_path(name, socket))
         goals, notifier = RepeatedGoals(), Notifier()
-        prefix = f"hyperbit/{name}"
-        outbox = Outbox(session, prefix, goals.ended, published.add, inbox.post, daemon.fail, lease(config))
+        hooks = goals.ended, published.add, inbox.post, daemon.fail
+        outbox = Outbox(session, f"hyperbit/{name}", *hooks, lease(config))
         outbox.start()
         closing.callback(outbox.close)
         warnings = Warnings(reachable(session, config), book.faults)
@@ -104,8 +96,9 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
         link = ExecutorLink(socket, name, digest, simulated=simulated)
         planner = closing.enter_context(planning(arm, densities, link, services, recorder, simulated=simulated))
         claim.confirm()
-        parts = GatewayParts(planner, outbox, goals, saved_poses(arm, ledger), partial(find, ledger))
-        server = Server(session, name, parts)
+        first = format_configuration(arm.manipulator, np.zeros(len(arm.manipulator.modules), np.int64))
+        poses = Poses(ledger.with_name(f"{ledger.stem}.poses.json"), first)
+        server = Server(session, name, GatewayParts(planner, outbox, goals, poses, partial(find, ledger)))
         closing.callback(server.close)
         planner.loop.start()  # not before the keys are declared: who receives a state may send a request
         gc.collect()
@@ -117,12 +110,6 @@ def running(served: ServedArm, config: zenoh.Config, ledger: Path, socket: Path)
             log.warning("%s", warning)
         log.info("serving the arm %s%s", name, ", whose boards are simulated" if simulated else "")
         yield daemon
-
-
-def saved_poses(arm: Arm, ledger: Path) -> Poses:
-    """Returns the poses of an arm, which are kept beside its ledger; "home" has all modules in their first state."""
-    first = np.zeros(len(arm.manipulator.modules), np.int64)
-    return Poses(ledger.with_name(f"{ledger.stem}.poses.json"), format_configuration(arm.manipulator, first))
 
 
 class Warnings:
@@ -145,7 +132,6 @@ class Warnings:
         self._own: dict[str, tuple[Fault, float]] = {}  # by code; and when each ends [s]
 
     def active(self) -> tuple[Fault, ...]:
-        """Returns the active warnings; logs each when it begins."""
         now = self._clock()
         self._own = {code: own for code, own in self._own.items() if now < own[1]}
         offset = self._wall() - now

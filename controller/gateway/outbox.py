@@ -79,8 +79,7 @@ class Outbox:
         }
         self._thread = threading.Thread(target=self._run, name="outbox", daemon=True)
 
-    def start(self) -> None:
-        """Starts the thread. Without it the caller sends what is queued, by `step`."""
+    def start(self) -> None:  # without it the caller sends what is queued, by `step`
         self._thread.start()
 
     def publish(self, key: Literal["state", "diagnostics", "feedback", "result", "@request"], payload: Payload) -> None:
@@ -91,8 +90,7 @@ class Outbox:
         else:
             self._put(self._first if key == "feedback" else self._second, (None, key, payload))
 
-    def count_poses_change(self) -> None:
-        """Counts a change of the saved poses: the next `state` has another number, at which clients read the poses."""
+    def count_poses_change(self) -> None:  # the next `state` has another number, at which clients read the poses
         self._poses += 1
 
     def publish_result(self, result: PublishResult) -> None:

@@ -61,7 +61,6 @@ class Poses:
         return [{"name": name, "goal": goal} for name, goal in every.items()]
 
     def change(self, message: PosesMessage) -> Payload:
-        """Saves or removes a pose; returns the answer, or raises Refusal."""
         with self._lock:
             saved = dict(self._saved)
             if message.save is not None and message.goal is not None:

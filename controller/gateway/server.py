@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import msgspec
 import zenoh
@@ -21,14 +21,13 @@ from hyperbit.controller.motion.decoding.goal import GoalMessage, Undecodable
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.events import Payload, done, refused
-from hyperbit.controller.planning.loop import Receive
+from hyperbit.controller.planning.loop import Mailbox
 from hyperbit.controller.planning.planner import Planner
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 
-MOST_SENDERS = 16  # of set-points or measured tips whose latest one waits; one more displaces the oldest
 MOST_SENDER = 64  # bytes of what a sender attaches that tell it from others
 MOST_UNANSWERED = 100  # requests on one key; a planner refuses more than 16 goals by itself, if it is not too slow
 MOST_REFUSALS = 50  # refusals of puts published in one second
@@ -40,12 +39,11 @@ MOST_TEXT = 500  # characters of a payload that is no JSON, in a note
 # Who receives a request: the arm that is named in full, also each arm that a wildcard matches, or whoever is meant by
 # an expression that may not even name the key, as `hyperbit/**`.
 Reach = Literal["named", "each arm", "all"]
-ServedKey = events.Key | Literal["poses", "result"]
+Command = Literal["stop", "cancel", "reset", "goal", "jog", "degrade", "obstacles", "fault", "poses"]
+ServedKey = Command | Literal["plan", "arm", "result"]
 
 
-class GatewayParts(NamedTuple):
-    """What answers the requests of one arm."""
-
+class GatewayParts(NamedTuple):  # what answers the requests of one arm
     planner: Planner
     outbox: Outbox
     goals: RepeatedGoals
@@ -69,64 +67,42 @@ class Server:
         self._declared = ExitStack()
         clock = parts.clocks.monotonic
         self._refusals, self._logged_refusals = Rate(MOST_REFUSALS, clock), Rate(1, clock)  # of puts
-        self._command("stop", "each arm")
-        self._command("cancel", "each arm")
-        self._command("reset")
-        self._command("goal")
-        self._command("jog")
-        self._command("degrade")
-        self._command("obstacles")
-        self._command("fault")
-        self._command("poses")
-        self._query("plan", ordered=True)
-        self._query("arm")
-        self._query("result")
-        mailboxes = planner.loop.mailboxes
-        mailboxes.set(events.SetpointArrived, self._mailbox("setpoint", events.SetpointArrived))
+        for key in get_args(Command):
+            way = self._query(key, "each arm" if key in ("stop", "cancel") else "named", ordered=True)
+            self._subscribe(way.name, partial(way.receive, deliver=self._publish_refusal))
+        self._query("plan", "all", ordered=True)
+        self._query("arm", "all", ordered=False)
+        self._query("result", "all", ordered=False)
+        self._mailbox("setpoint", planner.loop.setpoints)
         if planner.decoder.tracker:
-            mailboxes.set(events.TipArrived, self._mailbox("measured_tip", events.TipArrived))
+            self._mailbox("measured_tip", planner.loop.tips)
         self._declared.callback(session.liveliness().declare_token(f"{self._prefix}/alive").undeclare)
 
     def close(self) -> None:
         """Undeclares all keys, the liveliness token first."""
         self._declared.close()
 
-    def _command(self, key: ServedKey, reach: Reach = "named") -> None:
-        way = self._query(key, reach, ordered=True)
-        on_put = Callback(partial(way.receive, deliver=self._publish_refusal), indirect=False)
-        self._declared.callback(self._session.declare_subscriber(way.name, on_put).undeclare)
+    def _subscribe(self, name: str, on_put: Callable[[zenoh.Sample], None]) -> None:
+        subscriber = self._session.declare_subscriber(name, Callback(on_put, indirect=False))
+        self._declared.callback(subscriber.undeclare)
 
-    def _query(self, key: ServedKey, reach: Reach = "all", *, ordered: bool = False) -> "Way":
+    def _query(self, key: ServedKey, reach: Reach, *, ordered: bool) -> "Way":
         """Answers queries on `key`; `ordered` if they have a place among the commands."""
-        kind = {"arm": Description, "poses": PosesWay, "result": ResultWay}.get(key, Way)
-        way = kind(self._prefix, key, reach, self._parts)
+        way = Way(self._prefix, key, reach, self._parts)
         on_query = Callback(way.on_query, indirect=not ordered)
         self._declared.callback(self._session.declare_queryable(way.name, on_query).undeclare)
         return way
 
-    def _mailbox(self, key: str, kind: type[events.Arrived]) -> Receive:
-        """Returns a function that returns the latest sample of each sender once. A put must name the key in full."""
+    def _mailbox(self, key: str, mailbox: Mailbox) -> None:
+        """Puts samples of a key into a mailbox. A put must name the key in full."""
         name, loop = f"{self._prefix}/{key}", self._parts.planner.loop
-        latest: dict[str, events.Arrived] = {}
 
         def put(sample: zenoh.Sample) -> None:
-            if str(sample.key_expr) != name:
-                return
-            sender = content(sample.attachment)[:MOST_SENDER].decode("ascii", "backslashreplace")
-            if len(latest) >= MOST_SENDERS and sender not in latest:
-                latest.pop(next(iter(latest)), None)
-            arrival, waiting = loop.arrive(), latest.get(sender)
-            if waiting is not None:  # a stream that began before a stop does not begin anew after it
-                arrival = arrival._replace(number=waiting.arrival.number)
-            latest[sender] = kind(content(sample.payload), arrival, sender)
+            if str(sample.key_expr) == name:
+                sender = content(sample.attachment)[:MOST_SENDER].decode("ascii", "backslashreplace")
+                mailbox.put(content(sample.payload), loop.arrive(), sender)
 
-        def receive() -> list[events.Arrived]:
-            waiting = [latest.pop(sender, None) for sender in list(latest)]
-            return sorted(filter(None, waiting), key=lambda arrived: arrived.arrival.number)
-
-        on_put = Callback(put, indirect=False)
-        self._declared.callback(self._session.declare_subscriber(name, on_put).undeclare)
-        return receive
+        self._subscribe(name, put)
 
     def _publish_refusal(self, answer: Payload) -> None:
         """Publishes the answer to a put on `result` if it is a refusal, at most MOST_REFUSALS in a second."""
@@ -157,7 +133,7 @@ class Way:
 
     def __init__(self, prefix: str, key: ServedKey, reach: Reach, parts: GatewayParts) -> None:
         self.name, self._reach = f"{prefix}/{key}", reach  # name: the key in full
-        self._key = cast(events.Key, key)  # `PosesWay` and `ResultWay` have another key, and give the planner nothing
+        self._key = key
         self._planner, self._outbox, self._goals, self._poses, self._find, self._clocks = parts
         clock, _, pause = parts.clocks
         self._brake, self._notes = FloodBrake(clock, pause), Rate(MOST_NOTES, clock)
@@ -182,28 +158,65 @@ class Way:
 
     def _request(self, received: Received) -> None:
         """Queues a request for the planner; raises Refusal if it is malformed, names no arm, or too many wait."""
+        match self._key:
+            case "arm":
+                parts = wanted(received.payload)
+                describe = partial(self._describe, received, self._planner.description(parts), "running" in parts)
+                self._planner.loop.request(received.arrival, "arm", None, describe)
+            case "poses":
+                self._change_poses(received)
+            case "result":
+                self._find_result(received)
+            case key:
+                self._give_to_planner(received, key)
+
+    def _give_to_planner(self, received: Received, key: events.Key) -> None:
         self._check_named(received.name, named=self._reach == "named")
         if self._reach != "each arm" and len(self._unanswered) > MOST_UNANSWERED:
-            raise Refusal(Reason.BUSY, most=MOST_UNANSWERED, what=f"requests on {self._key}")
-        message = self._decode(received.payload)
+            raise Refusal(Reason.BUSY, most=MOST_UNANSWERED, what=f"requests on {key}")
+        try:
+            message = self._planner.decoder.decode(key, received.payload)
+        except Undecodable as refusal:
+            if self._brake.explained.admits():
+                raise
+            raise Refusal(Reason.NOT_EXPLAINED, refusal.goal) from None  # in a flood: to find the reason takes long
         if isinstance(message, events.CancelMessage) and message.goal is not None:
             self._check_named(received.name, named=True)
-        reply = partial(self._answer, received)
-        if self._key == "goal" and isinstance(message, GoalMessage):
-            request = partial(self._planner.loop.request, received.arrival, self._key, message)
+        reply, request = partial(self._answer, received), self._planner.loop.request
+        if key == "goal" and isinstance(message, GoalMessage):
             keys = keys_of(received.payload, received.number, has_id=message.id is not None)
-            self._goals.receive_goal(keys, reply, request)
+            self._goals.receive_goal(keys, reply, partial(request, received.arrival, key, message))
         else:
-            self._planner.loop.request(received.arrival, self._key, message, reply)
+            request(received.arrival, key, message, reply)
 
-    def _decode(self, payload: bytes) -> events.Message:
-        """Returns the content of a request, or raises Refusal; in a flood without a reason that takes long."""
+    def _describe(self, received: Received, static: Payload, running: bool, live: Payload) -> None:
+        """Answers a query on `arm`; adds the parts that the planner's core does not know."""
+        daemon = {"host": socket.gethostname(), "pid": os.getpid()}
+        parts = {name: value for name, value in live.items() if running or name != "running"}
+        self._answer(received, {**static, **parts, "poses": self._poses.listed(), "daemon": daemon})
+
+    def _change_poses(self, received: Received) -> None:
+        self._check_named(received.name, named=True)
+        message = decode_poses(received.payload)
+        if message.goal is not None:
+            self._planner.decoder.decode("goal", msgspec.json.encode(message.goal))
+        answer = self._poses.change(message)
+        self._outbox.count_poses_change()
+        self._answer(received, answer)
+
+    def _find_result(self, received: Received) -> None:
+        """Answers from the ledger, which knows how a goal ended, also if its client was away."""
+        goal = parse(received.payload, ResultQuery, "result", MOST_QUERY).id
         try:
-            return self._planner.decoder.decode(self._key, payload)
-        except Refusal as refusal:
-            if not isinstance(refusal, Undecodable) or self._brake.explained.admits():
-                raise
-            raise Refusal(Reason.NOT_EXPLAINED, refusal.goal) from None
+            row = self._find(goal)
+        except sqlite3.Error as error:
+            raise Refusal(Reason.LEDGER_UNREADABLE, why=str(error)) from None
+        if row is None:
+            raise Refusal(Reason.UNKNOWN_GOAL, goal=goal)
+        ended = row["ended"] is not None
+        result = {"id": goal, **{name: row[name] for name in LEDGER_FIELDS}} if ended else None
+        told = done("the goal has ended" if ended else "the goal has no result yet")
+        self._answer(received, {**told, "result": result})
 
     def _check_named(self, name: str, *, named: bool) -> None:
         """Raises Refusal if a key expression does not name the key, or not in full though it must be `named`."""
@@ -224,51 +237,6 @@ class Way:
         if self._key != "arm" and self._outbox.recorded() and (accepted or self._notes.admits()):
             stamped = {"stamp": received.stamp, "key": self._key}
             self._outbox.publish("@request", {**stamped, **noted_content(received.payload), "answer": answer})
-
-
-class Description(Way):
-    """The way of queries on `arm`. Adds the parts that the planner's core does not know."""
-
-    def _request(self, received: Received) -> None:
-        parts = wanted(received.payload)
-        static = self._planner.description(parts)
-        describe = partial(self._describe, received, static, "running" in parts)
-        self._planner.loop.request(received.arrival, "arm", None, describe)
-
-    def _describe(self, received: Received, static: Payload, running: bool, live: Payload) -> None:
-        daemon = {"host": socket.gethostname(), "pid": os.getpid()}
-        parts = {name: value for name, value in live.items() if running or name != "running"}
-        self._answer(received, {**static, **parts, "poses": self._poses.listed(), "daemon": daemon})
-
-
-class PosesWay(Way):
-    """The way of requests on `poses`, which the planner's core does not know."""
-
-    def _request(self, received: Received) -> None:
-        self._check_named(received.name, named=True)
-        message = decode_poses(received.payload)
-        if message.goal is not None:
-            self._planner.decoder.decode("goal", msgspec.json.encode(message.goal))
-        answer = self._poses.change(message)
-        self._outbox.count_poses_change()
-        self._answer(received, answer)
-
-
-class ResultWay(Way):
-    """The way of queries on `result`: the ledger knows how a goal ended, also if its client was away."""
-
-    def _request(self, received: Received) -> None:
-        goal = parse(received.payload, ResultQuery, "result", MOST_QUERY).id
-        try:
-            row = self._find(goal)
-        except sqlite3.Error as error:
-            raise Refusal(Reason.LEDGER_UNREADABLE, why=str(error)) from None
-        if row is None:
-            raise Refusal(Reason.UNKNOWN_GOAL, goal=goal)
-        ended = row["ended"] is not None
-        result = {"id": goal, **{name: row[name] for name in LEDGER_FIELDS}} if ended else None
-        told = done("the goal has ended" if ended else "the goal has no result yet")
-        self._answer(received, {**told, "result": result})
 
 
 def content(payload: zenoh.ZBytes | None) -> bytes:

@@ -16,7 +16,8 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, Any, NamedTuple
@@ -79,7 +80,6 @@ class Ledger:
         self.known = tuple(map(max, self.known, counts))
 
     def faults(self) -> tuple[Fault, ...]:
-        """Returns the faults of the file; they do not stop the arm."""
         problems = (("ledger-unwritten", self.fault), ("ledger-damaged", self.damage))
         return tuple(Fault(code, "ledger", message) for code, message in problems if message is not None)
 
@@ -95,7 +95,10 @@ class Ledger:
         due, closing = 0.0, False  # the first transaction opens the file, and detects damage
         try:
             while not closing:
-                waiting = self._waiting(due)
+                waiting = list[Record | None]()
+                with suppress(Empty):
+                    waiting.append(self._queue.get(timeout=max(due - time.monotonic(), 0.0)))
+                    waiting += [self._queue.get() for _ in range(self._queue.qsize())]
                 closing, records = None in waiting, [record for record in waiting if record is not None]
                 unwritten.extend(records)
                 if self._write(unwritten):
@@ -109,15 +112,7 @@ class Ledger:
         finally:
             self._file.close()
 
-    def _waiting(self, due: float) -> list[Record | None]:
-        """Returns what is in the queue; waits for it until the time `due` [s]."""
-        try:
-            first = self._queue.get(timeout=max(due - time.monotonic(), 0.0))
-        except Empty:
-            return []
-        return [first, *(self._queue.get() for _ in range(self._queue.qsize()))]
-
-    def _write(self, records: Iterable[Record]) -> bool:
+    def _write(self, records: Sequence[Record]) -> bool:
         for _ in range(2):  # the second time into a new file, if the old one is damaged
             try:
                 self._file.write(records, self.known)
@@ -163,9 +158,7 @@ def locked_file(ledger: Path) -> IO[bytes] | None:
     return file
 
 
-class Mark(NamedTuple):
-    """A published result, one JSON array in a line."""
-
+class Mark(NamedTuple):  # a published result, one JSON array in a line
     instance: int
     program: int
     status: str
@@ -194,7 +187,6 @@ class PublishedResults:
             content = path.read_bytes()
         except OSError:  # the first start
             content = b""
-        self._torn = bool(content) and not content.endswith(b"\n")
         self._marks = {Identity(*mark[:2]): mark for mark in map(decoded, content.splitlines()) if mark is not None}
 
     def known(self) -> dict[Identity, ResultEntry]:
@@ -209,20 +201,19 @@ class PublishedResults:
         if len(self._marks) > 2 * MOST_MARKS:
             self._marks = dict(list(self._marks.items())[-MOST_MARKS:])
             new = self._path.with_name(f"{self._path.name}.new")
-            self._write(new, os.O_TRUNC, b"".join(map(encoded, self._marks.values())), self._path)
+            self._write(new, os.O_TRUNC, msgspec.json.Encoder().encode_lines(self._marks.values()), self._path)
         else:
-            self._write(self._path, os.O_APPEND, b"\n" * self._torn + encoded(mark))
+            self._write(self._path, os.O_APPEND, b"\n" + msgspec.json.encode(mark))  # the line before may be torn
 
     def _write(self, path: Path, flag: int, data: bytes, target: Path | None = None) -> None:
         """Writes data. The file is opened each time: systemd may have deleted the folder, and made it again."""
         try:
             file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | flag, 0o600)
             try:
-                self._torn = os.write(file, data) < len(data)
+                if os.write(file, data) < len(data):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             finally:
                 os.close(file)
-            if self._torn:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             if target is not None:
                 os.replace(path, target)
         except OSError as error:
@@ -237,12 +228,7 @@ def published_path(arm: str, socket: Path) -> Path:
     return (Path(folder) if folder else socket.parent) / f"{arm}.published"
 
 
-def encoded(mark: Mark) -> bytes:
-    return msgspec.json.encode(mark) + b"\n"
-
-
 def decoded(line: bytes) -> Mark | None:
-    """Returns the mark of a line, None if the line has none."""
     try:
         return msgspec.json.decode(line, type=Mark)
     except (msgspec.DecodeError, UnicodeDecodeError):

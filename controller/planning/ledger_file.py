@@ -4,13 +4,13 @@ import logging
 import os
 import sqlite3
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from hyperbit.controller.host.folders import state_folder
-from hyperbit.controller.planning.core.events import Identity, OpenGoal, Record
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Record
 
 log = logging.getLogger(__name__)
 
@@ -50,6 +50,10 @@ COUNTED = "INSERT INTO switches VALUES (?, ?) ON CONFLICT DO UPDATE SET count = 
 FORGOTTEN = "DELETE FROM goals WHERE number <= (SELECT max(number) FROM goals) - ?"
 
 
+class Damaged(Exception):
+    """SQLite's check found the file damaged."""
+
+
 class LedgerFile:
     """One connection, opened by the first transaction. Belongs to one thread. For its arguments see `Ledger`."""
 
@@ -59,17 +63,14 @@ class LedgerFile:
         self._inode = 0
         self._written: dict[str, int] = {}  # counts written by this connection
 
-    def write(self, records: Iterable[Record], counts: Sequence[int]) -> None:
+    def write(self, records: Sequence[Record], counts: Sequence[int]) -> None:
         """Writes records and absolute counts in one transaction, or raises.
 
         An acceptance that the file has, and a result of a goal that has ended, change nothing.
         """
-        connection, records = self._opened(), tuple(records)
-        new = [
-            (label, count)
-            for label, count in zip(self._actuators, counts, strict=True)
-            if count > self._written.get(label, 0)
-        ]
+        connection = self._opened()
+        present = dict(zip(self._actuators, counts, strict=True))
+        new = [(label, count) for label, count in present.items() if count > self._written.get(label, 0)]
         if not records and not new:
             return
         with connection:
@@ -88,7 +89,6 @@ class LedgerFile:
             self._connection = None
 
     def set_aside(self) -> str | None:
-        """Renames a damaged file; returns its new name, or None if that fails."""
         renamed = self._path.with_name(f"{self._path.name}.damaged-{time.time():.0f}")
         try:
             for suffix in ("", "-wal", "-shm"):
@@ -99,7 +99,8 @@ class LedgerFile:
         return renamed.name
 
     def _opened(self) -> sqlite3.Connection:
-        if self._connection is not None and not self._replaced():
+        """Returns the connection; opens it again if another process moved or deleted the file."""
+        if self._connection is not None and self._path.exists() and self._path.stat().st_ino == self._inode:
             return self._connection
         self.close()
         self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -122,17 +123,6 @@ class LedgerFile:
         self._connection, self._inode, self._written = connection, os.stat(self._path).st_ino, {}
         return connection
 
-    def _replaced(self) -> bool:
-        """Returns whether another process moved or deleted the file."""
-        try:
-            return os.stat(self._path).st_ino != self._inode
-        except OSError:
-            return True
-
-
-class Damaged(Exception):
-    """SQLite's check found the file damaged."""
-
 
 def damaged(error: Exception) -> bool:
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
@@ -154,7 +144,7 @@ def counted(path: Path) -> dict[str, int]:
         return {}
 
 
-def owed(path: Path) -> tuple[OpenGoal, ...]:
+def owed(path: Path) -> dict[Identity, AcceptanceEntry]:
     """Returns the newest thousand goals without a result, the oldest first; none if the ledger cannot be read.
 
     Goals of earlier versions have no identity: no result can be found for them.
@@ -164,14 +154,13 @@ def owed(path: Path) -> tuple[OpenGoal, ...]:
             rows = connection.execute(OWED, (MOST_OWED,)).fetchall()
     except sqlite3.Error as error:  # also a missing file, and one of an earlier version
         log.debug("no goals in the ledger %s: %s", path, error)
-        return ()
-    return tuple(OpenGoal(Identity(*row[:2]), *row[2:]) for row in reversed(rows))
+        return {}
+    return {Identity(*row[:2]): AcceptanceEntry(*row[2:]) for row in reversed(rows)}
 
 
 def read(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
     """Returns the switches of each actuator, and the latest thousand goals, newest first; may raise sqlite3.Error."""
     with closing(readable(path)) as connection:
-        connection.row_factory = sqlite3.Row
         switches = {row["actuator"]: row["count"] for row in connection.execute("SELECT * FROM switches")}
         goals = [dict(row) for row in connection.execute("SELECT * FROM goals ORDER BY number DESC LIMIT 1000")]
     return switches, goals
@@ -180,13 +169,14 @@ def read(path: Path) -> tuple[dict[str, int], list[dict[str, Any]]]:
 def find(path: Path, goal: str) -> dict[str, Any] | None:
     """Returns the row of the newest goal with this id, without `ended` if it runs; may raise sqlite3.Error."""
     with closing(readable(path)) as connection:
-        connection.row_factory = sqlite3.Row
         row = connection.execute("SELECT * FROM goals WHERE id = ? ORDER BY number DESC", (plain(goal),)).fetchone()
     return None if row is None else dict(row)
 
 
 def readable(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+    connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+    connection.row_factory = sqlite3.Row
+    return connection
 
 
 def plain(text: str) -> str:

@@ -50,25 +50,17 @@ class ExecutorLink:
     """
 
     def __init__(
-        self,
-        path: Path,
-        arm: str,
-        digest: str,
-        clock: Callable[[], float] = time.monotonic,
-        *,
-        simulated: bool = False,
+        self, path: Path, arm: str, digest: str, clock: Callable[[], float] = time.monotonic, *, simulated: bool = False
     ) -> None:
         self.retry_at = 0.0  # time of the next attempt to connect, while there is no connection [s]
-        self._path, self._arm, self._digest, self._clock = path, arm, digest, clock
-        self._simulated = simulated
+        self._path, self._arm, self._digest, self._clock, self._simulated = path, arm, digest, clock, simulated
         self._connection: Connection | None = None
         self._welcomed: Connection | None = None  # the same, after its Welcome
         self._reason = "waiting for the executor"  # of the last LinkDown
         self._received: list[FromExecutor | LinkDown] = []
         self._queue: deque[tuple[float, bytes]] = deque()  # time and data of each message
 
-    def fileno(self) -> int:
-        """Returns the file descriptor to wait on; -1 without a connection."""
+    def fileno(self) -> int:  # -1 without a connection
         return -1 if self._connection is None else self._connection.socket.fileno()
 
     @property
@@ -82,7 +74,6 @@ class ExecutorLink:
         return bool(self._received)
 
     def connect(self, now: float) -> None:
-        """Connects and sends Hello, at most every RETRY seconds; does nothing while there is a connection."""
         if self._connection is not None or now < self.retry_at:
             return
         self.retry_at = now + RETRY
@@ -108,8 +99,6 @@ class ExecutorLink:
             self._report(reason)
             self.close()
             self.retry_at = self._clock() + RETRY  # the executor first notices that this connection has ended
-
-    # --- from the executor
 
     def receive(self) -> list[FromExecutor | LinkDown]:
         """Returns what has happened since the last call; never waits."""
@@ -159,8 +148,6 @@ class ExecutorLink:
         if self._welcomed is not None or reason != self._reason:
             self._received.append(LinkDown(reason))
         self._reason = reason
-
-    # --- to the executor
 
     def send(self, message: Down) -> None:
         """Sends a message, or queues it while the socket is full. Without a Welcome the message is dropped."""
@@ -241,19 +228,16 @@ class Inbox:
         """Waits for an event, or for the link, for at most `timeout` seconds; returns whether the link is ready."""
         number = link.fileno()
         if self._watched != (number, link.sending):
-            self._watch(number, link.sending)
+            if self._watched[0] >= 0:
+                with contextlib.suppress(OSError):  # a closed socket is not watched any more
+                    self._epoll.unregister(self._watched[0])
+            if number >= 0:
+                self._epoll.register(number, select.EPOLLIN | (select.EPOLLOUT if link.sending else 0))
+            self._watched = (number, link.sending)
         self._asleep = True  # before the look at `events`, so that no event is missed
         ready = self._epoll.poll(0 if self.events else timeout)
         self._asleep = False
         return any(file == number for file, _ in ready)
-
-    def _watch(self, number: int, sending: bool) -> None:
-        if self._watched[0] >= 0:
-            with contextlib.suppress(OSError):  # a closed socket is not watched any more
-                self._epoll.unregister(self._watched[0])
-        if number >= 0:
-            self._epoll.register(number, select.EPOLLIN | (select.EPOLLOUT if sending else 0))
-        self._watched = (number, sending)
 
     def __del__(self) -> None:
         os.close(self._wakeups)  # not earlier, because threads may post until the end

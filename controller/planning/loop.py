@@ -5,7 +5,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple, Protocol
 
 from hyperbit.controller.flight_recorder import FlightRecorder
@@ -27,27 +27,23 @@ log = logging.getLogger(__name__)
 WARNINGS_EVERY = 0.25  # [s]
 LOOK_EVERY = 0.02  # [s] between two looks into the mailboxes
 STREAM_EVERY = 0.005  # [s] the same while set-points come
+MOST_SENDERS = 16  # whose latest set-point or measured tip waits; one more displaces the oldest
 STREAM_ENDS = 0.5  # [s] after its last set-point
 LAST_RESULTS = 1.5  # [s] for the core and the executor to end the running goal
 
 STILL = 1.0  # [s] without a round of the loop, after which the process counts as having stood still
 SETTLES = 1.0  # [s] in which what was sent meanwhile arrives
 
-Receive = Callable[[], Iterable[events.SetpointArrived | events.TipArrived]]
 OnReply = Callable[[events.Payload], None]
 
 
-class Out(Protocol):
-    """Publishes payloads; no method waits."""
-
+class Out(Protocol):  # no method waits
     def publish(self, key: Literal["state", "diagnostics", "feedback"], payload: events.Payload) -> None: ...
 
     def publish_result(self, result: events.PublishResult) -> None: ...  # notes it, and posts `Published`
 
 
-class Services(NamedTuple):
-    """What the planner needs from its process."""
-
+class Services(NamedTuple):  # what the planner needs from its process
     inbox: Inbox  # event queue; ledger, outbox and workers post to it
     ledger: Ledger
     published: PublishedResults
@@ -55,6 +51,27 @@ class Services(NamedTuple):
     notifier: Notifier
     warnings: Callable[[], tuple[Fault, ...]]  # active ones of the clock, the network and the ledger
     fatal: Callable[[str], None]  # ends the process with a message
+
+
+class Mailbox:
+    """The latest set-point or measured tip of each sender. For any thread."""
+
+    def __init__(self, kind: type[events.Arrived]) -> None:
+        self._kind = kind
+        self._latest: dict[str, events.Arrived] = {}
+
+    def put(self, payload: bytes, arrival: events.Arrival, sender: str) -> None:
+        """Replaces what waits of a sender, or of the oldest sender if there are too many."""
+        if len(self._latest) >= MOST_SENDERS and sender not in self._latest:
+            self._latest.pop(next(iter(self._latest)), None)
+        if (waiting := self._latest.get(sender)) is not None:
+            # A stream that began before a stop does not begin anew after it.
+            arrival = arrival._replace(number=waiting.arrival.number)
+        self._latest[sender] = self._kind(payload, arrival, sender)
+
+    def take(self) -> list[events.Arrived]:
+        waiting = [self._latest.pop(sender, None) for sender in list(self._latest)]
+        return sorted(filter(None, waiting), key=lambda arrived: arrived.arrival.number)
 
 
 class PlannerFailed(Exception):
@@ -65,8 +82,7 @@ class Loop:
     """Runs the core. For any thread.
 
     An exception of the core ends the process, because its state may be wrong then. An exception in carrying out an
-    action is logged, and the next action follows. The recorder takes each event, its times, and the actions, None after
-    an exception. The link is closed with this object.
+    action is logged, and the next action follows. The link is closed with this object.
     """
 
     def __init__(
@@ -88,7 +104,8 @@ class Loop:
         self._alive_at = self._clock()  # time of the last round [s]
         self._stood_still = (-math.inf, -math.inf)  # since when, and until when requests of that time may arrive [s]
         self._replies: dict[int, OnReply] = {}
-        self.mailboxes = Mailboxes()
+        self.setpoints, self.tips = Mailbox(events.SetpointArrived), Mailbox(events.TipArrived)
+        self._look_at, self._stream_until = 0.0, -math.inf  # time of the next look into them [s]
         self._wake, self._warnings_at = 0.0, 0.0  # the core steps once, also while no executor answers
         self._warned: tuple[Fault, ...] = ()
         self._closing = False
@@ -99,7 +116,6 @@ class Loop:
         self._thread.start()
 
     def end_goals(self) -> None:
-        """Ends the running goal, and waits for its result; the executor stays connected."""
         self._inbox.post(Quit())
         self.ended.wait(LAST_RESULTS)
 
@@ -166,7 +182,10 @@ class Loop:
         After the link was read, the posted events come before its messages: a request is posted before its stop is sent
         to the executor, so that the core knows the request when the executor's answer comes.
         """
-        ready = self._wait()
+        due = min(self._wake, self._warnings_at, self._look_at)
+        if self._link.fileno() < 0:
+            due = min(due, self._link.retry_at)
+        ready = self._inbox.wait(0.0 if self._link.pending else max(due - self._clock(), 0.0), self._link)
         self._note_alive()
         self._handle_posted()
         self._link.connect(self._clock())
@@ -175,7 +194,8 @@ class Loop:
         if ready or self._link.pending:
             messages = self._link.receive()
             self._handle_posted()
-            self._step_all(messages)
+            for message in messages:
+                self._step(message)
         self._handle_times()
         if self._core.ended and not self._link.sending:
             self.ended.set()
@@ -184,23 +204,25 @@ class Loop:
         for _ in range(len(self._inbox.events)):
             event = self._inbox.events.popleft()
             if isinstance(event, events.Request):  # set-points that wait may have arrived before
-                self._step_all(self.mailboxes.look(self._clock()))
+                self._look(self._clock())
             self._step(event)
 
-    def _wait(self) -> bool:
-        """Waits for events or the next time; returns whether the link is ready."""
-        due = min(self._wake, self._warnings_at, self.mailboxes.due)
-        if self._link.fileno() < 0:
-            due = min(due, self._link.retry_at)
-        return self._inbox.wait(0.0 if self._link.pending else max(due - self._clock(), 0.0), self._link)
+    def _look(self, now: float) -> None:
+        """Handles what the mailboxes have received."""
+        setpoints, tips = self.setpoints.take(), self.tips.take()
+        if setpoints:
+            self._stream_until = now + STREAM_ENDS
+        self._look_at = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
+        for event in (*setpoints, *tips):
+            self._step(event)
 
     def _handle_times(self) -> None:
         now = self._clock()
         if now >= self._wake:
             self._wake = math.inf
             self._step(events.Tick())
-        if now >= self.mailboxes.due:
-            self._step_all(self.mailboxes.look(now))
+        if now >= self._look_at:
+            self._look(now)
         if now >= self._warnings_at:
             self._warnings_at = now + WARNINGS_EVERY
             warnings = self._warned
@@ -214,10 +236,6 @@ class Loop:
 
     # --- the core
 
-    def _step_all(self, all_events: Iterable[events.Event]) -> None:
-        for event in all_events:
-            self._step(event)
-
     def _step(self, event: events.Event) -> None:
         """Passes an event to the core and carries out the actions; raises what the core raises, and PlannerFailed."""
         now, wall = self._clock(), self._wall()
@@ -230,7 +248,7 @@ class Loop:
             self._record(event, now, wall, actions)
 
     def _record(self, event: events.Event, now: float, wall: float, actions: Sequence[events.Action] | None) -> None:
-        """Gives a step to the recorder, until the recorder fails."""
+        """Gives a step to the recorder, until the recorder fails; `actions` are None after an exception."""
         if self._recorder is None:
             return
         try:
@@ -242,7 +260,6 @@ class Loop:
             log.exception("the recording of events has ended")
 
     def _carry_out(self, action: events.Action) -> None:
-        """Carries out an action, and logs its exception; only PlannerFailed is raised."""
         try:
             self._act(action)
         except PlannerFailed:
@@ -286,33 +303,3 @@ class Loop:
                 log.log(level, "%s", text, extra={"journal": fields})
             case events.Fail(reason):
                 raise PlannerFailed(reason)
-
-
-class Mailboxes:
-    """The mailboxes, which the loop reads regularly. For the loop's thread, except `set`."""
-
-    def __init__(self) -> None:
-        self.due = math.inf  # time of the next look [s]
-        self._boxes: Mapping[type[events.Arrived], Receive] = {}
-        self._stream_until = -math.inf
-
-    def set(self, kind: type[events.Arrived], receive: Receive) -> None:
-        """Sets the mailbox of a kind: `receive` returns the latest of each sender once, and never waits."""
-        self._boxes = {**self._boxes, kind: receive}
-        self.due = 0.0
-
-    def look(self, now: float) -> list[events.Arrived]:
-        """Returns what has arrived, and sets `due`."""
-        arrived: list[events.Arrived] = []
-        for kind, receive in self._boxes.items():
-            try:
-                latest = list(receive())
-            except Exception:
-                log.exception("a mailbox cannot be read")
-                continue
-            arrived += latest
-            if latest and kind is events.SetpointArrived:
-                self._stream_until = now + STREAM_ENDS
-        if self._boxes:
-            self.due = now + (STREAM_EVERY if now < self._stream_until else LOOK_EVERY)
-        return arrived

@@ -11,7 +11,7 @@ import numpy as np
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.arm.description import density, description, drawing, file
 from hyperbit.controller.flight_recorder import FlightRecorder
-from hyperbit.controller.motion.decoding.goal import GoalMessage, Id, check_reach, parse
+from hyperbit.controller.motion.decoding.goal import Id, check_reach, parse
 from hyperbit.controller.motion.decoding.requests import decode_degrade, decode_fault, decode_jog, decode_obstacles
 from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.obstacles.obstacles import NONE
@@ -20,16 +20,14 @@ from hyperbit.controller.planning.core.core import Beginning, Core
 from hyperbit.controller.planning.core.tasks import BuildScene, BuildTables
 from hyperbit.controller.planning.link import ExecutorLink
 from hyperbit.controller.planning.loop import Loop, Services
-from hyperbit.controller.planning.workers.arm_model import build_scene, build_tables
+from hyperbit.controller.planning.workers.computations import build_scene, build_tables
 from hyperbit.controller.planning.workers.pool import Workers
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.workspace.densities import Densities
 
 
-class Planner:
-    """The planner as the gateway uses it; made by `planning`. For any thread."""
-
+class Planner:  # for any thread
     def __init__(self, arm: Arm, densities: Densities, loop: Loop) -> None:
         self.loop, self.decoder = loop, RequestDecoder(arm)
         self._arm, self._densities, self._description = arm, densities, description(arm)
@@ -77,9 +75,7 @@ def planning(
         yield Planner(arm, densities, loop)
 
 
-class _NamedGoal(msgspec.Struct):
-    """The payload of a `cancel`; other fields are ignored."""
-
+class _NamedGoal(msgspec.Struct):  # the payload of a `cancel`; other fields are ignored
     id: Id | None = None
 
 
@@ -101,8 +97,10 @@ class RequestDecoder:
             Refusal: the payload is invalid; the message names the field. No other exception is raised.
         """
         match key:
-            case "goal" | "plan":
-                return self._goal(payload)
+            case "goal" | "plan":  # positions beyond the arm's length are refused here, without a search
+                goal = parse(payload)
+                check_reach(goal, self._base, self._farthest, self._tolerance)
+                return goal
             case "jog":
                 return decode_jog(payload, self._actuators)
             case "cancel":
@@ -116,12 +114,6 @@ class RequestDecoder:
                 return decode_fault(payload)
             case "stop" | "reset" | "arm":
                 return None
-
-    def _goal(self, payload: bytes) -> GoalMessage:
-        """Returns a goal; positions beyond the arm's length are refused here, without a search."""
-        message = parse(payload)
-        check_reach(message, self._base, self._farthest, self._tolerance)
-        return message
 
 
 def decode_cancel(payload: bytes) -> events.CancelMessage:

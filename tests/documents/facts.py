@@ -11,7 +11,7 @@ import msgspec
 import hyperbit
 from hyperbit.controller import cli
 from hyperbit.controller.armfile import settings
-from hyperbit.controller.gateway import outbox
+from hyperbit.controller.gateway import outbox, server
 from hyperbit.controller.motion.decoding import goal, requests, setpoint
 from hyperbit.controller.motion.tracking import bias
 from hyperbit.controller.program.parts import Mode
@@ -45,8 +45,9 @@ def sources(*folders: str) -> Iterator[str]:
 
 def keys() -> set[str]:
     """Returns the keys below hyperbit/<arm>/ that a daemon declares or publishes on."""
-    declared = re.compile(r'(?:_command|_query|_mailbox|declare_token)\(\s*f?"(?:{[a-z._]+}/)?(@?[a-z_]+)"')
-    return {key for text in sources("controller/gateway") for key in declared.findall(text)} | outbox.PUBLISHED.keys()
+    declared = re.compile(r'(?:_query|_mailbox|declare_token)\(\s*f?"(?:{[a-z._]+}/)?(@?[a-z_]+)"')
+    others = {key for text in sources("controller/gateway") for key in declared.findall(text)}
+    return {*get_args(server.Command), *others, *outbox.PUBLISHED}
 
 
 def faults() -> set[str]:

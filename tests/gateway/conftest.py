@@ -32,7 +32,7 @@ from hyperbit.controller.planning.core.events import (
     done,
     refused,
 )
-from hyperbit.controller.planning.loop import Receive
+from hyperbit.controller.planning.loop import Mailbox
 from hyperbit.controller.planning.planner import decode_cancel
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
@@ -61,9 +61,10 @@ class FakePlanner:
         self.decoded: list[str] = []
         self.holding = threading.Event()
         self.waiting: list[tuple[Reply, Payload]] = []
-        self.receive: dict[str, Receive] = {}
+        self.setpoints, self.tips = Mailbox(SetpointArrived), Mailbox(TipArrived)
+        self.receive = {"setpoint": self.setpoints.take, "measured_tip": self.tips.take}
         self.tracker = True
-        self.loop = self.decoder = self.mailboxes = self
+        self.loop = self.decoder = self
 
     def decode(self, key: str, payload: bytes) -> Message:
         self.decoded.append(key)
@@ -111,9 +112,6 @@ class FakePlanner:
 
     def keys(self) -> list[str]:
         return [key for key, _ in self.heard if key != "arm"]
-
-    def set(self, kind: type[SetpointArrived | TipArrived], receive: Receive) -> None:
-        self.receive["setpoint" if kind is SetpointArrived else "measured_tip"] = receive
 
     def description(self, wanted: Collection[str] = ()) -> Payload:
         return {"name": ARM, "dimension": 2, **{key: {} for key in wanted if key != "running"}}

@@ -8,8 +8,9 @@ import pytest
 import zenoh
 
 from hyperbit.controller.gateway.arrivals import Rate
-from hyperbit.controller.gateway.server import MOST_REFUSALS, MOST_SENDERS, MOST_UNANSWERED, content
+from hyperbit.controller.gateway.server import MOST_REFUSALS, MOST_UNANSWERED, content
 from hyperbit.controller.planning.core.events import CancelMessage, refused
+from hyperbit.controller.planning.loop import MOST_SENDERS
 from tests.gateway.conftest import ARM, NO_ACTUATOR, Gateway
 from tests.waiting import PATIENCE, eventually
 
@@ -155,10 +156,13 @@ def test_a_put_by_a_wildcard_displaces_no_sample(gateway: Gateway, key: str) -> 
 
 def test_without_a_tracker_measured_tips_are_not_declared(gateway: Gateway) -> None:
     gateway.server.close()
-    gateway.planner.receive.clear()
     gateway.planner.tracker = False
     gateway.server = gateway.serve()
-    assert list(gateway.planner.receive) == ["setpoint"]
+    session = gateway.other()
+    for key in ("measured_tip", "setpoint"):
+        session.put(f"{PREFIX}/{key}", b"x")
+    eventually(gateway.planner.receive["setpoint"])
+    assert gateway.planner.receive["measured_tip"]() == []
 
 
 def test_a_defect_is_answered_in_words_and_the_next_request_is_served(gateway: Gateway) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.planning.core.events import SetpointArrived
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.planning.conftest import DOCUMENT
 from tests.planning.rig.core_executor import CoreExecutor
@@ -171,18 +170,16 @@ def test_stop_and_reset(chain: Chain) -> None:
 
 
 def test_set_points_are_followed(chain: Chain) -> None:
-    wanted, loop = [(1, 2)], chain.planner.planner.loop
+    loop = chain.planner.planner.loop
 
-    def put() -> list[SetpointArrived]:
-        position = chain.arm.manipulator.tip(np.array(wanted[0]))[:2, 3].tolist()
-        return [SetpointArrived(json.dumps({"position": position}).encode(), loop.arrive())]
+    def follows(goal: tuple[int, ...]) -> bool:
+        position = chain.arm.manipulator.tip(np.array(goal))[:2, 3].tolist()
+        loop.setpoints.put(json.dumps({"position": position}).encode(), loop.arrive(), "")
+        return chain.error(goal) < 0.003
 
-    loop.mailboxes.set(SetpointArrived, put)
     for goal in (A, C, (0, 0)):
-        wanted[0] = goal
-        eventually(lambda: chain.error(wanted[0]) < 0.003)
+        eventually(lambda goal=goal: follows(goal))
     assert chain.planner.state["mode"] == "executing"
-    loop.mailboxes.set(SetpointArrived, list)
     eventually(lambda: chain.planner.state["mode"] == "ready")
 
 

@@ -122,9 +122,7 @@ def test_posted_events_come_before_messages(executor: ScriptedExecutor, bench: B
 
 
 def test_a_setpoint_that_waits_comes_before_a_request(bench: Bench) -> None:
-    box = [SETPOINT]
-    bench.loop.mailboxes.set(SetpointArrived, lambda: [box.pop()] if box else [])
-    bench.loop.mailboxes.set(TipArrived, list)
+    bench.loop.setpoints.put(*SETPOINT)
     assert bench.handle(Published(1), REQUEST) == [Published(1), SETPOINT, REQUEST]
 
 
@@ -154,28 +152,18 @@ def test_it_ticks_at_the_last_wake(bench: Bench) -> None:
 
 
 def test_mailboxes_are_read_more_often_while_set_points_come(bench: Bench) -> None:
-    setpoints, tips = list[SetpointArrived](), [TIP]
-    bench.loop.mailboxes.set(SetpointArrived, lambda: [setpoints.pop()] if setpoints else [])
-    bench.loop.mailboxes.set(TipArrived, lambda: [tips.pop()] if tips else [])
-    mailboxes = bench.loop.mailboxes
-    assert bench.handle(Published(1)) == [Published(1), TIP]
-    assert mailboxes.due == bench.now + LOOK_EVERY
-    setpoints.append(SETPOINT)
-    bench.now = mailboxes.due
+    loop = bench.loop
+    loop.tips.put(*TIP)
+    bench.now = loop._look_at
+    assert bench.handle() == [TIP]
+    assert loop._look_at == bench.now + LOOK_EVERY
+    loop.setpoints.put(*SETPOINT)
+    bench.now = loop._look_at
     assert bench.handle() == [SETPOINT]
-    assert mailboxes.due == bench.now + STREAM_EVERY
+    assert loop._look_at == bench.now + STREAM_EVERY
     bench.now += STREAM_ENDS
     bench.handle()
-    assert mailboxes.due == bench.now + LOOK_EVERY
-
-
-def test_a_mailbox_that_fails_keeps_nothing_waiting(bench: Bench) -> None:
-    def fail() -> list[SetpointArrived]:
-        raise RuntimeError("closed")
-
-    bench.loop.mailboxes.set(SetpointArrived, fail)
-    bench.loop.mailboxes.set(TipArrived, lambda: [TIP])
-    assert bench.handle(REQUEST) == [TIP, REQUEST]
+    assert loop._look_at == bench.now + LOOK_EVERY
 
 
 def test_changed_warnings_are_told(bench: Bench) -> None:

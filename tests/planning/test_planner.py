@@ -114,9 +114,9 @@ def test_a_request_is_decoded_by_its_key(bench: Bench) -> None:
 
 def test_mailboxes_are_read(bench: Bench) -> None:
     setpoint, tip = SetpointArrived(b"setpoint", Arrival(1, 0.0)), TipArrived(b"tip", Arrival(2, 0.0))
-    bench.planner.loop.mailboxes.set(SetpointArrived, lambda: [setpoint])
+    bench.planner.loop.setpoints.put(*setpoint)
     assert bench.core.expect(SetpointArrived) == setpoint
-    bench.planner.loop.mailboxes.set(TipArrived, lambda: [tip])
+    bench.planner.loop.tips.put(*tip)
     assert bench.core.expect(TipArrived) == tip
 
 

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.motion.stages.feed import PlanProof
-from hyperbit.controller.planning.core.events import Identity, OpenGoal, ResultEntry
-from hyperbit.controller.planning.core.outcomes import why_not_as_planned
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, ResultEntry
+from hyperbit.controller.planning.core.results import why_not_as_planned
 from hyperbit.controller.program import Acknowledge, Cancel, Program, Replacement
 from hyperbit.controller.workspace.densities import Densities
 from tests.planning.rig.desk import Desk
@@ -100,13 +100,13 @@ def test_what_an_earlier_process_has_published_and_recorded_is_acknowledged_only
 
 
 def test_what_another_executor_owed_is_lost(make: Make) -> None:
-    owed = OpenGoal(Identity(77, 5), "old", 12.0, 3)
-    later = make(owed=[owed])
+    owed = {Identity(77, 5): AcceptanceEntry("old", 12.0, 3)}
+    later = make(owed=owed)
     result = later.inbox.next("inherited")
     assert (result["id"], result["status"], result["code"]) == ("old", "lost", -4)
     assert "the executor ended before it told" in result["message"]
     ((kind, entry),) = later.entries
-    assert (kind, entry.identity, entry.ended.status) == ("accepted+ended", owed.identity, "lost")
+    assert (kind, entry.identity, entry.ended.status) == ("accepted+ended", Identity(77, 5), "lost")
     later.drop()
     later.executor.greet()
     assert later.inbox.empty
@@ -114,7 +114,7 @@ def test_what_another_executor_owed_is_lost(make: Make) -> None:
 
 def test_what_the_same_executor_owes_is_waited_for(desk: Desk, make: Make) -> None:
     program = taken(desk, A)
-    later = make(owed=[OpenGoal(Identity(1, program.program), "a", 12.0, 1)])
+    later = make(owed={Identity(1, program.program): AcceptanceEntry("a", 12.0, 1)})
     assert later.inbox.empty
     later.executor.end(program, "aborted", "the planner is gone", mark=-1)
     assert later.inbox.next("inherited")["message"] == "the planner is gone"
@@ -129,7 +129,7 @@ def test_what_an_earlier_process_may_have_published_in_vain_is_repeated_with_the
 ) -> None:
     program, own = taken(desk, A), ResultEntry(0.0, "aborted", -4, "the planned motion would collide", 3)
     identity = Identity(1, program.program)
-    later = make(owed=[OpenGoal(identity, "a", 12.0, 1)], published={identity: own})
+    later = make(owed={identity: AcceptanceEntry("a", 12.0, 1)}, published={identity: own})
     ended = later.executor.end(program, "canceled", "canceled", switches=3)
     result = later.inbox.next("inherited")
     assert result["repeated"]
@@ -140,8 +140,8 @@ def test_what_an_earlier_process_may_have_published_in_vain_is_repeated_with_the
 
 
 def test_what_another_executor_owed_is_repeated_as_it_was_published(make: Make) -> None:
-    owed = OpenGoal(Identity(77, 5), "old", 12.0, 3)
-    later = make(owed=[owed], published={owed.identity: REACHED})
+    owed = {Identity(77, 5): AcceptanceEntry("old", 12.0, 3)}
+    later = make(owed=owed, published={Identity(77, 5): REACHED})
     result = later.inbox.next("inherited")
     assert result["repeated"]
     assert (result["id"], result["status"], result["message"], result["switches"]) == ("old", "succeeded", "reached", 4)
@@ -150,7 +150,7 @@ def test_what_another_executor_owed_is_repeated_as_it_was_published(make: Make) 
 
 def test_a_result_is_not_repeated_if_no_process_has_published_it(desk: Desk, make: Make) -> None:
     program = taken(desk, A)
-    later = make(owed=[OpenGoal(Identity(1, program.program), "a", 12.0, 1)])
+    later = make(owed={Identity(1, program.program): AcceptanceEntry("a", 12.0, 1)})
     later.executor.end(program)
     assert "repeated" not in later.inbox.next("inherited")
 

@@ -15,7 +15,7 @@ from hyperbit.controller.gateway.outbox import Outbox
 from hyperbit.controller.motion.decoding.goal import BEGIN_WITHIN
 from hyperbit.controller.motion.stages.feed import Feed
 from hyperbit.controller.motion.tracking.tracking import GoalTracker
-from hyperbit.controller.planning.core import goals, offers, parts, results
+from hyperbit.controller.planning.core import goals, parts, results
 from hyperbit.controller.planning.core.arm import ArmState, ExecutorView
 from hyperbit.controller.planning.core.events import PublishResult, Reply, Request, ToExecutor
 from hyperbit.controller.planning.core.goals import Goals
@@ -25,6 +25,7 @@ from hyperbit.controller.planning.core.programs import Programs
 from hyperbit.controller.planning.core.requests import ExecutorRequests, Queries
 from hyperbit.controller.planning.core.results import Results
 from hyperbit.controller.planning.core.stream import Stream
+from hyperbit.controller.planning.core.tasks import Planned
 from hyperbit.controller.program import Acknowledge, Alive, Clearance, Reset
 from tests.simulation.judge.verdict import Violation
 from tests.simulation.network import SimulatedLink
@@ -65,9 +66,8 @@ _recorded = Programs.recorded
 _init_results = Results.__init__
 _ended = Results.ended
 _tell = Results._tell
-_make_goal_program = offers.make_goal_program
 _receive_request = ExecutorRequests.receive_request
-_make_program = offers._make_program
+_make_program = goals.make_program
 _publish_result = Outbox.publish_result
 _answered_job = Jobs.answered
 _send = SimulatedLink.send
@@ -91,7 +91,7 @@ def _forget_published(self: Results, *arguments: Any) -> None:
 
 def _trust_marks(self: Results, *arguments: Any) -> None:
     parts, published, _ = arguments
-    _init_results(self, parts, published, ())
+    _init_results(self, parts, published, {})
 
 
 def _acknowledge_first(self: Results, message: Any, goal: Any) -> None:
@@ -106,9 +106,11 @@ def _tell_more_switches(self: Results, untold: Any, goal: Any) -> None:
     _tell(self, untold, goal)
 
 
-def _claim_optimum(parts: Any, goal: Any, planned: Any, *now: Any) -> None:
-    proof = planned.proof._replace(bound=planned.proof.cost, certificate="optimal")
-    _make_goal_program(parts, goal, planned._replace(proof=proof), *now)
+def _claim_optimum(parts: Any, goal: Any, state: Any) -> None:
+    if isinstance(goal.planned, Planned):
+        proof = goal.planned.proof._replace(bound=goal.planned.proof.cost, certificate="optimal")
+        goal.planned = goal.planned._replace(proof=proof)
+    _make_program(parts, goal, state)
 
 
 def _reset_after_stop(self: ExecutorRequests, request: Request) -> None:
@@ -118,8 +120,8 @@ def _reset_after_stop(self: ExecutorRequests, request: Request) -> None:
         self._act(ToExecutor(Reset(10**6, 0 if state is None else state.snapshot.epoch + 1)))
 
 
-def _take_present_epoch(parts: Any, goal: Any, *arguments: Any, **named: Any) -> None:
-    _make_program(parts, goal, *arguments, **named)
+def _take_present_epoch(parts: Any, goal: Any, state: Any) -> None:
+    _make_program(parts, goal, state)
     goal.program = msgspec.structs.replace(goal.program, epoch=parts.view.state.snapshot.epoch)
 
 
@@ -184,11 +186,11 @@ DEFECTS: dict[str, list[Patch]] = {
     "goals that an executor took with it have no result": [(Results, "met", lambda self, instance: None)],
     "results are acknowledged before they are published": [(Results, "ended", _acknowledge_first)],
     "results count too many switches": [(Results, "_tell", _tell_more_switches)],
-    "each plan counts as optimal": [(goals, "make_goal_program", _claim_optimum)],
+    "each plan counts as optimal": [(goals, "make_program", _claim_optimum)],
     "programs are not parked": [(Feed, "park", lambda self, generation: setattr(self, "checked", generation))],
     "a stop bars no goals": [
         (Admission, "barred", lambda self, ticket, goal=None: False),
-        (offers, "_make_program", _take_present_epoch),
+        (goals, "make_program", _take_present_epoch),
     ],
     "the planner resets a stopped arm": [(ExecutorRequests, "receive_request", _reset_after_stop)],
     "states that are no configuration are not told": [(ArmState, "unknown_state", None)],  # type: ignore[list-item]

@@ -181,14 +181,14 @@ def serve(file: Path, executor: RunningExecutor, network: Network, ledger: Path 
     import zenoh
 
     from hyperbit.controller.gateway.claim import AlreadyRunning
-    from hyperbit.controller.gateway.daemon import ServedArm, running
+    from hyperbit.controller.gateway.daemon import running
     from hyperbit.controller.planning.ledger import LedgerInUse
     from hyperbit.controller.planning.ledger_file import default_path
 
     arm = load_wired(file)
     config = network.config()
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
-    served = ServedArm(arm, densities_of(arm), digest, simulated)
+    densities = densities_of(arm)
     book = ledger or default_path(arm.settings.name, simulated=simulated)
     ending = ending_event()  # before the first goal, so that an early signal ends goals in order
     try:
@@ -196,7 +196,7 @@ def serve(file: Path, executor: RunningExecutor, network: Network, ledger: Path 
             wait_for_router(network.connect, ending)
             if ending.is_set():
                 return
-        with running(served, config, book, executor.path) as daemon:
+        with running(arm, densities, digest, config, book, executor.path, simulated=simulated) as daemon:
             while not ending.wait(POLL):
                 if daemon.failure is not None:
                     raise CommandFailed(f"{daemon.failure}: the log has details")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.stages.program import pack_states, unpack_states
 from hyperbit.controller.planning.core.events import Payload
 from hyperbit.controller.planning.core.tasks import ArmStart
@@ -15,17 +16,8 @@ from hyperbit.controller.program import Diagnostics, Ended, Mode, Settled, Snaps
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
-if TYPE_CHECKING:
-    from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
-    from hyperbit.controller.motion.stages.pacing import Pace
-
 States = NDArray[np.uint8]
 Measured = NDArray[np.int8]  # actuator states, -1 unknown
-
-_AFTER_PROGRAMS = ("executing", "ready")  # modes in which programs end, or have ended
-
-# Fields of a snapshot from which `ArmState` computes.
-OF_ACTUATORS = ("outputs", "measured", "known", "sensed", "homing", "unread", "locked", "moving")
 
 
 def measured_states(measured: bytes, known: bytes, actuators: int) -> Measured:
@@ -45,16 +37,8 @@ class ArmState:
     def __init__(self, manipulator: Manipulator, snapshot: Snapshot) -> None:
         self.manipulator, self.snapshot = manipulator, snapshot
 
-    def at(self, snapshot: Snapshot) -> ArmState:
-        """Returns the arm at a later snapshot. It keeps the arrays of this one if all actuators are as they were."""
-        later = ArmState(self.manipulator, snapshot)
-        if all(getattr(snapshot, name) == getattr(self.snapshot, name) for name in OF_ACTUATORS):
-            vars(later).update({**vars(self), "snapshot": snapshot})
-        return later
-
     @cached_property
     def outputs(self) -> States:
-        """The boards' outputs, as last switched."""
         return self.unpacked(self.snapshot.outputs)
 
     @cached_property
@@ -73,7 +57,7 @@ class ArmState:
     @cached_property
     def homing(self) -> NDArray[np.bool_]:
         """Which actuators have an unknown state until they are homed."""
-        return self.unpacked(self.snapshot.homing or self._none).astype(np.bool_)
+        return self.unpacked(self.snapshot.homing).astype(np.bool_)
 
     @cached_property
     def commanded(self) -> States:
@@ -98,15 +82,10 @@ class ArmState:
     def start(self) -> ArmStart:
         return ArmStart(self.snapshot.outputs, packed(self.commanded), packed(self.states), self.snapshot.locked)
 
-    @property
-    def _none(self) -> bytes:
-        return bytes((len(self.manipulator.actuators) + 7) // 8)
-
     @cached_property
     def unread(self) -> list[str]:
         """Labels of the actuators that were switched, and that neither an end-stop nor a read has told of yet."""
-        mask = self.unpacked(self.snapshot.unread or self._none)
-        return [self.manipulator.actuators[k] for k in np.flatnonzero(mask)]
+        return [self.manipulator.actuators[k] for k in np.flatnonzero(self.unpacked(self.snapshot.unread))]
 
     @cached_property
     def known(self) -> bool:
@@ -145,7 +124,9 @@ class ArmState:
         return packed(np.where(self.locked, self.commanded, self.unpacked(states)))
 
     def unpacked(self, states: bytes) -> States:
-        return unpack_states(states, len(self.manipulator.actuators))
+        """Returns packed states as an array (A,); no bytes are zeros."""
+        actuators = len(self.manipulator.actuators)
+        return unpack_states(states, actuators) if states else np.zeros(actuators, np.uint8)
 
 
 class ExecutorView:
@@ -176,15 +157,13 @@ class ExecutorView:
             self.counted = sum(map(max, known, message.counts)) if message.counts else sum(known)
 
     def receive_snapshot(self, snapshot: Snapshot) -> ArmState:
-        before = self.state
-        state = ArmState(self.manipulator, snapshot) if before is None else before.at(snapshot)
+        before, state = self.state, ArmState(self.manipulator, snapshot)
         if before is not None and before.snapshot.outputs != snapshot.outputs:
             self._switched_at = np.where(before.outputs != state.outputs, snapshot.at, self._switched_at)
         self.state, self._was_connected = state, True
         if snapshot.mode == "ready":
             self._shown_for = self._shown_for or snapshot.reason
-        other = snapshot.mode == "ready" and snapshot.reason != self._shown_for
-        if other or snapshot.mode not in _AFTER_PROGRAMS:
+        if snapshot.mode != "executing" and (snapshot.mode != "ready" or snapshot.reason != self._shown_for):
             self._sentence = ""
         return state
 
@@ -198,19 +177,18 @@ class ExecutorView:
 
         An end that is told before the first snapshot may be long ago.
         """
-        if self.state is not None and self.state.snapshot.mode in _AFTER_PROGRAMS:
+        if self.state is not None and self.state.snapshot.mode in ("executing", "ready"):
             self._sentence, self._shown_for = sentence, ""
 
     def ready_at(self, state: ArmState, stage: bytes, strict: bool) -> float:
         """Returns the earliest time of a packed stage [s]: the last one has ended, and its actuators have rested."""
-        waits, ready = self._pace.inrush is not None or strict, -np.inf
-        if not waits and not self._pace.rest > 0:
-            return ready
-        differ = state.commanded != state.unpacked(state.real(stage))
-        if differ.any() and waits:
-            ready = self._switched_at.max() + self._travel
-        if differ.any() and self._pace.rest > 0:
-            ready = max(ready, self._switched_at[differ].max() + self._travel + self._pace.rest)
+        waits, rest, ready = self._pace.inrush is not None or strict, self._pace.rest, -np.inf
+        if waits or rest > 0:
+            differ = state.commanded != state.unpacked(state.real(stage))
+            if differ.any() and waits:
+                ready = self._switched_at.max() + self._travel
+            if differ.any() and rest > 0:
+                ready = max(ready, self._switched_at[differ].max() + self._travel + rest)
         return float(ready)
 
     def measured_in(self, message: Settled | Ended) -> Measured:
@@ -221,7 +199,6 @@ class ExecutorView:
         return np.full(len(self.manipulator.actuators), -1, np.int8) if self.state is None else self.state.measured
 
     def mode(self) -> tuple[Mode, str]:
-        """Returns the executor's mode, and its reason as a sentence."""
         if self.state is None:
             return "fault" if self._was_connected else "starting", self.problem
         snapshot = self.state.snapshot

@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 import math
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from hyperbit.controller import program
+from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.host.process import Log, Quit
+from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.tracking.tracking import tracking_of
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.arm import ExecutorView
@@ -18,23 +20,16 @@ from hyperbit.controller.planning.core.goals import Goals
 from hyperbit.controller.planning.core.locks import Locks
 from hyperbit.controller.planning.core.obstacles import ObstacleOwner
 from hyperbit.controller.planning.core.parts import Parts
-from hyperbit.controller.planning.core.premises import Premises
+from hyperbit.controller.planning.core.premises import Premises, TipBiasEstimator
 from hyperbit.controller.planning.core.programs import Programs
-from hyperbit.controller.planning.core.reports import GoalOutcome
 from hyperbit.controller.planning.core.requests import ExecutorRequests, Queries
 from hyperbit.controller.planning.core.results import Results
 from hyperbit.controller.planning.core.status import Status
 from hyperbit.controller.planning.core.stream import Stream
 from hyperbit.controller.planning.core.tasks import ImprovePlan, Planned, Tables, VersionedScene
-from hyperbit.controller.planning.core.tip_bias import TipBiasEstimator
-from hyperbit.controller.refusals.codes import PATH_TOLERANCE_VIOLATED
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.method import MINIMUM_SWITCH
-
-if TYPE_CHECKING:
-    from hyperbit.controller.arm.arm import Arm
-    from hyperbit.controller.motion.stages.pacing import Pace
 
 # Fields that the core does not look inside: the flight recorder leaves them out.
 OPAQUE: dict[type, str] = {Tables: "solvers", VersionedScene: "keep_out", ImprovePlan: "plan", Planned: "plan"}
@@ -52,7 +47,7 @@ class Beginning(NamedTuple):
     counts: tuple[int, ...]  # switches of each actuator, of the ledger
     # Results that earlier planner processes published, and goals that they accepted without a result in the ledger.
     published: Mapping[events.Identity, events.ResultEntry] = MappingProxyType({})
-    owed: Iterable[events.OpenGoal] = ()
+    owed: Mapping[events.Identity, events.AcceptanceEntry] = MappingProxyType({})
     simulated: bool = False  # whether this process serves an executor with simulated boards; it connects to no other
 
 
@@ -64,9 +59,9 @@ class Core:
         self.ended = False  # whether the process may end, after a `Quit`
         self._actions: list[events.Action] = []
         self._counts = beginning.counts
-        view = ExecutorView(manipulator, arm.travel_time, pace)
+        self._view = view = ExecutorView(manipulator, arm.travel_time, pace)
         self._parts = parts = Parts(view, pace, beginning.name, self._act, beginning.simulated)
-        self._view, self._admission, self._jobs, self._moment = view, parts.admission, parts.jobs, parts.moment
+        self._admission, self._jobs, self._moment = parts.admission, parts.jobs, parts.moment
         self._locks = locks = Locks(parts, beginning.tables)
         self._obstacles = ObstacleOwner(parts, beginning.scene, beginning.obstacles)
         self._tip_bias = None if tracker is None else TipBiasEstimator(parts, locks, tracker)
@@ -74,7 +69,7 @@ class Core:
         self._results = Results(parts, beginning.published, beginning.owed)
         self._programs = programs = Programs(parts, self._obstacles, self._results, searches)
         self._goals, self._queries = Goals(parts, premises, programs, searches), Queries(parts, premises)
-        self._requests = ExecutorRequests(parts, locks, self._goals, programs, self._queries)
+        self._requests = ExecutorRequests(parts, premises, self._goals, programs, self._queries)
         self._stream = Stream(arm, tracking_of(manipulator.length, arm.tolerance), parts, premises, programs)
         self._status = Status(parts, premises, programs, self._goals, self._queries, self._stream)
         self._report_at = self._alive_at = 0.0  # times of the next report and keep-alive [s]
@@ -97,7 +92,12 @@ class Core:
         self._stream.consider()
         self._obstacles.answer(self._programs.unchecked())
         self._keep_alive()
-        self._end_if_over()
+        if self._quit_at is not None and not self.ended:
+            over = self._programs.idle and self._results.idle and not self._goals.all
+            if over or now >= self._quit_at:
+                self._obstacles.answer([], at_once=True)
+                self._status.publish_state()
+                self.ended = True
         if self._actions and not isinstance(event, events.Tick):
             self._report_at = now + CALM  # urgent actions, and their worker, come before reports
         if now >= self._report_at:
@@ -131,33 +131,39 @@ class Core:
             case events.Recorded(entry):
                 self._programs.recorded(entry)
                 self._results.recorded(entry)
-            case events.LinkDown(reason):
-                self._lose(reason)
+            case events.LinkDown(reason):  # or there is no connection for another reason than before
+                was = self._view.connected
+                self._view.lost(reason)
+                if was:
+                    self._admission.lost()
+                    self._goals.lost(reason)
+                    self._programs.lost(reason)
+                    self._requests.lost(reason)
             case events.Unsent(number, reason):
                 self._requests.unsent(number, reason)
             case events.Warned(warnings):
                 self._status.warnings = warnings
-            case Quit():
-                self._quit()
-            case events.Tick():
-                pass
-
-    # --- clients
+            case Quit() if self._quit_at is None:  # refuses what waits, ends the running goal, and stays connected
+                self._quit_at = self._moment.now + LAST_RESULTS_WITHIN
+                self._goals.quitting = True
+                self._queries.end_queries()
+                self._stream.park()
+                if (running := self._programs.current) is not None:
+                    self._programs.end(running, Reason.SHUTTING_DOWN.sentence)
 
     def _answer(self, request: events.Request) -> None:
         """Takes a request; what fails is answered, and does not end the process."""
         try:
-            match request.key:
-                case "goal" | "jog":
-                    self._goals.queue(request, self._admission.arrive(request.number))
-                case "plan":
+            match request.key, request.message:
+                case "goal" | "jog", _:
+                    self._goals.queue(request)
+                case "plan", _:
                     self._queries.queue(request)
-                case "obstacles":
-                    assert isinstance(request.message, events.SentObstacles)
-                    if self._obstacles.change(request.number, request.message):
+                case "obstacles", events.SentObstacles() as message:
+                    if self._obstacles.change(request.number, message):
                         self._programs.park(self._obstacles.generation)
                         self._stream.park()
-                case "arm":
+                case "arm", _:
                     self._act(events.Reply(request.number, self._live()))
                 case _:
                     self._requests.receive_request(request)
@@ -167,17 +173,16 @@ class Core:
 
     def _live(self) -> events.Payload:
         """Returns the fields of the arm's description that change."""
-        state, running = self._view.state, self._programs.current
+        state, goal = self._view.state, self._programs.current
         faults = () if state is None else state.snapshot.faults
+        waypoints = () if goal is None or goal.report is None else goal.report.waypoints
         return {
             "limits": [fault.message for fault in faults if fault.code == "board-limits"],
             "sent_obstacles": self._obstacles.regions,
             "simulated": self._parts.simulated,
             "simulation": self._view.simulation,
-            "running": None if running is None else {"goal": running.id, "waypoints": running.report.waypoints},
+            "running": None if goal is None else {"goal": goal.id, "waypoints": waypoints},
         }
-
-    # --- the executor
 
     def _receive(self, message: program.Up) -> None:
         match message:
@@ -201,24 +206,11 @@ class Core:
                 self._view.diagnostics = message
                 self._act(events.RecordCounts(message.counts))
             case program.Welcome():
-                self._welcome(message)
-
-    def _welcome(self, message: program.Welcome) -> None:
-        self._view.receive_welcome(message, self._counts)
-        self._parts.last_number = max(self._parts.last_number, message.program)
-        self._act(events.ToExecutor(program.Counts(self._counts)))
-        self._results.met(message.instance)
-        self._silent, self._alive_at = 0, self._moment.now
-
-    def _lose(self, reason: str) -> None:
-        """Ends what the executor ran: the connection is lost, or there is none for another reason than before."""
-        was = self._view.connected
-        self._view.lost(reason)
-        if was:
-            self._admission.lost()
-            self._goals.lost(reason)
-            self._programs.lost(reason)
-            self._requests.lost(reason)
+                self._view.receive_welcome(message, self._counts)
+                self._parts.last_number = max(self._parts.last_number, message.program)
+                self._act(events.ToExecutor(program.Counts(self._counts)))
+                self._results.met(message.instance)
+                self._silent, self._alive_at = 0, self._moment.now
 
     def _keep_alive(self) -> None:
         """Tells the executor that the planner is alive, and detects an executor that is silent.
@@ -237,27 +229,6 @@ class Core:
         if self._silent > self._most_silent or self._requests.overdue():
             self._silent = 0
             self._act(events.Disconnect("the executor is silent"))
-
-    # --- the end
-
-    def _quit(self) -> None:
-        """Refuses what waits, and ends the running goal; the executor stays connected."""
-        if self._quit_at is not None:
-            return
-        self._quit_at = self._moment.now + LAST_RESULTS_WITHIN
-        self._goals.quitting = True
-        self._queries.end_queries()
-        self._stream.park()
-        if (running := self._programs.current) is not None:
-            self._programs.end(running, GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, Reason.SHUTTING_DOWN.sentence))
-
-    def _end_if_over(self) -> None:
-        over = self._programs.idle and self._results.idle and not self._goals.waiting
-        if self._quit_at is not None and (over or self._moment.now >= self._quit_at):
-            if not self.ended:
-                self._obstacles.answer([], at_once=True)
-                self._status.publish_state()
-            self.ended = True
 
     def _act(self, action: events.Action) -> None:
         self._actions.append(action)

@@ -33,25 +33,14 @@ Message = GoalMessage | Jog | CancelMessage | DegradeMessage | SentObstacles | F
 # --- events
 
 
-class Arrival(NamedTuple):
-    """The arrival of a request, set-point or measured tip at the gateway.
-
-    Requests may reach the core in another order: their numbers decide. What arrives just after the process stood still
-    may have waited since it did: `at` is then the beginning of the standstill.
-    """
-
-    number: int  # from 1, ascending
-    at: float  # [s, the monotonic clock]
+class Arrival(NamedTuple):  # of a request, set-point or measured tip at the gateway
+    number: int  # from 1, ascending; requests may reach the core in another order: their numbers decide
+    at: float  # [s, the monotonic clock]; after a standstill its beginning, because the request may have waited since
 
 
-class Request(NamedTuple):
-    """A request of a client, decoded. It is answered by exactly one `Reply`.
-
-    A `stop`, and a `cancel` without an id, was sent to the executor before, as the executor's request of this number.
-    """
-
+class Request(NamedTuple):  # of a client; it is answered by exactly one `Reply`
     arrival: Arrival
-    key: Key
+    key: Key  # a `stop`, and a `cancel` without an id, was sent to the executor before, as its request of this number
     message: Message
     wall: float  # time of arrival [UNIX s]
 
@@ -68,7 +57,7 @@ class Unsent(NamedTuple):  # of a `stop` or `cancel` to the executor; comes afte
 class SetpointArrived(NamedTuple):  # the latest one of a sender
     payload: bytes
     arrival: Arrival
-    sender: str = ""  # what the sender attaches; "" if nothing
+    sender: str = ""  # what the sender attaches
 
 
 class TipArrived(NamedTuple):  # the latest measured tip of a sender
@@ -106,8 +95,8 @@ class Warned(NamedTuple):
     warnings: tuple[Fault, ...]  # active ones of the shell: clock, network, ledger
 
 
-class Tick(NamedTuple):
-    """The time of the last `Wake` has come."""
+class Tick(NamedTuple):  # the time of the last `Wake` has come
+    pass
 
 
 Event = Request | Unsent | Arrived | FromExecutor | LinkDown | Answered | Published | Recorded | Warned | Tick | Quit
@@ -126,29 +115,15 @@ class Publish(NamedTuple):
     payload: Payload
 
 
-class Identity(NamedTuple):
-    """Identifies a program for ever: the executor's process, and the number of the program."""
-
-    instance: int
+class Identity(NamedTuple):  # identifies a program for ever
+    instance: int  # the executor's process
     program: int
 
 
-class OpenGoal(NamedTuple):  # accepted, without a result
-    identity: Identity
-    goal: str
-    wall: float
-    waypoints: int
-
-
-class PublishResult(NamedTuple):
-    """A result. The shell publishes it, notes durably that it did, and then posts `Published` with this number.
-
-    If an earlier planner process accepted the goal, the result is `inherited`: clients must first find this process.
-    """
-
+class PublishResult(NamedTuple):  # the shell publishes it, notes durably that it did, and then posts `Published`
     number: int
     identity: Identity
-    inherited: bool
+    inherited: bool  # an earlier planner process accepted the goal: clients must first find this process
     payload: Payload
 
 
@@ -166,15 +141,10 @@ class ResultEntry(NamedTuple):
     switches: int
 
 
-class Record(NamedTuple):
-    """An entry for the ledger. The shell posts `Recorded` with its number when it is written, or cannot be written.
-
-    With both `accepted` and `ended`, the goal may not be in the ledger yet.
-    """
-
+class Record(NamedTuple):  # for the ledger; the shell posts `Recorded` when it is written, or cannot be written
     entry: int
     identity: Identity
-    accepted: AcceptanceEntry | None
+    accepted: AcceptanceEntry | None  # with both, the goal may not be in the ledger yet
     ended: ResultEntry | None
 
 
@@ -211,14 +181,11 @@ class Fail(NamedTuple):  # a worker does not answer: the process must end; the s
     reason: str
 
 
-ForClients = Reply | Publish | PublishResult
-ForLedger = Record | RecordCounts
-ForWorkers = Start | Abandon | Hurry
-Action = ForClients | ForLedger | ForWorkers | ToExecutor | Disconnect | Wake | Notify | Log | Fail
+ForShell = Disconnect | Wake | Notify | Log | Fail
+Action = Reply | Publish | PublishResult | Record | RecordCounts | Start | Abandon | Hurry | ToExecutor | ForShell
 
 
 def done(message: str) -> Payload:
-    """Returns the answer to a request that was carried out."""
     return {"accepted": True, "code": codes.SUCCESSFUL, "message": message}
 
 

@@ -1,20 +1,28 @@
-"""A goal or jog from its arrival to its result."""
+"""A goal or jog from its arrival to its result, and the program that carries it out."""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-if TYPE_CHECKING:
-    from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
-    from hyperbit.controller.motion.stages.feed import Feed
-    from hyperbit.controller.planning.core.arm import ArmState, States
-    from hyperbit.controller.planning.core.parts import Ticket
-    from hyperbit.controller.planning.core.reports import GoalOutcome, Report
-    from hyperbit.controller.planning.core.tasks import Basis, Planned
-    from hyperbit.controller.program import Ended, Program, Settled
-    from hyperbit.controller.refusals.refusal import Refusal
+import msgspec
+import numpy as np
+
+from hyperbit.controller.armfile.locks import STATES
+from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
+from hyperbit.controller.motion.stages.feed import Feed, PlannedPoint, Route
+from hyperbit.controller.motion.stages.program import delay_of, in_groups
+from hyperbit.controller.planning.core.arm import ArmState, States, packed
+from hyperbit.controller.planning.core.events import done
+from hyperbit.controller.planning.core.parts import Parts, Ticket
+from hyperbit.controller.planning.core.reports import Context, GoalOutcome, GoalReport
+from hyperbit.controller.planning.core.tasks import Basis, Planned
+from hyperbit.controller.program import Ended, Program, Settled
+from hyperbit.controller.refusals.reasons import Reason
+from hyperbit.controller.refusals.refusal import Refusal
+
+MOST_CONTEXT = 8_192  # bytes, limit of the executor's contract
 
 
 @dataclass(eq=False)
@@ -38,9 +46,9 @@ class Goal:
     plan_by: float | None = None  # end of its planning by its own deadline [s]; None: it has not begun, or has none
     why: Refusal | None = None  # why it was planned or offered again, and would be refused then
 
-    # --- from its offer on, see `offers`
+    # --- from its offer on, see `make_program`
     program: Program = field(init=False)  # as it was sent
-    report: Report = field(init=False)
+    report: GoalReport | None = None  # None: a jog has no path and no feedback
     feed: Feed = field(init=False)
     answer: dict[str, Any] = field(init=False)  # waits until the ledger has the acceptance
     delay: float = 0.0  # the trajectory's t = 0 in the program's time [s]
@@ -54,3 +62,76 @@ class Goal:
     held: deque[Settled | Ended] = field(default_factory=deque)  # reports that wait for the deviations, in order
     checking: int | None = None  # number of the task that checks its next stages
     switches: int = 0  # as the executor told last
+
+
+def jog_stages(parts: Parts, state: ArmState, wanted: dict[int, int]) -> States:
+    """Returns the stages (k, A) that switch actuators to new states; raises Refusal if one is locked."""
+    labels = state.manipulator.actuators
+    for k in wanted:
+        if state.locked[k]:
+            raise Refusal(Reason.ACTUATOR_LOCKED, actuator=labels[k])
+    target = state.commanded.copy()
+    target[list(wanted)] = list(wanted.values())
+    return in_groups(state.commanded, target, parts.pace.inrush or len(labels))
+
+
+def unsure_of(state: ArmState) -> str | None:
+    """Returns why the stages of a jog from a state cannot be checked for collisions; None if they can."""
+    if state.unknown_state is not None or state.configuration is None:
+        return "the arm is in no configuration"
+    if (unknown := np.flatnonzero(state.homing)).size:
+        labels = ", ".join(state.manipulator.actuators[k] for k in unknown)
+        return f"it is not known where {labels} {'is' if len(unknown) == 1 else 'are'}"
+    return None
+
+
+def make_program(parts: Parts, goal: Goal, state: ArmState) -> None:
+    """Sets the program of a planned goal or jog, and what belongs to it while it is in flight.
+
+    Raises Refusal if the trajectory has ended before it was planned.
+    """
+    planned, moment, pace, labels = goal.planned, parts.moment, parts.pace, state.manipulator.actuators
+    assert goal.basis is not None
+    scene, unsure, most = goal.basis.scene, unsure_of(state), pace.inrush or len(labels)
+    strict = not scene.free  # whether no stage may be skipped
+    begin, homed, proof = 0.0, b"", None  # the zero of time [s], 0: now; actuators of unknown state to home, b"": all
+    if isinstance(planned, Planned):
+        name, trajectory, proof = f"goal {goal.id}", planned.trajectory, planned.proof
+        late = 0.0 if trajectory.stamp is None else moment.wall - trajectory.stamp - float(trajectory.times[-1])
+        if late > 0:
+            raise Refusal(Reason.PLANNED_TOO_LATE, late=f"{late:.3f}")
+        first, goal.delay = planned.points[0].stages, 0.0
+        if trajectory.stamp is not None:
+            begin = trajectory.stamp + moment.now - moment.wall
+        else:
+            waits = max(parts.view.ready_at(state, first[0], strict) - moment.now, 0.0)
+            goal.delay = delay_of(trajectory, pace.lead * len(first) + waits)
+        between = np.ones(len(planned.points), np.bool_)
+        between[trajectory.waypoints] = False
+        points, times, others = planned.points, tuple(trajectory.times.tolist()), tuple(between.tolist())
+        waypoints, switches = len(trajectory.waypoints), proof.switches
+        words = f"accepted, {waypoints} {'waypoint' if waypoints == 1 else 'waypoints'}, {switches} "
+        words += f"{'switch' if switches == 1 else 'switches'} planned"
+        goal.report = GoalReport(parts.view.manipulator, goal.id, trajectory)
+        context = goal.report.context(moment.wall, proof)
+    else:
+        assert isinstance(goal.wanted, Jog)
+        assert planned is not None
+        name, wanted, stages = f"jog {goal.id}", goal.wanted.states, tuple(state.pack(planned))
+        points, times, others = (PlannedPoint(0, stages, None, 0),), (pace.lead * len(stages),), (False,)
+        switches = int(np.count_nonzero(state.commanded != planned[-1]))
+        named = ", ".join(f"{labels[k]} {STATES[to]}" for k, to in wanted.items())
+        words = f"accepted, {switches} {'switch' if switches == 1 else 'switches'}: {named}"
+        goal.unchecked, homed = unsure is not None, packed(np.isin(np.arange(len(labels)), list(wanted)))
+        strict = strict and not goal.unchecked
+        context = Context(goal.id, sent=moment.wall, jogged=wanted)
+    if unsure is not None and not scene.free:  # motions from an unknown position are not checked
+        words += f"; collisions{' of the homing' if goal.report else ''} were not checked, because {unsure}"
+    goal.answer = {**done(words if goal.report else words[:1_000]), "id": goal.id}
+    route = Route(state.snapshot.outputs, points, times, others, pace.lead, goal.delay, most)
+    number = parts.next_number()
+    goal.feed = feed = Feed(parts.view.manipulator, number, route, strict, scene.generation, proof)
+    if len(data := msgspec.msgpack.encode(context)) > MOST_CONTEXT:
+        data = msgspec.msgpack.encode(msgspec.structs.replace(context, configuration=None, jogged={}))
+    sent, epoch = (feed.first, feed.complete, strict, name, data, homed), goal.ticket.epoch or 0
+    goal.program = Program(number, epoch, route.start, begin, *sent, goal.begin_by)

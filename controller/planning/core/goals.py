@@ -13,13 +13,11 @@ from hyperbit.controller.host.journal import fields_of_refusal
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.motion.decoding.goal import GoalMessage, Jog
 from hyperbit.controller.planning.core import tasks
-from hyperbit.controller.planning.core.arm import ArmState, obstruction, packed
+from hyperbit.controller.planning.core.arm import obstruction, packed
 from hyperbit.controller.planning.core.events import Reply, Request, refused
-from hyperbit.controller.planning.core.goal import Goal
-from hyperbit.controller.planning.core.offers import jog_stages, make_goal_program, make_jog_program, unsure_of
-from hyperbit.controller.planning.core.parts import Parts, Ticket
+from hyperbit.controller.planning.core.goal import Goal, jog_stages, make_program, unsure_of
+from hyperbit.controller.planning.core.parts import Parts
 from hyperbit.controller.planning.core.premises import Premises
-from hyperbit.controller.planning.core.preparation import Preparation
 from hyperbit.controller.planning.core.programs import Programs
 from hyperbit.controller.program import Accepted, Declined
 from hyperbit.controller.refusals.reasons import Reason
@@ -30,6 +28,8 @@ EXECUTOR_TIMEOUT = 2.0  # [s] for the executor's answer; it answers within milli
 NEWER_WITHIN = 0.2  # [s]; a snapshot comes 20 times a second
 MOVED = (Reason.MOVED_SINCE_PLANNED, Reason.SWITCH_NOT_CONFIRMED)  # the goal is planned again from the new state
 MOST_LINES = 5  # refusals logged in one second
+IDLE = 0.02  # [s] without a request before the next search is prepared
+REHEARSE_EVERY, REHEARSE_FOR = 0.025, 2.0  # [s] between two rehearsals, and after the last goal
 
 
 class Goals:
@@ -51,15 +51,15 @@ class Goals:
         self._second, self._lines = 0, 0
 
     @property
-    def waiting(self) -> int:
-        """Number of requests that wait, the one that is planned included."""
-        return len(self._waiting) + (self._current is not None)
+    def all(self) -> list[Goal]:
+        """The requests that wait, the one that is planned or offered first."""
+        return [*filter(None, [self._current]), *self._waiting]
 
-    def queue(self, request: Request, ticket: Ticket) -> None:
+    def queue(self, request: Request) -> None:
         wanted, name = request.message, f"{self._parts.name}{request.number:x}"
         assert isinstance(wanted, GoalMessage | Jog)
         name = f"jog-{name}" if isinstance(wanted, Jog) else wanted.id or name
-        begin_by = request.arrival.at + wanted.patience
+        begin_by, ticket = request.arrival.at + wanted.patience, self._parts.admission.arrive(request.number)
         goal = Goal(request.number, ticket, wanted, name, request.wall, begin_by, self._moment.now)
         if len(self._waiting) >= MOST_WAITING:
             self._refuse(goal, Refusal(Reason.BUSY, most=MOST_WAITING, what="goals"))
@@ -69,10 +69,6 @@ class Goals:
                 self._jobs.hurry(self._current.job)
             self._preparation.end()
             self._programs.pause_improvement()
-
-    def waits_for_turn(self, goal: str) -> bool:
-        """Returns whether a goal of this id was not offered to the executor yet."""
-        return any(known.id == goal and known.state == "waiting" for known in self._goals)
 
     def advance(self) -> None:
         """Brings the first request as far as it can go now. Call at the end of each step."""
@@ -90,13 +86,9 @@ class Goals:
 
     def refuse_late(self) -> None:
         """Refuses the requests that may no longer begin, but for one that the executor has."""
-        for goal in self._goals:
+        for goal in self.all:
             if goal.state == "waiting":
                 self._attempt(goal, self._check)
-
-    @property
-    def _goals(self) -> list[Goal]:
-        return [*filter(None, [self._current]), *self._waiting]
 
     def _attempt(self, goal: Goal, advance: Callable[[Goal], None]) -> bool:
         """Advances a request; returns False if that has ended it, with the refusal that was raised."""
@@ -120,7 +112,6 @@ class Goals:
         return goal
 
     def accepted(self, message: Accepted) -> None:
-        """Hands a request over whose program the executor has accepted."""
         if (goal := self._offered(message.program)) is not None:
             self._parts.admission.end_streams(goal.ticket)
             self._drop(goal)
@@ -139,14 +130,12 @@ class Goals:
             self._end(goal, message.refused.refusal)
 
     def lost(self, reason: str) -> None:
-        """Refuses the request whose program the executor has not answered, because the connection is lost."""
         if (goal := self._offered()) is not None:
             self._end(goal, Refusal(Reason.EXECUTOR_LOST, why=reason))
 
     # --- one request; each of these functions raises Refusal if the request cannot be carried out
 
     def _check(self, goal: Goal) -> None:
-        """Checks that a request may still begin: it is not barred, and its time is not over."""
         if self.quitting:
             raise Refusal(Reason.SHUTTING_DOWN)
         if self._parts.admission.barred(goal.ticket, goal.id):
@@ -159,7 +148,6 @@ class Goals:
         self.due = min(self.due, goal.begin_by)
 
     def _proceed(self, goal: Goal) -> None:
-        """Plans a request, offers it, or lets it wait."""
         if goal.state == "offered":
             if self._waits(goal, EXECUTOR_TIMEOUT):
                 return
@@ -172,30 +160,22 @@ class Goals:
             if self._waits(goal, EXECUTOR_TIMEOUT):
                 return
             raise Refusal(Reason.EXECUTOR_BEHIND)
-        basis = self._basis()
+        basis, (mode, reason), rebuilding = self._premises.basis(), self._locks.mode(), self._locks.rebuilding
+        if not rebuilding and (self._view.state is None or mode not in ("ready", "executing")):
+            raise no_motion(mode, reason)
+        if not rebuilding and self._locks.tables is None:
+            raise Refusal(Reason.LOCKS_CHANGING)
         if goal.job is not None and goal.basis != basis:
             self._jobs.abandon(goal.job)
             goal.job, goal.why = None, self._stale(goal, basis)
-        if basis is None or goal.job is not None:
+        if basis is None or goal.job is not None:  # None: tables or obstacles are built
             return
         if goal.planned is not None and goal.basis == basis:
-            self._offer(goal, basis)
+            self._offer(goal)
         else:
             self._plan(goal, basis)
 
-    def _basis(self) -> tasks.Basis | None:
-        """Returns what a plan made now holds for; None while tables or obstacles are built."""
-        mode, reason = self._locks.mode()
-        if self._locks.rebuilding:
-            return None
-        if self._view.state is None or mode not in ("ready", "executing"):
-            raise no_motion(mode, reason)
-        if self._locks.tables is None:
-            raise Refusal(Reason.LOCKS_CHANGING)
-        return self._premises.basis()
-
     def _stale(self, goal: Goal, basis: tasks.Basis | None) -> Refusal:
-        """Returns why a plan is made anew."""
         assert goal.basis is not None
         if self._locks.rebuilding or (basis is not None and basis.tables != goal.basis.tables):
             return Refusal(Reason.LOCKS_CHANGING)
@@ -215,31 +195,27 @@ class Goals:
         if goal.basis is not None and goal.planned is not None:
             goal.why = self._stale(goal, basis)
         goal.basis, goal.planned, goal.since = basis, None, now
+        task: tasks.Task
         if isinstance(wanted, Jog):
-            self._plan_jog(goal, wanted, state, basis)
-            return
-        if (refusal := obstruction(state, *self._locks.mode())) is not None:
-            raise refusal
-        if wanted.deadline is not None:
-            goal.plan_by = now + wanted.deadline if goal.plan_by is None else goal.plan_by
-            if now >= goal.plan_by:
-                raise goal.why or Refusal(Reason.TOO_LATE_TO_BEGIN)
-            wanted = msgspec.structs.replace(wanted, deadline=goal.plan_by - now)
-        task = tasks.PlanGoal(wanted, goal.received, self._premises.correction(), basis)
+            goal.planned = jog_stages(self._parts, state, wanted.states)
+            if basis.scene.free or unsure_of(state) is not None:
+                self._offer(goal)
+                return
+            task = tasks.CheckStages(basis.scene, basis.start.commanded, tuple(map(packed, goal.planned)))
+        else:
+            if (refusal := obstruction(state, *self._locks.mode())) is not None:
+                raise refusal
+            if wanted.deadline is not None:
+                goal.plan_by = now + wanted.deadline if goal.plan_by is None else goal.plan_by
+                if now >= goal.plan_by:
+                    raise goal.why or Refusal(Reason.TOO_LATE_TO_BEGIN)
+                wanted = msgspec.structs.replace(wanted, deadline=goal.plan_by - now)
+            task = tasks.PlanGoal(wanted, goal.received, self._premises.correction(), basis)
         goal.job = self._jobs.start(task, partial(self._answered, goal))
         if self._waiting:
             self._jobs.hurry(goal.job)
 
-    def _plan_jog(self, goal: Goal, jog: Jog, state: ArmState, basis: tasks.Basis) -> None:
-        goal.planned = jog_stages(state, jog.states, self._parts.pace)
-        if basis.scene.free or unsure_of(state) is not None:
-            self._offer(goal, basis)
-            return
-        task = tasks.CheckStages(basis.scene, basis.start.commanded, tuple(map(packed, goal.planned)))
-        goal.job = self._jobs.start(task, partial(self._answered, goal))
-
     def _answered(self, goal: Goal, answer: tasks.Answer) -> None:
-        """Takes the plan of a goal, or the check of a jog."""
         goal.job = None
         match answer:
             case tasks.Planned():
@@ -251,19 +227,12 @@ class Goals:
             case _:
                 self._end(goal, tasks.refusal_of(answer))
 
-    def _offer(self, goal: Goal, basis: tasks.Basis) -> None:
-        """Sends the program of a planned request."""
-        planned, wanted, running, state = goal.planned, goal.wanted, self._programs.current, self._view.state
+    def _offer(self, goal: Goal) -> None:
+        running, state = self._programs.current, self._view.state
         assert state is not None
-        assert planned is not None
-        if isinstance(wanted, Jog):
-            assert not isinstance(planned, tasks.Planned)
-            make_jog_program(self._parts, goal, wanted.states, planned, state, basis)
-        else:
-            assert isinstance(planned, tasks.Planned)
-            if running is not None and running.id == goal.id:
-                raise Refusal(Reason.ALREADY_RUNNING, goal=goal.id)
-            make_goal_program(self._parts, goal, planned, state, basis)
+        if isinstance(goal.wanted, GoalMessage) and running is not None and running.id == goal.id:
+            raise Refusal(Reason.ALREADY_RUNNING, goal=goal.id)
+        make_program(self._parts, goal, state)
         goal.since = self._moment.now
         self._programs.offer(goal)
 
@@ -279,18 +248,62 @@ class Goals:
         goal.job = None
         if goal is self._current:
             self._current = None
-            self._preparation.begin(goal.wanted if isinstance(goal.wanted, GoalMessage) else None)
+            self._preparation.begin(goal.wanted)
         else:
             self._waiting.remove(goal)
 
     def _refuse(self, goal: Goal, refusal: Refusal) -> None:
-        """Answers a request; logs at most MOST_LINES refusals a second."""
-        act = self._parts.act
+        act, second = self._parts.act, int(self._moment.now)
         act(Reply(goal.request, refused(refusal, goal.id)))
-        second = int(self._moment.now)
         self._lines, self._second = 1 if second != self._second else self._lines + 1, second
         if self._lines <= MOST_LINES:
             fields = fields_of_refusal(goal.id, refusal.reason.value, refusal.code)
             act(Log(logging.INFO, f"{goal.id} refused: {refusal}", fields))
         elif self._lines == MOST_LINES + 1:
             act(Log(logging.INFO, f"more than {MOST_LINES} requests are refused in this second"))
+
+
+class Preparation:
+    """Prepares the next search from where the arm is, once for each start, while no request for motion waits.
+
+    A processor that was idle for a tenth of a second needs twice as long for a search, because its caches are cold. For
+    a while after a goal, the goal is therefore planned again and again without effect. The next goal finds warm caches.
+    """
+
+    def __init__(self, parts: Parts, premises: Premises, programs: Programs, prepares: bool) -> None:
+        self._parts, self._premises, self._programs, self._prepares = parts, premises, programs, prepares
+        self._job: int | None = None
+        self._prepared: tasks.Basis | None = None  # for which the next search is prepared
+        self._last: GoalMessage | None = None
+        self._idle_since, self._rehearse_until = 0.0, -math.inf  # [s]
+
+    def end(self) -> None:
+        """Frees the worker, because a request has come."""
+        self._parts.jobs.abandon(self._job)
+        self._job = self._prepared = None
+
+    def begin(self, planned: GoalMessage | Jog | None) -> None:
+        """Notes that no request is planned any more; `planned` was."""
+        self._idle_since = now = self._parts.moment.now
+        if isinstance(planned, GoalMessage) and len(planned.waypoints) == 1:
+            self._last, self._rehearse_until = planned, now + REHEARSE_FOR
+
+    def advance(self) -> float:
+        """Prepares or rehearses, if it is time; returns when to call again while no request waits [s]."""
+        state, now = self._parts.view.state, self._parts.moment.now
+        if not self._prepares or self._job is not None:
+            return math.inf
+        if now < self._idle_since + IDLE:
+            return self._idle_since + IDLE
+        ready = state is not None and state.configuration is not None and not self._programs.improving
+        if not ready or (basis := self._premises.basis()) is None:
+            return math.inf
+        rehearsal = self._last if now < self._rehearse_until and basis.scene.free else None
+        if basis != self._prepared or rehearsal is not None:
+            self._prepared = basis
+            self._job = self._parts.jobs.start(tasks.PrepareSearch(basis, rehearsal), self._answered)
+        return math.inf
+
+    def _answered(self, answer: tasks.Answer) -> None:
+        self._job = None
+        self._idle_since = self._parts.moment.now + REHEARSE_EVERY - IDLE

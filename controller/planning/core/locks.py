@@ -1,11 +1,14 @@
-"""The locked actuators, and whether the planner's tables are those for them."""
+"""The locked actuators, and whether the planner's tables are those for them.
+
+The executor owns which actuators are locked. The planner owns the tables, and knows which locks leave each module a
+state.
+"""
 
 import logging
 from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hyperbit.controller.armfile.locks import lock_warning, locks_in_words
 from hyperbit.controller.host.process import Log
@@ -20,24 +23,17 @@ from hyperbit.controller.refusals.refusal import Refusal, no_actuator
 
 
 class Locks:
-    """The locked actuators of one arm, and the tables for them.
-
-    The executor owns which actuators are locked. The planner owns the tables, and knows which locks leave each module
-    a state.
-    """
-
-    listed: tuple[tuple[str, int], ...]  # label and state of each locked actuator
+    """The locked actuators of one arm, and the tables for them."""
 
     def __init__(self, parts: Parts, tables: Tables) -> None:
         self._view, self._jobs, self._act = parts.view, parts.jobs, parts.act
-        self._built, self._building = tables, False
-        self._set(tables.locked)
+        self._built, self._building, self._locked = tables, False, tables.locked
         self.problem: str | None = None  # why the tables could not be rebuilt
 
     @property
-    def states(self) -> NDArray[np.int8]:
-        """Locked state of each actuator, 0 or 1; -1 if it is free; shape (A,)."""
-        return np.frombuffer(self._locked, np.int8)
+    def listed(self) -> list[tuple[str, int]]:
+        labels, states = self._view.manipulator.actuators, np.frombuffer(self._locked, np.int8).tolist()
+        return [(label, state) for label, state in zip(labels, states, strict=True) if state >= 0]
 
     @property
     def tables(self) -> Tables | None:
@@ -55,14 +51,13 @@ class Locks:
         if mode == "ready" and self.problem is not None:
             return "fault", self.problem
         if mode == "ready" and self.tables is None:
-            return "starting", f"the planner's tables are being rebuilt; {self.sentence()}"
+            return "starting", f"the planner's tables are being rebuilt; {locks_in_words(self.listed)}"
         return mode, reason
 
     def update(self, state: ArmState) -> None:
         if state.known and not state.snapshot.moving and (locked := state.locked_states) != self._locked:
-            self._set(locked)
-            self.problem = None
-            self._act(Log(logging.WARNING, self.sentence()))
+            self._locked, self.problem = locked, None
+            self._act(Log(logging.WARNING, locks_in_words(self.listed)))
         self._rebuild()
 
     def retry(self) -> None:
@@ -71,20 +66,19 @@ class Locks:
 
     def actuator(self, message: DegradeMessage, state: ArmState) -> int:
         """Returns the index of the actuator, or raises Refusal; the executor decides on the rest."""
-        labels = self._view.manipulator.actuators
-        if message.actuator not in labels:
-            raise no_actuator("actuator", message.actuator, labels)
-        k, states = labels.index(message.actuator), self.states.copy()
+        manipulator = self._view.manipulator
+        if message.actuator not in manipulator.actuators:
+            raise no_actuator("actuator", message.actuator, manipulator.actuators)
+        k, states = manipulator.actuators.index(message.actuator), np.frombuffer(self._locked, np.int8).copy()
         if message.state is None:
             return k  # also in states that are no configuration: a jog leaves them only with unlocked actuators
         states[k] = message.state
         if state.sensed[k] and state.measured[k] not in (-1, message.state):
             return k  # the executor refuses it, because the end-stop reads the other state
         try:
-            require_states(self._view.manipulator, states)
+            require_states(manipulator, states)
             if (state.measured >= 0).all():
-                held = np.where((states >= 0) & ~state.sensed, states, state.measured)
-                self._view.manipulator.configuration(held)
+                manipulator.configuration(np.where((states >= 0) & ~state.sensed, states, state.measured))
         except ValueError as error:
             raise Refusal(Reason.MODULE_WITHOUT_STATE, error=str(error)) from None
         return k
@@ -94,15 +88,6 @@ class Locks:
             yield Fault("degraded", label, lock_warning(label, state))
         if self.problem is not None:
             yield Fault("internal-error", "daemon", self.problem)
-
-    def sentence(self) -> str:
-        """Returns the locked actuators in words, e.g. "locked: 5.left (contracted)"."""
-        return locks_in_words(self.listed)
-
-    def _set(self, locked: bytes) -> None:
-        self._locked = locked
-        labels = self._view.manipulator.actuators
-        self.listed = tuple(pair for pair in zip(labels, self.states.tolist(), strict=True) if pair[1] >= 0)
 
     def _rebuild(self) -> None:
         if self.tables is None and not self._building and self.problem is None:

@@ -1,4 +1,8 @@
-"""The owner of the obstacles: their generation, the checks among them, and requests that replace them."""
+"""The obstacles of the arm's file, and those sent since: their generation, checks among them, and requests for others.
+
+A new generation counts from its request on. Until its scene is built, and all that is in flight was checked among it,
+no stage begins that was not.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -10,7 +14,7 @@ import numpy as np
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.events import Reply, SentObstacles, ToExecutor, done, refused
 from hyperbit.controller.planning.core.parts import Parts
-from hyperbit.controller.planning.core.tasks import Answer, Checked, SceneBuilt, VersionedScene
+from hyperbit.controller.planning.core.tasks import Answer, SceneBuilt, VersionedScene
 from hyperbit.controller.program import Clearance, Question
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
@@ -29,12 +33,6 @@ class Change:
 
 
 class ObstacleOwner:
-    """The obstacles: those of the arm's file, and those sent since.
-
-    A new generation counts from its request on. Until its scene is built, and all that is in flight was checked among
-    it, no stage begins that was not.
-    """
-
     def __init__(self, parts: Parts, scene: VersionedScene, total: int) -> None:
         self.generation = scene.generation  # grows with each change
         self.standing: str | None = None  # the collision of the arm at rest, in words
@@ -55,7 +53,6 @@ class ObstacleOwner:
 
     @property
     def regions(self) -> list[Any]:
-        """The obstacles that were sent, as they came."""
         return [] if self._sent is None else self._sent.regions
 
     # --- requests
@@ -73,16 +70,17 @@ class ObstacleOwner:
         return True
 
     def note(self, effect: str) -> None:
-        """Notes what the obstacles did to a running goal, for the answer."""
         for change in self._changes:
             change.effects.append(effect)
 
     def answer(self, unchecked: list[str], at_once: bool = False) -> None:
         """Answers requests if all that is in flight is checked; `unchecked` are the ids of goals that are not."""
-        if self.scene is None and at_once:
-            self._refuse(Refusal(Reason.SHUTTING_DOWN))
-        for change in list(self._changes) if self.scene is not None else []:
-            checked = not unchecked and self._standing_job is None
+        if self.scene is None:
+            if at_once:
+                self._refuse(Refusal(Reason.SHUTTING_DOWN))
+            return
+        checked = not unchecked and self._standing_job is None
+        for change in list(self._changes):
             if checked or at_once or self._moment.now > change.at + LONGEST:
                 self._changes.remove(change)
                 _, total, sent = self._built
@@ -149,7 +147,7 @@ class ObstacleOwner:
 
     def _standing_answered(self, answer: Answer) -> None:
         self._standing_job = self.standing = None
-        if isinstance(answer, Checked):
+        if isinstance(answer, tasks.Checked):
             self.standing = answer.collision
         else:
             self._standing_seen, self._standing_from = None, self._moment.now + CHECKED_AGAIN

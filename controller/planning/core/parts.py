@@ -5,19 +5,14 @@ the numbers of arrivals, the executor by epoch. While a cancel is unanswered, ne
 begins with its answer.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from hyperbit.controller.motion.stages.pacing import Pace
+from hyperbit.controller.planning.core.arm import ExecutorView
 from hyperbit.controller.planning.core.events import Abandon, Action, Fail, Hurry, Start
 from hyperbit.controller.planning.core.tasks import Answer, PrepareSearch, Task
-
-if TYPE_CHECKING:
-    from hyperbit.controller.motion.stages.pacing import Pace
-    from hyperbit.controller.planning.core.arm import ExecutorView
 
 HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
 MOST_UNRESOLVED = 256  # tickets without an epoch; without an executor each stream of set-points leaves one
@@ -77,8 +72,6 @@ class Admission:
         """Ends the streams of set-points that began before an accepted goal."""
         self._replaced = max(self._replaced, ticket.number)
 
-    # --- the executor
-
     def answered(self, request: int) -> None:
         """Notes that the executor answered such a request, or that it could not be sent."""
         if request in self._pending:
@@ -96,8 +89,6 @@ class Admission:
         self._barred = max(self._barred, self._latest)
         self._pending, self._epoch, self._current = frozenset(), None, False
 
-    # --- decisions
-
     def barred(self, ticket: Ticket, goal: str | None = None) -> bool:
         """Returns whether a cancel, stop, reset or fault came after a request; `goal` is its id, if it has one."""
         changed = ticket.epoch is not None and self._epoch is not None and ticket.epoch != self._epoch
@@ -110,9 +101,7 @@ class Admission:
 
 
 @dataclass(eq=False)
-class Moment:
-    """The time of the present step, written by the core only: see `Core.step`."""
-
+class Moment:  # the time of the present step, written by the core only: see `Core.step`
     now: float = 0.0
     wall: float = 0.0
 
@@ -138,7 +127,7 @@ class Jobs:
         return self._last
 
     def abandon(self, number: int | None) -> None:
-        """Abandons a task: its answers are dropped from now on."""
+        """Abandons a task, if there is one: its answers are dropped from now on."""
         if number is not None and (job := self._jobs.get(number)) is not None and job.on_answer is not None:
             job.on_answer, job.abandoned_at = None, self._moment.now
             self._act(Abandon(number))

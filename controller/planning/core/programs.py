@@ -4,12 +4,11 @@ from functools import partial
 
 from hyperbit.controller.motion.stages.feed import Improved
 from hyperbit.controller.planning.core import tasks
-from hyperbit.controller.planning.core.arm import ArmState
 from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Publish, Record, Reply, ToExecutor
 from hyperbit.controller.planning.core.goal import Goal
 from hyperbit.controller.planning.core.obstacles import ObstacleOwner
 from hyperbit.controller.planning.core.parts import Parts
-from hyperbit.controller.planning.core.reports import GoalOutcome, collision_outcome
+from hyperbit.controller.planning.core.reports import GoalOutcome
 from hyperbit.controller.planning.core.results import Results
 from hyperbit.controller.program import Accepted, Begun, Cancel, Ended, Replaced, Settled
 from hyperbit.controller.refusals.codes import PATH_TOLERANCE_VIOLATED
@@ -31,12 +30,9 @@ class Programs:
 
     @property
     def current(self) -> Goal | None:
-        """The running goal; None if there is none."""
-        running = [goal for goal in self._goals.values() if goal.state == "running"]
-        return running[-1] if running else None
+        return next((goal for goal in reversed(self._goals.values()) if goal.state == "running"), None)
 
     def find(self, goal: str) -> Goal | None:
-        """Returns the offered or running goal of an id; None if there is none."""
         return next((found for found in self._goals.values() if found.id == goal), None)
 
     @property
@@ -54,7 +50,6 @@ class Programs:
         return not self._goals and not self._unrecorded
 
     def unchecked(self) -> list[str]:
-        """Returns the ids of goals whose stages are not yet checked among the present obstacles."""
         return [goal.id for goal in self._goals.values() if goal.outcome is None and goal.feed.waits_for_check]
 
     # --- sending
@@ -72,14 +67,14 @@ class Programs:
     def give_up(self, number: int) -> None:
         """Withdraws a program, and cancels it in case the executor accepts it late."""
         self.withdraw(number)
-        self._cancel(number, GAVE_UP)
+        self._act(ToExecutor(Cancel(0, number, GAVE_UP)))
 
-    def end(self, goal: Goal, outcome: GoalOutcome) -> None:
-        """Cancels a running program at the executor; the outcome becomes its result."""
+    def end(self, goal: Goal, message: str, sentence: str = "") -> None:
+        """Cancels a running program at the executor; its result will be `message`. `sentence`: what the arm does."""
         if goal.outcome is None:
-            goal.outcome = outcome
+            goal.outcome = GoalOutcome("aborted", PATH_TOLERANCE_VIOLATED, message, sentence)
             self._stop_tasks(goal)
-            self._cancel(goal.program.program, outcome.message)
+            self._act(ToExecutor(Cancel(0, goal.program.program, message[:1_000])))
 
     def pause_improvement(self) -> None:
         """Frees the worker of goals for a goal that waits; the running goal continues as planned so far."""
@@ -91,26 +86,28 @@ class Programs:
 
     def accepted(self, message: Accepted) -> None:
         """Handles the acceptance of a program; cancels a program that was abandoned meanwhile."""
-        goal = self._goals.get(message.program)
+        goal, scene = self._goals.get(message.program), self._obstacles.scene
         if goal is None:
-            self._cancel(message.program, GAVE_UP)
+            self._act(ToExecutor(Cancel(0, message.program, GAVE_UP)))
             return
         goal.state, goal.begin, self.last_accepted = "running", message.begin, message.program
         goal.unrecorded = entry = self._results.next_entry()
         self._unrecorded[entry] = goal
-        acceptance = AcceptanceEntry(goal.id, self._moment.wall, goal.report.count)
+        acceptance = AcceptanceEntry(goal.id, self._moment.wall, 1 if goal.report is None else goal.report.count)
         self._act(Record(entry, self._identity(message.program), acceptance, None))
-        self._improve(goal)
+        planned, basis = goal.planned, goal.basis
+        present = scene is not None and scene.generation == goal.feed.checked
+        if scene and present and basis and isinstance(planned, tasks.Planned) and planned.plan is not None:
+            task = tasks.ImprovePlan(planned.plan, goal.begin + goal.delay, self._improves, basis.tables, scene)
+            goal.deviates, goal.job = True, self._jobs.start(task, partial(self._improved, goal))
         self._feed(goal)
 
     def recorded(self, entry: int) -> None:
-        """Answers the request of a goal whose acceptance the ledger has."""
         if (goal := self._unrecorded.pop(entry, None)) is not None:
             goal.unrecorded = None
             self._act(Reply(goal.request, goal.answer))
 
     def receive_report(self, message: Begun | Replaced | Settled | Ended) -> None:
-        """Handles what the executor tells of a program, own or of an earlier planner process."""
         goal = self._goals.get(message.program)
         if goal is None:
             if isinstance(message, Ended):
@@ -118,17 +115,19 @@ class Programs:
             return
         match message:
             case Begun():
-                goal.switches = message.switches
-                goal.report.begun(goal.feed.begin(message.stage))
+                goal.switches, point = message.switches, goal.feed.begin(message.stage)
+                if goal.report is not None:
+                    goal.report.begun(point)
                 self._feed(goal)
             case Replaced():
                 goal.feed.answered(message.generation, message.accepted)
                 self._feed(goal)
             case Settled():
                 goal.switches = message.switches
-                goal.report.begun(message.mark)
-                if (outcome := goal.report.left_path(message.mark, self._view.measured_in(message))) is not None:
-                    self.end(goal, outcome)
+                if goal.report is not None:
+                    goal.report.begun(message.mark)
+                    if (left := goal.report.left_path(message.mark, self._view.measured_in(message))) is not None:
+                        self.end(goal, left, f"holding; goal {goal.id} left its path: {left}")
                 goal.held.append(message)
                 self._tell(goal)
             case Ended():
@@ -167,42 +166,30 @@ class Programs:
             return
         for goal in self._goals.values():
             waits = goal.feed.waits_for_check and goal.checking is None
-            if waits and goal.state == "running" and goal.outcome is None:
-                self._check(goal, scene, state)
-
-    def _check(self, goal: Goal, scene: tasks.VersionedScene, state: ArmState) -> None:
-        """Starts the check of the next stages of a program, or releases them if there is nothing to collide with."""
-        while (unchecked := goal.feed.to_check()) is not None:
-            if not scene.free:
+            if not waits or goal.state != "running" or goal.outcome is not None:
+                continue
+            while (unchecked := goal.feed.to_check()) is not None and scene.free:
+                goal.feed.note_clear(unchecked.until)
+            if unchecked is not None:
                 stages = tuple(map(state.real, unchecked.stages))
                 task = tasks.CheckStages(scene, state.real(unchecked.before), stages)
                 goal.checking = self._jobs.start(task, partial(self._checked, goal, unchecked.until))
-                return
-            goal.feed.note_clear(unchecked.until)
-        self._obstacles.note(f"goal {goal.id} goes on, its stages are clear")
-        self._feed(goal)
+            else:
+                self._obstacles.note(f"goal {goal.id} goes on, its stages are clear")
+                self._feed(goal)
 
     def _checked(self, goal: Goal, until: int, answer: tasks.Answer) -> None:
         """Releases the stages that a check found clear; ends a program that would collide."""
         goal.checking = None
         if (words := tasks.collision_of(answer)) is not None:
             self._obstacles.note(f"goal {goal.id} was aborted: it would collide: {words}")
-            self.end(goal, collision_outcome(goal.id, words))
+            collides = f"the planned motion would collide: {words}"
+            self.end(goal, f"{collides}; the arm holds", f"holding; goal {goal.id} was aborted: {collides}")
             return
         goal.feed.note_clear(until)
         self._feed(goal)
 
-    # --- improvement
-
-    def _improve(self, goal: Goal) -> None:
-        scene, planned, basis = self._obstacles.scene, goal.planned, goal.basis
-        if not isinstance(planned, tasks.Planned) or planned.plan is None or basis is None:
-            return
-        if scene is None or scene.generation != goal.feed.checked:
-            return
-        task = tasks.ImprovePlan(planned.plan, goal.begin + goal.delay, self._improves, basis.tables, scene)
-        goal.deviates = True
-        goal.job = self._jobs.start(task, partial(self._improved, goal))
+    # --- tasks
 
     def _improved(self, goal: Goal, answer: tasks.Answer) -> None:
         match answer:
@@ -215,8 +202,6 @@ class Programs:
             case _:  # the last answer
                 self._stop_improving(goal)
         self._tell(goal)
-
-    # --- the end of tasks
 
     def _stop_improving(self, goal: Goal) -> None:
         self._jobs.abandon(goal.job)
@@ -240,18 +225,15 @@ class Programs:
                 self._stop_tasks(goal)
                 del self._goals[message.program]
                 self._results.ended(message, goal)
-                continue
-            deviation = goal.feed.deviation(message.mark) if message.planned else None
-            feedback = goal.report.settled(message, self._view.measured_in(message), deviation)
-            if feedback is not None:
-                self._act(Publish("feedback", feedback))
+            elif goal.report is not None:
+                deviation = goal.feed.deviation(message.mark) if message.planned else None
+                feedback = goal.report.settled(message, self._view.measured_in(message), deviation)
+                if feedback is not None:
+                    self._act(Publish("feedback", feedback))
 
     def _feed(self, goal: Goal) -> None:
         if goal.state == "running" and goal.outcome is None and (message := goal.feed.message()) is not None:
             self._act(ToExecutor(message))
-
-    def _cancel(self, number: int, reason: str) -> None:
-        self._act(ToExecutor(Cancel(0, number, reason[:1_000])))
 
     def _identity(self, number: int) -> Identity:
         return Identity(self._view.instance or 0, number)

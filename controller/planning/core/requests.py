@@ -4,128 +4,20 @@ from functools import partial
 
 from hyperbit.controller.motion.decoding.goal import GoalMessage
 from hyperbit.controller.motion.decoding.requests import DegradeMessage, FaultMessage
+from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.arm import obstruction
 from hyperbit.controller.planning.core.events import CancelMessage, Payload, Reply, Request, ToExecutor, done, refused
 from hyperbit.controller.planning.core.goals import EXECUTOR_TIMEOUT, Goals
-from hyperbit.controller.planning.core.locks import Locks
 from hyperbit.controller.planning.core.parts import Parts, Ticket
 from hyperbit.controller.planning.core.premises import Premises
 from hyperbit.controller.planning.core.programs import Programs
-from hyperbit.controller.planning.core.tasks import Answer, Described, DescribePlan, PlanGoal, refusal_of
-from hyperbit.controller.program import Answer as ExecutorAnswer
-from hyperbit.controller.program import Cancel, Down, Lock, PlayFault, Reset
+from hyperbit.controller.program import Answer, Cancel, Down, Lock, PlayFault, Reset
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
 MOST_WAITING = 4
 LONGEST = 10.0  # [s] for one query, without its time in the queue and its own deadline
 CANCELED = "canceled; the arm holds"
-
-
-class ExecutorRequests:
-    """Requests that the executor answers; the request's number is the number of the executor's request.
-
-    A reset goes to the executor with the epoch of its arrival, so that the executor refuses it after a later stop.
-    """
-
-    def __init__(self, parts: Parts, locks: Locks, goals: Goals, programs: Programs, queries: "Queries") -> None:
-        self._parts, self._view, self._act = parts, parts.view, parts.act
-        self._locks, self._goals, self._programs, self._queries = locks, goals, programs, queries
-        self._pending: dict[int, float] = {}  # time of each request that is not answered yet [s]
-        self._resets: dict[int, Ticket] = {}  # those of them whose epoch is not known yet
-
-    def receive_request(self, request: Request) -> None:
-        number = request.number
-        match request.key, request.message:
-            case "cancel", CancelMessage(str(goal)):
-                self._cancel_goal(number, goal)
-            case "cancel" | "stop", _:  # the gateway has sent it
-                self._parts.admission.bar(number)
-                self._pending[number] = self._parts.moment.now
-            case "reset", _:
-                self._reset(number)
-            case _, DegradeMessage() as message:
-                self._lock(number, message)
-            case _, FaultMessage(fault=fault):
-                if self._parts.simulated:
-                    self._send(number, PlayFault(number, fault))
-                else:
-                    self._act(Reply(number, refused(Refusal(Reason.NOT_SIMULATED))))
-
-    def advance(self) -> None:
-        """Sends resets whose epoch is known, if no stop, cancel or fault came after. Call at the end of each step."""
-        for number, ticket in list(self._resets.items()):
-            if self._parts.admission.barred(ticket):
-                self._finish(number, refused(Refusal(Reason.OVERTAKEN)))
-            elif ticket.epoch is not None or not self._view.connected:
-                del self._resets[number]
-                self._send(number, Reset(number, ticket.epoch or 0))
-            elif self._parts.moment.now > self._pending[number] + EXECUTOR_TIMEOUT:
-                self._finish(number, refused(Refusal(Reason.EXECUTOR_BEHIND)))
-
-    def unsent(self, number: int, reason: str) -> None:
-        self._finish(number, refused(Refusal(Reason.NO_EXECUTOR, why=reason)))
-
-    def answered(self, message: ExecutorAnswer) -> None:
-        refusal = message.refused
-        self._finish(message.request, done(message.message) if refusal is None else refused(refusal.refusal))
-
-    def lost(self, reason: str) -> None:
-        """Refuses all requests that are not answered: the connection is lost."""
-        for number in list(self._pending):
-            self._finish(number, refused(Refusal(Reason.EXECUTOR_LOST, why=reason)))
-
-    def overdue(self) -> bool:
-        """Returns whether the executor has not answered a request in time."""
-        now = self._parts.moment.now
-        return any(now > at + EXECUTOR_TIMEOUT for number, at in self._pending.items() if number not in self._resets)
-
-    def _cancel_goal(self, number: int, goal: str) -> None:
-        """Bars all earlier requests of an id: refuses those that wait, and ends its program."""
-        self._parts.admission.bar_id(goal, number)
-        running, waited = self._programs.find(goal), self._goals.waits_for_turn(goal)
-        self._goals.refuse_late()
-        if running is not None:
-            self._send(number, Cancel(number, running.program.program, CANCELED))
-        elif waited:
-            self._act(Reply(number, done("canceled before it began")))
-        elif self._queries.cancel(goal):
-            self._act(Reply(number, done("the plan is canceled")))
-        else:
-            self._act(Reply(number, done(f"goal {goal} is not running")))
-
-    def _reset(self, number: int) -> None:
-        if self._locks.problem is not None:
-            self._locks.retry()
-        admission = self._parts.admission
-        needed = self._view.mode()[0] in ("fault", "stopped")  # otherwise earlier requests may continue
-        self._resets[number], self._pending[number] = admission.arrive(number), self._parts.moment.now
-        (admission.bar if needed else admission.fence)(number)
-
-    def _lock(self, number: int, message: DegradeMessage) -> None:
-        state = self._view.state
-        try:
-            if state is None:
-                raise no_motion(*self._locks.mode())
-            actuator = self._locks.actuator(message, state)
-        except Refusal as refusal:
-            self._act(Reply(number, refused(refusal)))
-            return
-        self._parts.admission.fence(number)
-        self._send(number, Lock(number, actuator, -1 if message.state is None else message.state))
-
-    def _send(self, number: int, message: Down) -> None:
-        self._pending[number] = self._parts.moment.now
-        if self._view.connected:
-            self._act(ToExecutor(message))
-        else:
-            self.unsent(number, self._view.problem)
-
-    def _finish(self, number: int, payload: Payload) -> None:
-        self._resets.pop(number, None)
-        if self._pending.pop(number, None) is not None:
-            self._parts.admission.answered(number)
-            self._act(Reply(number, payload))
 
 
 class Queries:
@@ -148,14 +40,19 @@ class Queries:
 
     def advance(self) -> None:
         """Starts the queries that wait for the obstacles to be built. Call at the end of each step."""
+        premises, state = self._premises, self._parts.view.state
         for number, query in list(self._waiting.items()):
-            if number not in self._jobs and self._premises.obstacles.scene is not None:
-                try:
-                    task = self._task(query)
-                except Refusal as refusal:
-                    self._refuse(query, refusal)
-                else:
-                    self._jobs[number] = self._parts.jobs.start(task, partial(self._answered, query))
+            if number in self._jobs or premises.obstacles.scene is None:
+                continue
+            message, basis, mode = message_of(query), premises.basis(), premises.locks.mode()
+            if state is None or basis is None:
+                self._refuse(query, no_motion(*mode))
+            elif (refusal := obstruction(state, *mode)) is not None:
+                self._refuse(query, refusal)
+            else:
+                goal = tasks.PlanGoal(message, query.wall, premises.correction(), basis)
+                task = tasks.DescribePlan(goal, LONGEST + (message.deadline or 0.0))
+                self._jobs[number] = self._parts.jobs.start(task, partial(self._answered, query))
 
     def cancel(self, goal: str) -> bool:
         """Ends the query of a goal with this id; returns whether there was one."""
@@ -165,27 +62,15 @@ class Queries:
         return query is not None
 
     def end_queries(self) -> None:
-        """Refuses all queries: the process ends."""
         for query in list(self._waiting.values()):
             self._refuse(query, Refusal(Reason.SHUTTING_DOWN))
 
-    def _task(self, query: Request) -> DescribePlan:
-        """Returns the task of a query, as soon as the obstacles are built, or raises Refusal."""
-        premises, state, basis = self._premises, self._parts.view.state, self._premises.basis()
-        if state is None or basis is None:
-            raise no_motion(*premises.locks.mode())
-        if (refusal := obstruction(state, *premises.locks.mode())) is not None:
-            raise refusal
-        message = message_of(query)
-        goal = PlanGoal(message, query.wall, premises.correction(), basis)
-        return DescribePlan(goal, LONGEST + (message.deadline or 0.0))
-
-    def _answered(self, query: Request, answer: Answer) -> None:
+    def _answered(self, query: Request, answer: tasks.Answer) -> None:
         del self._jobs[query.number]
-        if isinstance(answer, Described):
+        if isinstance(answer, tasks.Described):
             self._answer(query.number, answer.payload)
         else:
-            self._refuse(query, refusal_of(answer))
+            self._refuse(query, tasks.refusal_of(answer))
 
     def _refuse(self, query: Request, refusal: Refusal) -> None:
         self._parts.jobs.abandon(self._jobs.pop(query.number, None))
@@ -200,3 +85,97 @@ class Queries:
 def message_of(query: Request) -> GoalMessage:
     assert isinstance(query.message, GoalMessage)
     return query.message
+
+
+class ExecutorRequests:
+    """Requests that the executor answers; the request's number is the number of the executor's request.
+
+    A reset goes to the executor with the epoch of its arrival, so that the executor refuses it after a later stop.
+    """
+
+    def __init__(self, parts: Parts, premises: Premises, goals: Goals, programs: Programs, queries: Queries) -> None:
+        self._parts, self._view, self._act = parts, parts.view, parts.act
+        self._locks, self._goals, self._programs, self._queries = premises.locks, goals, programs, queries
+        self._pending: dict[int, float] = {}  # time of each request that is not answered yet [s]
+        self._resets: dict[int, Ticket] = {}  # those of them whose epoch is not known yet
+
+    def receive_request(self, request: Request) -> None:
+        number, admission, now = request.number, self._parts.admission, self._parts.moment.now
+        match request.key, request.message:
+            case "cancel", CancelMessage(str(goal)):
+                self._cancel_goal(number, goal)
+            case "cancel" | "stop", _:  # the gateway has sent it
+                admission.bar(number)
+                self._pending[number] = now
+            case "reset", _:
+                if self._locks.problem is not None:
+                    self._locks.retry()
+                self._resets[number], self._pending[number] = admission.arrive(number), now
+                needed = self._view.mode()[0] in ("fault", "stopped")  # otherwise earlier requests may continue
+                (admission.bar if needed else admission.fence)(number)
+            case _, DegradeMessage() as message:
+                try:
+                    if (state := self._view.state) is None:
+                        raise no_motion(*self._locks.mode())
+                    actuator = self._locks.actuator(message, state)
+                except Refusal as refusal:
+                    self._act(Reply(number, refused(refusal)))
+                else:
+                    admission.fence(number)
+                    self._send(number, Lock(number, actuator, -1 if message.state is None else message.state))
+            case _, FaultMessage(fault=fault):
+                if self._parts.simulated:
+                    self._send(number, PlayFault(number, fault))
+                else:
+                    self._act(Reply(number, refused(Refusal(Reason.NOT_SIMULATED))))
+
+    def advance(self) -> None:
+        """Sends resets whose epoch is known, if no stop, cancel or fault came after. Call at the end of each step."""
+        for number, ticket in list(self._resets.items()):
+            if self._parts.admission.barred(ticket):
+                self._finish(number, refused(Refusal(Reason.OVERTAKEN)))
+            elif ticket.epoch is not None or not self._view.connected:
+                del self._resets[number]
+                self._send(number, Reset(number, ticket.epoch or 0))
+            elif self._parts.moment.now > self._pending[number] + EXECUTOR_TIMEOUT:
+                self._finish(number, refused(Refusal(Reason.EXECUTOR_BEHIND)))
+
+    def unsent(self, number: int, reason: str) -> None:
+        self._finish(number, refused(Refusal(Reason.NO_EXECUTOR, why=reason)))
+
+    def answered(self, message: Answer) -> None:
+        refusal = message.refused
+        self._finish(message.request, done(message.message) if refusal is None else refused(refusal.refusal))
+
+    def lost(self, reason: str) -> None:
+        for number in list(self._pending):
+            self._finish(number, refused(Refusal(Reason.EXECUTOR_LOST, why=reason)))
+
+    def overdue(self) -> bool:
+        now = self._parts.moment.now
+        return any(now > at + EXECUTOR_TIMEOUT for number, at in self._pending.items() if number not in self._resets)
+
+    def _cancel_goal(self, number: int, goal: str) -> None:
+        """Bars all earlier requests of an id: refuses those that wait, and ends its program."""
+        self._parts.admission.bar_id(goal, number)
+        running = self._programs.find(goal)
+        waited = any(known.id == goal and known.state == "waiting" for known in self._goals.all)
+        self._goals.refuse_late()
+        if running is not None:
+            self._send(number, Cancel(number, running.program.program, CANCELED))
+            return
+        ended = "canceled before it began" if waited else "the plan is canceled" if self._queries.cancel(goal) else ""
+        self._act(Reply(number, done(ended or f"goal {goal} is not running")))
+
+    def _send(self, number: int, message: Down) -> None:
+        self._pending[number] = self._parts.moment.now
+        if self._view.connected:
+            self._act(ToExecutor(message))
+        else:
+            self.unsent(number, self._view.problem)
+
+    def _finish(self, number: int, payload: Payload) -> None:
+        self._resets.pop(number, None)
+        if self._pending.pop(number, None) is not None:
+            self._parts.admission.answered(number)
+            self._act(Reply(number, payload))

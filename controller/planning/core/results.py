@@ -2,28 +2,25 @@
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import msgspec
 
+from hyperbit.controller.armfile.locks import STATES
 from hyperbit.controller.host.journal import fields_of_result
 from hyperbit.controller.host.process import Log
-from hyperbit.controller.planning.core.events import (
-    AcceptanceEntry,
-    Identity,
-    OpenGoal,
-    Payload,
-    PublishResult,
-    Record,
-    ResultEntry,
-    ToExecutor,
-)
+from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.motion.stages.feed import PlanProof
+from hyperbit.controller.motion.targets import GoalTarget, measured_pose
+from hyperbit.controller.planning.core import events
+from hyperbit.controller.planning.core.arm import Measured
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Payload, ResultEntry, ToExecutor
 from hyperbit.controller.planning.core.goal import Goal
-from hyperbit.controller.planning.core.outcomes import STATUS_CODES, outcome_of, result_of, why_not_as_planned
 from hyperbit.controller.planning.core.parts import Parts
-from hyperbit.controller.planning.core.reports import Context, GoalOutcome, decode_context
+from hyperbit.controller.planning.core.reports import Context, GoalOutcome
 from hyperbit.controller.program import Acknowledge, Ended
+from hyperbit.controller.refusals import codes
 
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
 SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting, the executor has sent the results that it stores
@@ -47,16 +44,19 @@ class Results:
     published again, with the field `repeated`. `owed` are goals whose results the ledger does not have.
     """
 
-    def __init__(self, parts: Parts, published: Mapping[Identity, ResultEntry], owed: Iterable[OpenGoal]) -> None:
+    def __init__(
+        self, parts: Parts, published: Mapping[Identity, ResultEntry], owed: Mapping[Identity, AcceptanceEntry]
+    ) -> None:
         self._view, self._moment, self._act = parts.view, parts.moment, parts.act
-        self._owed = {goal.identity: goal for goal in owed}
-        self._doubtful = {identity: mark for identity, mark in published.items() if identity in self._owed}
-        self._told = published.keys() - self._owed.keys()
+        self._owed = dict(owed)
+        self._doubtful = {identity: mark for identity, mark in published.items() if identity in owed}
+        self._told = published.keys() - owed.keys()
         self._met_at = math.inf  # when the present executor was met [s]
         self._last = 0  # number of a publication or of an entry of the ledger
         self._publishing: dict[int, Untold] = {}
         self._recording: dict[int, Untold] = {}
-        self._deferred: dict[int, PublishResult] = {}  # by entry of the acceptance, which the ledger must have before
+        # By entry of the acceptance, which the ledger must have before.
+        self._deferred: dict[int, events.PublishResult] = {}
 
     @property
     def idle(self) -> bool:
@@ -67,7 +67,6 @@ class Results:
         return self._last
 
     def waive(self, identity: Identity) -> None:
-        """Suppresses the result of an abandoned program."""
         self._told.add(identity)
 
     # --- made
@@ -89,25 +88,25 @@ class Results:
         outcome, planned, measured = self._told_outcome(identity), context.proof, view.measured_in(message)
         if goal is not None:
             context = msgspec.structs.replace(context, proof=goal.feed.proof)
-            target, outcome = goal.report.present, goal.outcome
+            target, outcome = None if goal.report is None else goal.report.present, goal.outcome
         outcome = outcome or outcome_of(view.manipulator, message, measured, context)
         if outcome.status == "succeeded" and (why := why_not_as_planned(planned, context.proof, message.switches)):
             outcome = outcome._replace(message=f"{outcome.message}; {why}")
         if outcome.status == "succeeded" and not message.verified:
             outcome = outcome._replace(message=f"{outcome.message}; commanded, not verified")
-        payload = result_of(view.manipulator, message, measured, context, outcome, target)
         view.ended(outcome.sentence)
-        self._tell(Untold(identity, message.result, accepted_of(context), payload), goal)
+        payload = result_of(view.manipulator, message, measured, context, outcome, target)
+        accepted = AcceptanceEntry(context.id, context.sent, context.waypoints)
+        self._tell(Untold(identity, message.result, accepted, payload), goal)
 
-    def lost(
-        self, identity: Identity, context: bytes, outcome: GoalOutcome, switches: int, goal: Goal | None = None
-    ) -> None:
+    def lost(self, identity: Identity, data: bytes, outcome: GoalOutcome, switches: int, goal: Goal | None) -> None:
         """Ends a program of which the executor tells nothing any more; `goal`: None if of an earlier process."""
-        found, manipulator = decode_context(context) or Context("unknown"), self._view.manipulator
+        context, manipulator = decode_context(data) or Context("unknown"), self._view.manipulator
         unknown = bytes((len(manipulator.actuators) + 7) // 8)
-        silent = Ended(0, identity.program, context, "aborted", outcome.message, -1, switches, unknown, unknown)
-        payload = result_of(manipulator, silent, self._view.measured, found, outcome, None)
-        self._tell(Untold(identity, None, accepted_of(found), payload), goal)
+        silent = Ended(0, identity.program, b"", "aborted", outcome.message, -1, switches, unknown, unknown)
+        payload = result_of(manipulator, silent, self._view.measured, context, outcome, None)
+        accepted = AcceptanceEntry(context.id, context.sent, context.waypoints)
+        self._tell(Untold(identity, None, accepted, payload), goal)
 
     def met(self, instance: int) -> None:
         """Ends as lost what earlier executors owed, because another one has come.
@@ -129,11 +128,10 @@ class Results:
 
     def _end_owed(self, over: list[Identity]) -> None:
         for identity in over:
-            goal = self._owed.pop(identity)
+            goal, mark = self._owed.pop(identity), self._doubtful.get(identity)
             context = msgspec.msgpack.encode(Context(goal.goal, goal.waypoints, sent=goal.wall))
-            mark = self._doubtful.get(identity)
-            outcome = self._told_outcome(identity) or GoalOutcome("lost", STATUS_CODES["lost"], LOST)
-            self.lost(identity, context, outcome, 0 if mark is None else mark.switches)
+            outcome = self._told_outcome(identity) or GoalOutcome("lost", codes.PATH_TOLERANCE_VIOLATED, LOST)
+            self.lost(identity, context, outcome, 0 if mark is None else mark.switches, None)
 
     def _told_outcome(self, identity: Identity) -> GoalOutcome | None:
         """Returns the outcome that an earlier planner process has published, perhaps in vain; otherwise None."""
@@ -162,22 +160,119 @@ class Results:
         self._told.add(untold.identity)
         if self._doubtful.pop(untold.identity, None) is not None:
             untold.payload = {**untold.payload, "repeated": True}
-        number = self.next_entry()
+        number, payload = self.next_entry(), untold.payload
         self._publishing[number] = untold
-        publication = PublishResult(number, untold.identity, goal is None, untold.payload)
+        publication = events.PublishResult(number, untold.identity, goal is None, payload)
         if goal is None or goal.unrecorded is None:
             self._act(publication)
         else:
             self._deferred[goal.unrecorded] = publication
-        text = f"goal {untold.payload['id']} {untold.payload['status']}: {untold.payload['message']}"
-        self._act(Log(logging.INFO, text, fields_of_result(untold.payload)))
+        text = f"goal {payload['id']} {payload['status']}: {payload['message']}"
+        self._act(Log(logging.INFO, text, fields_of_result(payload)))
 
     def _record(self, untold: Untold) -> None:
         payload, number = untold.payload, self.next_entry()
         fields = payload["status"], payload["code"], payload["message"], payload["switches"]
         self._recording[number] = untold
-        self._act(Record(number, untold.identity, untold.accepted, ResultEntry(self._moment.wall, *fields)))
+        result = ResultEntry(self._moment.wall, *fields)
+        self._act(events.Record(number, untold.identity, untold.accepted, result))
 
 
-def accepted_of(context: Context) -> AcceptanceEntry:
-    return AcceptanceEntry(context.id, context.sent, context.waypoints)
+def decode_context(data: bytes) -> Context | None:
+    """Returns the context in a result; None if it cannot be decoded, as from another version of the planner."""
+    try:
+        return msgspec.msgpack.decode(data, type=Context)
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):
+        return None
+
+
+# --- the outcome, and the payload of a result
+
+
+def outcome_of(manipulator: Manipulator, ended: Ended, measured: Measured, context: Context) -> GoalOutcome:
+    """Returns the outcome of a program as the executor ended it, judged by the measured states (A,)."""
+    target, goal = context.target, f"goal {context.id} was"
+    if ended.status != "done":
+        code = codes.PATH_TOLERANCE_VIOLATED if ended.status == "aborted" else codes.INVALID_GOAL
+        return GoalOutcome(ended.status, code, ended.message)
+    if target is None:
+        apart = [manipulator.actuators[k] for k, state in sorted(context.jogged.items()) if measured[k] != state]
+        if not apart:
+            return GoalOutcome("succeeded", codes.SUCCESSFUL, "switched", "holding; the actuators were switched")
+        message = f"not measured in the requested state: {', '.join(apart)}"
+        return GoalOutcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {message}")
+    where = measured_pose(manipulator, measured, target)
+    error, angle = where["error"], where["orientation_error"]
+    if target.configuration is not None:
+        reached = where["configuration"] == target.configuration
+        found = where["configuration"] or "unknown"
+        message = f"the measured configuration is {found}, not {target.configuration}"
+    else:
+        reached = error is not None and error <= target.tolerance
+        reached = reached and (angle is None or angle <= target.angle_tolerance)
+        away = "unknown" if error is None else f"{error:.4f} from the last waypoint"
+        message = f"the measured tip is {away}, tolerance {target.tolerance:g}"
+        if angle is not None:
+            tolerances = f"tolerances {target.tolerance:g} and {target.angle_tolerance:g}"
+            message = f"the measured tip is {away} and turned {angle:.4f} rad, {tolerances}"
+    if reached:
+        return GoalOutcome("succeeded", codes.SUCCESSFUL, "reached", f"holding; {goal} reached")
+    return GoalOutcome("aborted", codes.GOAL_TOLERANCE_VIOLATED, message, f"holding; {goal} missed: {message}")
+
+
+def why_not_as_planned(planned: PlanProof | None, improved: PlanProof | None, switches: int) -> str:
+    """Returns why a goal needed more or fewer switches than its answer said; "" if it needed as many.
+
+    `planned` is the plan when the goal was accepted; None for a jog. Nothing is known of `improved` if that is None.
+    """
+    if planned is None or planned.switches == switches:
+        return ""
+    if improved != planned:
+        why = "the plan was improved while the arm moved"
+    elif switches < planned.switches:
+        why = "stages that were late were joined"
+    else:
+        why = "actuators that were not in their expected states were switched, too"
+    return f"{switches} switches instead of {planned.switches}: {why}"
+
+
+def result_of(
+    manipulator: Manipulator,
+    ended: Ended,
+    measured: Measured,
+    context: Context,
+    outcome: GoalOutcome,
+    target: GoalTarget | None,
+) -> Payload:
+    """Returns the payload of a result.
+
+    The certificate is that of the plan from where the goal began. It stands there only if the arm did exactly the
+    switches that it speaks of; otherwise `certificate` is "unknown". Errors are given from `target`, if there is one.
+    """
+    proof, labels = context.proof, manipulator.actuators
+    if context.jogged or not context.position:
+        travels = [
+            {"actuator": labels[travel.actuator], "state": STATES[travel.state], "seconds": travel.seconds}
+            for travel in ended.travels
+        ]
+        shown: Payload = {"travels": travels}
+    else:
+        as_planned = proof if outcome.status == "succeeded" and proof and proof.switches == ended.switches else None
+        kind = "unknown" if as_planned is None else as_planned.certificate
+        known = kind in ("optimal", "bound")
+        shown = {
+            "planned_switches": None if proof is None else proof.switches,
+            "optimal": kind == "optimal" if known else None,
+            "lower_bound": as_planned.bound if as_planned is not None and known else None,
+            "certificate": kind,
+        }
+    return {
+        "id": context.id,
+        "status": outcome.status,
+        "code": outcome.code,
+        "message": outcome.message,
+        "switches": ended.switches,
+        **measured_pose(manipulator, measured, target),
+        **({} if context.bias is None else {"bias": context.bias}),
+        **shown,
+    }

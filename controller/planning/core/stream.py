@@ -9,14 +9,14 @@ from __future__ import annotations
 import logging
 import math
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.host.process import Log
 from hyperbit.controller.motion.decoding.setpoint import decode
-from hyperbit.controller.motion.tracking.tracking import GoalTracker
-from hyperbit.controller.planning.core.arm import obstruction
+from hyperbit.controller.motion.tracking.tracking import GoalTracker, Tracking
+from hyperbit.controller.planning.core.arm import ArmState, obstruction
 from hyperbit.controller.planning.core.events import Payload, SetpointArrived, ToExecutor
 from hyperbit.controller.planning.core.parts import Parts, Ticket
 from hyperbit.controller.planning.core.premises import Premises
@@ -25,12 +25,6 @@ from hyperbit.controller.planning.core.tasks import Answer, Basis, Failed, Follo
 from hyperbit.controller.program import TICK, Setpoint
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
-
-if TYPE_CHECKING:
-    from hyperbit.controller.arm.arm import Arm
-    from hyperbit.controller.motion.decoding.setpoint import TrackedSetpoint
-    from hyperbit.controller.motion.tracking.tracking import Tracking
-    from hyperbit.controller.planning.core.arm import ArmState
 
 POLL = 0.005  # [s] between two considerations, at least
 ALIVE_EVERY = 0.02  # [s] between commands without news, which keep the stream alive
@@ -51,7 +45,6 @@ class Stream:
     """
 
     def __init__(self, arm: Arm, tracking: Tracking, parts: Parts, premises: Premises, programs: Programs) -> None:
-        """Builds the tracker, which takes almost a second."""
         self._view, self._moment, self._jobs, self._act = parts.view, parts.moment, parts.jobs, parts.act
         self._parts, self._premises, self._programs = parts, premises, programs
         self._admission, self._dimension = parts.admission, arm.manipulator.dimension
@@ -77,47 +70,41 @@ class Stream:
         """Takes a set-point; a refused one is only counted."""
         self._received += 1
         try:
-            setpoint = decode(arrived.payload, self._dimension, self._default_tolerance)
-            if (age := self._moment.now - arrived.arrival.at) > MOST_DELAY:
-                raise Refusal(Reason.STALE, age=f"{age:.3f}", most=MOST_DELAY)
-            self._assign(arrived)
-            if self._ticket is not None and not self._admission.stream_ended(self._ticket):
-                self._measure(setpoint)
+            self._take(arrived)
         except Refusal as refusal:
             self._refused += 1
             self._last_refusal = str(refusal)
 
-    def _assign(self, arrived: SetpointArrived) -> None:
-        """Assigns a set-point to the present stream, or begins a new one; refuses one of another sender."""
-        now, ticket = self._moment.now, self._ticket_of(arrived)
+    def _take(self, arrived: SetpointArrived) -> None:
+        """Assigns a set-point to the present stream, or begins a new one; refuses one of another sender.
+
+        The tracker refuses one that is stale, from the future or out of order.
+        """
+        now, (payload, arrival, sender) = self._moment.now, arrived
+        setpoint = decode(payload, self._dimension, self._default_tolerance)
+        if (age := now - arrival.at) > MOST_DELAY:
+            raise Refusal(Reason.STALE, age=f"{age:.3f}", most=MOST_DELAY)
+        # The ticket is of the first set-point since the sender's last pause. A sender that was refused may follow the
+        # present stream without a pause. Then a stop in between bars it, too.
+        alive = {name: entry for name, entry in self._senders.items() if self._alive(entry[1])}
+        known = alive.pop(sender, None)
+        ticket = self._admission.arrive(arrival.number) if known is None else known[0]
+        self._senders = dict([*alive.items(), (sender, (ticket, now))][-MOST_SENDERS:])
         if not self._alive(self._heard):
             self._abandon()
             self._streams += 1
-            self._ticket, self._sender = ticket, arrived.sender
+            self._ticket, self._sender = ticket, sender
             self._number, self._interval, self._note = 0, math.inf, ""
             self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
-        elif arrived.sender != self._sender:
-            owner, sender = named(self._sender), named(arrived.sender)
-            raise Refusal(Reason.STREAM_OF_ANOTHER, owner=owner, sender=sender, pause=self._timeout)
+        elif sender != self._sender:
+            owner, other = (f'"{name}"' if name else "a client without a name" for name in (self._sender, sender))
+            raise Refusal(Reason.STREAM_OF_ANOTHER, owner=owner, sender=other, pause=self._timeout)
         else:
             last = now - self._heard
             self._interval = last if math.isinf(self._interval) else running_mean(self._interval, last)
         self._heard = now
-
-    def _ticket_of(self, arrived: SetpointArrived) -> Ticket:
-        """Returns the ticket of the first set-point since its sender's last pause.
-
-        A sender that was refused may follow the present stream without a pause. Then a stop in between bars it, too.
-        """
-        alive = {sender: entry for sender, entry in self._senders.items() if self._alive(entry[1])}
-        known = alive.pop(arrived.sender, None)
-        ticket = self._admission.arrive(arrived.arrival.number) if known is None else known[0]
-        self._senders = dict([*alive.items(), (arrived.sender, (ticket, self._moment.now))][-MOST_SENDERS:])
-        return ticket
-
-    def _measure(self, setpoint: TrackedSetpoint) -> None:
-        """Passes a set-point to the tracker, which refuses one that is stale, from the future or out of order."""
-        now = self._moment.now
+        if self._ticket is None or self._admission.stream_ended(self._ticket):
+            return
         if not self._alive(self._fitted):
             self._tracker.forget()
             self._offset = self._moment.wall - now
@@ -139,7 +126,9 @@ class Stream:
             return
         ticket, mode = self._ticket, self._premises.locks.mode()[0]
         if ticket is None or mode not in ("ready", "executing") or self._admission.stream_ended(ticket):
-            self._end()
+            self._abandon()
+            self._ticket, self._fitted = None, -math.inf
+            self._tracker.forget()
             return
         state = self._view.state
         if state is None or ticket.epoch is None:
@@ -151,7 +140,6 @@ class Stream:
 
     @property
     def due(self) -> float:
-        """Time of the next consideration [s]; infinite without a stream."""
         if not self._alive(self._fitted):
             return math.inf
         next_search = math.inf if self._job is not None else self._next_search
@@ -177,11 +165,6 @@ class Stream:
         until, reason = self._fitted + self._timeout, f"following a setpoint{self._note}"[:LONGEST]
         strict = scene is None or not scene.free
         self._act(ToExecutor(Setpoint(self._number, epoch, outputs, stages, until, strict, reason)))
-
-    def _end(self) -> None:
-        self._abandon()
-        self._ticket, self._fitted = None, -math.inf
-        self._tracker.forget()
 
     # --- searches
 
@@ -255,10 +238,6 @@ class Stream:
             "rate": 1 / max(self._interval, 1e-3) if self._alive(self._heard) else 0.0,
             "alive": self._alive(self._fitted),
         }
-
-
-def named(sender: str) -> str:
-    return f'"{sender}"' if sender else "a client without a name"
 
 
 def running_mean(mean: float, latest: float) -> float:

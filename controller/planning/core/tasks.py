@@ -25,18 +25,14 @@ class VersionedScene(NamedTuple):  # the obstacles, those of the arm's file and 
     keep_out: Any = None  # swept checks; opaque
 
 
-class ArmStart(NamedTuple):
-    """Where a plan starts. Two starts are equal if a plan from one is a plan from the other."""
-
+class ArmStart(NamedTuple):  # where a plan starts; two are equal if a plan from one is a plan from the other
     outputs: bytes  # of the boards; `Program.start`
     commanded: bytes  # states from which stages begin: the outputs, the locked state for a locked actuator
     states: bytes  # states to plan from: measured at rest, commanded while actuators travel
     locked: bytes  # mask of the locked actuators
 
 
-class Basis(NamedTuple):
-    """What a plan holds for. It is not used after any of the three has changed."""
-
+class Basis(NamedTuple):  # what a plan holds for; it is not used after any of the three has changed
     start: ArmStart
     tables: Tables
     scene: VersionedScene
@@ -77,14 +73,9 @@ class FollowSetpoint(NamedTuple):  # answered by `Followed` or `Failed`
     bias: tuple[float, ...] | None = None  # of the tip, that corrects `position`, for the note; None: no tracker
 
 
-class CheckStages(NamedTuple):
-    """Check the states before and after consecutive stages for collisions. Answered by `Checked` or `Failed`.
-
-    The bits of locked actuators are their states, not their outputs.
-    """
-
+class CheckStages(NamedTuple):  # answered by `Checked` or `Failed`
     scene: VersionedScene
-    before: bytes
+    before: bytes  # states before the first stage; the bits of locked actuators are their states, not their outputs
     stages: tuple[bytes, ...]
 
 
@@ -142,14 +133,12 @@ class SceneBuilt(NamedTuple):
     sent: int  # number of those sent
 
 
-class Done(NamedTuple):
-    """The task has ended; there is nothing to tell."""
+class Done(NamedTuple):  # the task has ended; there is nothing to tell
+    pass
 
 
-class Failed(NamedTuple):
-    """An exception ended the task; `reason` is its last line, the log has the rest."""
-
-    reason: str
+class Failed(NamedTuple):  # an exception ended the task
+    reason: str  # its last line; the log has the rest
 
 
 Answer = (

@@ -4,12 +4,16 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain, islice
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from hyperbit.controller.motion.decoding.goal import GoalMessage, schedule
+from hyperbit.controller.arm.arm import Arm
+from hyperbit.controller.manipulator.locked import lock_actuators, transferred
+from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
+from hyperbit.controller.motion.decoding.goal import GoalRules, schedule
 from hyperbit.controller.motion.plans.description import describe_plan
 from hyperbit.controller.motion.plans.lookahead import Improvement, changed_points
 from hyperbit.controller.motion.plans.plan import TrajectoryPlan
@@ -17,29 +21,109 @@ from hyperbit.controller.motion.plans.point_by_point import PLANNING_TIME, Point
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner, first_transition
 from hyperbit.controller.motion.plans.whole import WHOLE_TIME, first_time, look_ahead
 from hyperbit.controller.motion.stages.feed import Improved, PlannedPoint, PlanProof, most_stages
-from hyperbit.controller.motion.stages.pacing import Blocked, Staged
-from hyperbit.controller.motion.stages.program import unpack_states
+from hyperbit.controller.motion.stages.pacing import Blocked, Staged, pace_of
+from hyperbit.controller.motion.stages.program import pack_states, unpack_states
 from hyperbit.controller.motion.tracking.following import SetpointQuery, find, stages_to
 from hyperbit.controller.obstacles.keep_out import KeepOutSet, States
+from hyperbit.controller.obstacles.single_switches import arm_switches
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.events import done
 from hyperbit.controller.planning.core.tasks import ArmStart
-from hyperbit.controller.planning.workers.arm_model import ArmModel, Proceed
 from hyperbit.controller.program import MOST_PROGRAM_STAGES
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.method import MINIMUM_SWITCH
-from hyperbit.controller.search.solution import SearchTime
-from hyperbit.controller.search.solver import search_time
+from hyperbit.controller.search.solver import Solver, search_time
+from hyperbit.controller.workspace.densities import Densities
+from hyperbit.controller.workspace.mapping import map_densities
 
 MOST_THREADS = 2  # of one plan: to search a way around obstacles, and to prove that there is none
+
+# Called between two parts of a task. Returns whether the task must end soon. Raises Abandoned if the task is no longer
+# needed, Refusal if its time is over.
+Proceed = Callable[[], bool]
+
+
+class Abandoned(Exception):
+    """A task is no longer needed."""
+
+
+class ArmModel:
+    """The arm for one worker. Not thread-safe, because the memory of its solver is not."""
+
+    def __init__(self, arm: Arm, worker: Literal["goals", "queries", "setpoints"]) -> None:
+        self.arm, self.pace, self._worker = arm, pace_of(arm.settings), worker
+        whole = arm.manipulator
+        self.rules = GoalRules(whole.dimension, arm.tolerance, arm.angle_tolerance, self.pace, whole)
+        self._generations = (-1, -1)  # of tables and obstacles of the latest solver
+        self._solver: Solver | None = None
+
+    def solver(self, tables: tasks.Tables, scene: tasks.VersionedScene) -> Solver:
+        generations = tables.generation, scene.generation
+        if self._solver is None or generations != self._generations:
+            solver: Solver = tables.solvers[self._worker]
+            if not scene.free:
+                clearance = scene.keep_out.clearance
+                if solver.manipulator is not clearance.manipulator:
+                    clearance = self.arm.clearance(solver.manipulator, scene.keep_out.sent)
+                solver = solver.avoiding(clearance)
+            self._solver, self._generations = solver, generations
+        return self._solver
+
+    def unpack(self, packed: bytes) -> States:
+        return unpack_states(packed, len(self.arm.manipulator.actuators))
+
+    def pack(self, start: tasks.ArmStart, stages: States) -> list[bytes]:
+        """Returns stages (k, A) packed for the executor; locked actuators keep their bits of the outputs."""
+        if any(start.locked):
+            stages = np.where(self.unpack(start.locked), self.unpack(start.outputs), stages)
+        return pack_states(stages)
+
+    def configuration(self, start: tasks.ArmStart, reduced: Manipulator) -> Configuration:
+        """Returns the configuration (B,) of the reduced arm to plan from, or raises Refusal."""
+        whole = self.arm.manipulator
+        try:
+            configuration = whole.configuration(self.unpack(start.states))
+        except ValueError as error:
+            why = f"what the boards measure is no configuration: {error}"
+            raise Refusal(Reason.UNKNOWN_STATE, why=why) from None
+        try:
+            return transferred(configuration, whole, reduced)
+        except ValueError:
+            raise Refusal(Reason.LOCKS_CHANGING) from None
+
+
+def build_tables(arm: Arm, densities: Densities, weights: NDArray[np.float64], task: tasks.BuildTables) -> tasks.Tables:
+    """Returns the solvers for locked states.
+
+    `densities` are of the arm reduced by the locked states of its file; others are mapped, which takes seconds.
+    `weights` are the costs of a switch of each actuator, shape (A,).
+
+    Raises:
+        ValueError: a module has no state with its actuators locked so.
+    """
+    locked = np.frombuffer(task.locked, dtype=np.int8)  # 255 becomes -1
+    reduced = arm.reduced
+    if not np.array_equal(locked, arm.locked):
+        reduced = lock_actuators(arm.manipulator, locked)
+        densities = map_densities(reduced, arm.pixel, arm.level_pixels)
+    goals = Solver(reduced, densities, weights)
+    goals.prepare()
+    arm_switches(reduced)  # a goal among obstacles needs them at once
+    solvers = {"goals": goals, "queries": goals.another(), "setpoints": goals.another()}  # all with the same tables
+    return tasks.Tables(task.generation, task.locked, solvers)
+
+
+def build_scene(arm: Arm, task: tasks.BuildScene) -> tasks.SceneBuilt:
+    keep_out = KeepOutSet(arm.clearance(others=task.obstacles), task.obstacles)
+    scene = tasks.VersionedScene(task.generation, keep_out.free, keep_out)
+    return tasks.SceneBuilt(scene, len(keep_out.clearance.obstacles), len(task.obstacles))
+
 
 # --- goals
 
 
-class PlannedGoal(NamedTuple):
-    """A plan with what its improvement needs; `Planned.plan`."""
-
+class PlannedGoal(NamedTuple):  # a plan with what its improvement needs; `Planned.plan`
     plan: TrajectoryPlan  # from the configuration of `start.states`
     first: Staged  # transition to the first point from `start.commanded`
     points: tuple[PlannedPoint, ...]  # of `Planned`
@@ -56,7 +140,7 @@ def plan_goal(model: ArmModel, task: tasks.PlanGoal, proceed: Proceed) -> tasks.
     Raises Refusal if there is no plan, and what `proceed` raises.
     """
     start, planner = task.basis.start, planner_of(model, task)
-    found = search_plan(model, task.basis, planner, time_of(model, task.message, PLANNING_TIME), proceed)
+    found = search_plan(model, task, planner, PLANNING_TIME, proceed)
     first, *others = transitions = found.transitions
     if start.commanded != start.states:
         arm, keep_out, commanded = model.arm.manipulator, task.basis.scene.keep_out, model.unpack(start.commanded)
@@ -75,29 +159,27 @@ def planner_of(model: ArmModel, task: tasks.PlanGoal) -> TransitionPlanner:
     return TransitionPlanner(model.solver(task.basis.tables, task.basis.scene), trajectory, model.pace)
 
 
-def time_of(model: ArmModel, message: GoalMessage, first: float) -> SearchTime:
-    """Returns the time to plan a goal, of which `first` [s] is for all its points together."""
-    return search_time(first, model.arm.settings.planning.seconds_per_switch, message.deadline)
-
-
 def search_plan(
-    model: ArmModel, basis: tasks.Basis, planner: TransitionPlanner, allowed: SearchTime, proceed: Proceed
+    model: ArmModel, goal: tasks.PlanGoal, planner: TransitionPlanner, first: float, proceed: Proceed
 ) -> TrajectoryPlan:
-    """Returns a plan whose stages are clear, or raises Refusal; calls `proceed` again and again."""
+    """Returns a plan whose stages are clear, or raises Refusal; calls `proceed` again and again.
+
+    `first` [s] is the time for all its points together.
+    """
+    basis, settings = goal.basis, model.arm.settings
     previous = model.configuration(basis.start, planner.solver.manipulator)
-    settings = model.arm.settings
+    allowed = search_time(first, settings.planning.seconds_per_switch, goal.message.deadline)
     threads = max(1, min(settings.planning.workers, MOST_THREADS))
     found = PointByPoint(planner, settings.method, allowed, threads).plan(previous, proceed)
     check_size(model, found.transitions)
     # All stages are checked, so that the executor need not ask. Most results are known from the planning.
-    before, stages = model.unpack(basis.start.states), stages_of(found.transitions)
+    before, stages = model.unpack(basis.start.states), chain.from_iterable(t.stages for t in found.transitions)
     if (collision := basis.scene.keep_out.first_collision(before, stages, proceed)) is not None:
         raise Refusal(Reason.PLAN_COLLIDES, collision=collision)
     return found
 
 
 def check_size(model: ArmModel, transitions: Sequence[Staged]) -> None:
-    """Raises Refusal if a plan has more stages than the executor accepts."""
     counts = [len(transition.stages) for transition in transitions]
     total, longest, most = sum(counts), max(counts), most_stages(len(model.arm.manipulator.actuators))
     if longest > most or total > MOST_PROGRAM_STAGES:
@@ -128,11 +210,6 @@ def proof_of(found: TrajectoryPlan) -> PlanProof:
     return PlanProof(int(found.switches), float(found.cost), float(found.bound), found.certificate)
 
 
-def stages_of(transitions: Sequence[Staged]) -> Iterator[States]:
-    """Yields the actuator states (A,) after each stage of transitions."""
-    return chain.from_iterable(transition.stages for transition in transitions)
-
-
 def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Iterator[tasks.Deviations | Improved]:
     """Yields the deviations of a plan, then each improvement whose stages are clear; calls `proceed` between."""
     goal: PlannedGoal = task.plan
@@ -152,7 +229,8 @@ def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Itera
         if (changed := changed_points(current, better)) is None:
             continue
         transitions, before = better.transitions[changed], better.transitions[changed.start - 1].stages[-1]
-        if keep_out.first_collision(before, stages_of(transitions), proceed) is not None:
+        stages = chain.from_iterable(transition.stages for transition in transitions)
+        if keep_out.first_collision(before, stages, proceed) is not None:
             continue
         new = points_of(model, goal.start, points[changed.start - 1].stages[-1], transitions, changed.start)
         points[changed] = [
@@ -163,7 +241,6 @@ def improve(model: ArmModel, task: tasks.ImprovePlan, proceed: Proceed) -> Itera
 
 
 def prepare_search(model: ArmModel, task: tasks.PrepareSearch, proceed: Proceed) -> tasks.Done:
-    """Prepares the next search of a goal from the arm's state; `proceed` is called between two parts."""
     solver = model.solver(task.basis.tables, task.basis.scene)
     if model.arm.settings.method != MINIMUM_SWITCH:
         return tasks.Done()
@@ -192,8 +269,7 @@ def describe(model: ArmModel, task: tasks.DescribePlan, proceed: Proceed, hurry:
 
     planner = planner_of(model, task.goal)
     reduced = planner.solver.manipulator
-    allowed = time_of(model, message, first_time(planner.trajectory))
-    found = search_plan(model, task.goal.basis, planner, allowed, in_time)
+    found = search_plan(model, task.goal, planner, first_time(planner.trajectory), in_time)
     previous = model.configuration(task.goal.basis.start, reduced)
     if model.arm.settings.method == MINIMUM_SWITCH:
         left = WHOLE_TIME if message.deadline is None else began + message.deadline - time.monotonic()

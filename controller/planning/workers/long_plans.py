@@ -12,19 +12,15 @@ import traceback
 from collections.abc import Callable
 from importlib.metadata import version
 from multiprocessing.connection import Connection, wait
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.host.signals import OF_TERMINAL, ignore
-from hyperbit.controller.motion.decoding.goal import GoalMessage
-from hyperbit.controller.obstacles.obstacles import Obstacles
 from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.tasks import Answer, DescribePlan
-from hyperbit.controller.planning.workers import computations
-from hyperbit.controller.planning.workers.arm_model import ArmModel, build_scene, build_tables
+from hyperbit.controller.planning.workers.computations import ArmModel, build_scene, build_tables, describe
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.workspace.cache import default_directory, load_or_map
 from hyperbit.controller.workspace.densities import Densities
@@ -38,38 +34,12 @@ NICE = 10  # goals and set-points go first, where the service lets a process low
 SPAWN = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
 
 
-class LongPlan(NamedTuple):
-    """A plan for another process, which builds tables and obstacles of its own.
-
-    Attributes:
-        message, received, bias: of `PlanGoal`.
-        start: of its basis.
-        locked: locked states of `Tables`.
-        scene, obstacles: generation of `VersionedScene`, and the obstacles that were sent.
-        seconds: longest time [s].
-    """
-
-    message: GoalMessage
-    received: float
-    bias: tuple[float, ...] | None
-    start: tasks.ArmStart
-    locked: bytes
-    scene: int
-    obstacles: Obstacles
-    seconds: float
-
-
 def is_long(task: tasks.Task) -> bool:
-    """Returns whether a task is a plan that may take longer than LONG."""
     return isinstance(task, DescribePlan) and (task.goal.message.deadline or 0.0) > LONG
 
 
 class LongPlanner:
-    """A process that plans. It is killed with a plan that is no longer wanted, and another one starts at once.
-
-    Args:
-        arm, weights: as in `build_tables`.
-    """
+    """A process that plans. It is killed with a plan that is no longer wanted, and another one starts at once."""
 
     def __init__(self, arm: Arm, weights: NDArray[np.float64]) -> None:
         self._arguments = arm, weights, version("hyperbit")
@@ -97,7 +67,6 @@ class LongPlanner:
         return answer
 
     def close(self) -> None:
-        """Kills the process."""
         self._connection.close()
         self._process.kill()
         self._process.join()
@@ -114,19 +83,17 @@ class LongPlanner:
         theirs.close()
 
 
-def packed(task: DescribePlan) -> LongPlan:
-    """Returns what another process needs of a task."""
-    goal = task.goal
-    start, tables, scene = goal.basis
-    own = start, tables.locked, scene.generation, scene.keep_out.sent
-    return LongPlan(goal.message, goal.received, goal.bias, *own, task.seconds)
+def packed(task: DescribePlan) -> DescribePlan:
+    """Returns a task for another process, which builds its own tables, and its scene from the obstacles sent."""
+    start, tables, scene = task.goal.basis
+    basis = tasks.Basis(start, tables._replace(solvers=None), scene._replace(keep_out=scene.keep_out.sent))
+    return task._replace(goal=task.goal._replace(basis=basis))
 
 
 # --- the other process
 
 
 def serve(connection: Connection, arm: Arm, weights: NDArray[np.float64], expected: str) -> None:
-    """Answers plans until the other process ends."""
     ignore(OF_TERMINAL)  # the planner ends this process
     threading.Thread(target=end_with_parent, daemon=True).start()
     with contextlib.suppress(OSError):
@@ -137,7 +104,10 @@ def serve(connection: Connection, arm: Arm, weights: NDArray[np.float64], expect
 
 
 def answer_plans(connection: Connection, planner: Planner, expected: str) -> None:
-    """Answers each plan that arrives, until the connection ends; refuses all if this is not the expected version."""
+    """Answers each plan that arrives, until the connection ends; refuses all if this is not the expected version.
+
+    An upgrade replaces the package under a running daemon.
+    """
     found = version("hyperbit")
     other = tasks.Failed(f"the daemon is hyperbit {expected}, installed is {found}: restart the daemon")
     with contextlib.suppress(EOFError, OSError):
@@ -154,11 +124,7 @@ def end_with_parent() -> None:
 
 
 class Planner:
-    """Plans, with the tables and obstacles of the latest plan.
-
-    Args:
-        arm, weights: as in `build_tables`.
-    """
+    """Plans, with the tables and obstacles of the latest plan."""
 
     def __init__(self, arm: Arm, weights: NDArray[np.float64]) -> None:
         self._arm, self._weights, self._model = arm, weights, ArmModel(arm, "queries")
@@ -166,13 +132,14 @@ class Planner:
         self._tables: tasks.Tables | None = None
         self._scene: tasks.VersionedScene | None = None
 
-    def answer(self, plan: LongPlan) -> Answer:
-        """Returns the answer to a plan, also for an exception."""
+    def answer(self, task: DescribePlan) -> Answer:
         try:
-            basis = tasks.Basis(plan.start, self.prepare(plan.locked), self._scene_of(plan))
-            goal = tasks.PlanGoal(plan.message, plan.received, plan.bias, basis)
-            task = DescribePlan(goal, plan.seconds)
-            return computations.describe(self._model, task, lambda: False, lambda: False)
+            start, tables, scene = task.goal.basis
+            if self._scene is None or self._scene.generation != scene.generation:
+                self._scene = build_scene(self._arm, tasks.BuildScene(scene.generation, scene.keep_out)).scene
+            basis = tasks.Basis(start, self.prepare(tables.locked), self._scene)
+            task = task._replace(goal=task.goal._replace(basis=basis))
+            return describe(self._model, task, lambda: False, lambda: False)
         except Refusal as refusal:
             return refusal.data
         except Exception:
@@ -187,8 +154,3 @@ class Planner:
             number = 0 if known is None else known.generation + 1
             self._tables = known = build_tables(arm, self._densities, self._weights, tasks.BuildTables(number, locked))
         return known
-
-    def _scene_of(self, plan: LongPlan) -> tasks.VersionedScene:
-        if self._scene is None or self._scene.generation != plan.scene:
-            self._scene = build_scene(self._arm, tasks.BuildScene(plan.scene, plan.obstacles)).scene
-        return self._scene

@@ -7,7 +7,6 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.events import Answered, Event
 from hyperbit.controller.planning.core.tasks import Answer, Task
 from hyperbit.controller.planning.workers import computations
-from hyperbit.controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
+from hyperbit.controller.planning.workers.computations import Abandoned, ArmModel, build_scene, build_tables
 from hyperbit.controller.planning.workers.long_plans import LongPlanner, is_long
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.workspace.densities import Densities
@@ -72,10 +71,8 @@ class Workers:
         self._for_setpoints = ArmModel(arm, "setpoints")
         self._queued: dict[int, QueuedTask] = {}  # not answered; a worker removes its own
         self._queues = {name: queue.SimpleQueue[QueuedTask | None]() for name in (*THREADS, LONG_PLANS)}
-        self._queue_of = {kind: self._queues[name] for name, kinds in THREADS.items() for kind in kinds}
         self._processes = [LongPlanner(arm, weights) for _ in range(arm.settings.planning.workers)]
-        carriers = [(name, self._perform) for name in THREADS]
-        carriers += [(LONG_PLANS, partial(self._plan_long, process)) for process in self._processes]
+        carriers = [*((name, None) for name in THREADS), *((LONG_PLANS, process) for process in self._processes)]
         self._threads = [
             threading.Thread(target=self._run, args=carrier, name=carrier[0], daemon=True) for carrier in carriers
         ]
@@ -85,8 +82,9 @@ class Workers:
     def start(self, number: int, task: Task) -> None:
         """Queues a task. It waits for those of the same thread before it: abandon what is less urgent."""
         self._queued[number] = queued = QueuedTask(number, task)
-        is_apart = self._processes and is_long(task)
-        (self._queues[LONG_PLANS] if is_apart else self._queue_of[type(task)]).put(queued)
+        apart = self._processes and is_long(task)
+        name = LONG_PLANS if apart else next(name for name, kinds in THREADS.items() if isinstance(task, kinds))
+        self._queues[name].put(queued)
 
     def abandon(self, number: int) -> None:
         """Lets a task end soon; a task that has not begun is answered by `Done` when its turn comes."""
@@ -94,7 +92,6 @@ class Workers:
             queued.abandoned = True
 
     def hurry(self, number: int) -> None:
-        """Lets a task end its search as soon as it has an answer."""
         if (queued := self._queued.get(number)) is not None:
             queued.hurried = True
 
@@ -112,21 +109,21 @@ class Workers:
 
     # --- the workers' threads
 
-    def _run(self, name: str, perform: Callable[[QueuedTask], Answer | Iterator[Answer]]) -> None:
+    def _run(self, name: str, process: LongPlanner | None) -> None:
         try:
             while (queued := self._queues[name].get()) is not None:
-                last = self._answer(queued, perform)
+                last = self._answer(queued, process)
                 self._queued.pop(queued.number, None)
                 self._post(Answered(queued.number, last, True))
         except BaseException as error:  # SystemExit too, which would end a thread without a word
             log.critical("the thread for %s has ended", name, exc_info=True)
             self._fatal(f"the planner's thread for {name} has ended: {error!r}")
 
-    def _answer(self, queued: QueuedTask, perform: Callable[[QueuedTask], Answer | Iterator[Answer]]) -> Answer:
+    def _answer(self, queued: QueuedTask, process: LongPlanner | None) -> Answer:
         """Posts all answers to a task but the last one, which it returns; no Exception leaves it."""
         try:
             queued.proceed()
-            answer = perform(queued)
+            answer = self._perform(queued, process)
             if not isinstance(answer, Iterator):
                 return answer
             for part in answer:
@@ -140,7 +137,7 @@ class Workers:
             return tasks.Failed(traceback.format_exception_only(error)[-1].strip())
         return tasks.Done()
 
-    def _perform(self, queued: QueuedTask) -> Answer | Iterator[Answer]:
+    def _perform(self, queued: QueuedTask, process: LongPlanner | None) -> Answer | Iterator[Answer]:
         match task := queued.task:
             case tasks.PlanGoal():
                 return computations.plan_goal(self._for_goals, task, queued.proceed)
@@ -148,6 +145,8 @@ class Workers:
                 return computations.improve(self._for_goals, task, queued.proceed)
             case tasks.PrepareSearch():
                 return computations.prepare_search(self._for_goals, task, queued.proceed)
+            case tasks.DescribePlan() if process is not None:
+                return process.plan(task, queued.proceed)
             case tasks.DescribePlan():
                 return computations.describe(self._for_queries, task, queued.proceed, lambda: self._hurry(queued))
             case tasks.FollowSetpoint():
@@ -160,10 +159,6 @@ class Workers:
                 return build_scene(self._arm, task)
             case tasks.BuildTables():
                 return build_tables(self._arm, self._densities, self._weights, task)
-
-    def _plan_long(self, process: LongPlanner, queued: QueuedTask) -> Answer:
-        assert isinstance(queued.task, tasks.DescribePlan)
-        return process.plan(queued.task, queued.proceed)
 
     def _hurry(self, queued: QueuedTask) -> bool:
         """Returns whether a query must end early: it is abandoned, a goal is planned, or another query waits."""

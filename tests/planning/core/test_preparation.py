@@ -7,7 +7,7 @@ import math
 import pytest
 
 from hyperbit.controller.arm.arm import Arm
-from hyperbit.controller.planning.core.preparation import IDLE, REHEARSE_EVERY, Preparation
+from hyperbit.controller.planning.core.goals import IDLE, REHEARSE_EVERY, Preparation
 from hyperbit.controller.planning.core.tasks import Done, PrepareSearch
 from tests.planning.rig.played_core import PlayedCore
 

@@ -16,15 +16,15 @@ from hyperbit.controller.armfile.settings import TrackerSettings
 from hyperbit.controller.host.process import Log, Notify
 from hyperbit.controller.motion.tracking.tracking import tracking_of
 from hyperbit.controller.planning.core.events import Publish
+from hyperbit.controller.planning.core.premises import TipBiasEstimator
 from hyperbit.controller.planning.core.status import Status
 from hyperbit.controller.planning.core.stream import Stream
 from hyperbit.controller.planning.core.tasks import PrepareSearch
-from hyperbit.controller.planning.core.tip_bias import TipBiasEstimator
 from hyperbit.controller.program import Diagnostics, Fault
 from hyperbit.controller.workspace.densities import Densities
 from tests.planning.conftest import DOCUMENT
 from tests.planning.rig.desk import Desk
-from tests.planning.rig.played_core import PlayedCore, PlayedProgram, PlayedReport
+from tests.planning.rig.played_core import PlayedCore, PlayedGoal, PlayedReport
 
 HOME = (0, 0, 0, 0)
 STUCK = Fault("stuck", "1.left", "it reads contracted")
@@ -44,7 +44,7 @@ class StatusBench(PlayedCore):
         self.premises = premises = self.premises._replace(tip_bias=tip_bias)
         tracking = tracking_of(arm.manipulator.length, arm.tolerance)
         stream = Stream(arm, tracking, self.parts, premises, self.programs)
-        self.goals, self.queries = SimpleNamespace(waiting=0), SimpleNamespace(waiting=0)
+        self.goals, self.queries = SimpleNamespace(all=[]), SimpleNamespace(waiting=0)
         self.status = Status(self.parts, premises, self.programs, self.goals, self.queries, stream)
 
     def state(self) -> dict[str, Any]:
@@ -124,7 +124,7 @@ def test_what_depends_on_measured_states_is_computed_once(bench: StatusBench, mo
 
 def test_the_running_goal_is_told(bench: StatusBench) -> None:
     target = {"position": [1.0, 0.0], "orientation": None}
-    bench.programs.current = PlayedProgram(PlayedReport("a", 1, target))
+    bench.programs.current = PlayedGoal("a", PlayedReport(1, target))
     bench.show(mode="executing")
     state = bench.state()
     assert (state["goal"], state["waypoint"], state["target"]) == ("a", 1, target)
@@ -211,7 +211,7 @@ def test_diagnostics_without_and_with_an_executor(bench: StatusBench) -> None:
     basis = bench.premises.basis()
     assert basis is not None
     bench.jobs.start(PrepareSearch(basis), lambda *_: None)
-    bench.goals.waiting, bench.queries.waiting, bench.view.counted = 1, 1, 4
+    bench.goals.all, bench.queries.waiting, bench.view.counted = [None], 1, 4
     bench.view.diagnostics = Diagnostics(bench.now, {"ticks": 100}, [], [], "on", (1,) * 12, 3, 0)
     bench.advance(0.5)
     told = bench.diagnostics()

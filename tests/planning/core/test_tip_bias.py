@@ -10,7 +10,7 @@ import pytest
 
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.settings import TrackerSettings
-from hyperbit.controller.planning.core.tip_bias import TipBiasEstimator
+from hyperbit.controller.planning.core.premises import TipBiasEstimator
 from tests.planning.rig.played_core import PlayedCore
 
 OFFSET = np.array([0.002, -0.001])

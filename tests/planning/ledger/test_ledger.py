@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.planning import ledger_file
-from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, OpenGoal, Record, ResultEntry
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Record, ResultEntry
 from hyperbit.controller.planning.ledger import Ledger
 from hyperbit.controller.planning.ledger_file import find, owed, read
 from tests.planning.ledger.records import EXECUTOR, NAMES, REACHED, SOON, accepted, ended, statuses
@@ -46,13 +46,13 @@ def test_goals_have_their_results(ledger: Ledger, path: Path) -> None:
 
 def test_the_next_run_owes_the_results_of_the_last_and_finds_their_goals(path: Path) -> None:
     ledger = Ledger(path, NAMES)
-    assert ledger.owed == ()
+    assert ledger.owed == {}
     for program in (7, 8, 9):
         ledger.record(accepted(program, f"g{program}", waypoints=program))
     ledger.record(ended(8))
     ledger.close()
     again = Ledger(path, NAMES)
-    assert again.owed == tuple(OpenGoal(Identity(EXECUTOR, n), f"g{n}", 1.8e9, n) for n in (7, 9))
+    assert again.owed == {Identity(EXECUTOR, n): AcceptanceEntry(f"g{n}", 1.8e9, n) for n in (7, 9)}
     again.record(ended(7))
     again.record(ended(10))  # of nobody
     again.close()
@@ -65,7 +65,7 @@ def test_the_newest_goals_are_owed(path: Path, monkeypatch: pytest.MonkeyPatch) 
     for program in (1, 2, 3):
         ledger.record(accepted(program, str(program)))
     ledger.close()
-    assert [goal.goal for goal in owed(path)] == ["2", "3"]
+    assert [goal.goal for goal in owed(path).values()] == ["2", "3"]
 
 
 def test_a_number_of_another_executor_is_another_goal(ledger: Ledger, path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hyperbit.controller.planning import ledger_file
-from hyperbit.controller.planning.core.events import Identity, OpenGoal
+from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity
 from hyperbit.controller.planning.ledger import Ledger, LedgerInUse
 from hyperbit.controller.planning.ledger_file import counted, default_path, owed, read
 from tests.planning.ledger.records import NAMES, REACHED, SOON, accepted, configuration_text, ended, statuses
@@ -106,7 +106,7 @@ def test_a_ledger_of_an_earlier_version_is_taken_over(path: Path, missing: str) 
     assert statuses(path)[-2:] == [("open", None), ("a", "aborted")]
     ledger = Ledger(path, NAMES, write_every=SOON)
     assert ledger.known == (5, 0, 0)
-    assert ledger.owed == ()
+    assert ledger.owed == {}
     ledger.record(accepted(1, "new"))
     ledger.record(ended(1))
     ledger.close()
@@ -114,7 +114,7 @@ def test_a_ledger_of_an_earlier_version_is_taken_over(path: Path, missing: str) 
     found = statuses(path)
     assert (found[0], found[-2:]) == (("new", "succeeded"), [("open", "lost"), ("a", "aborted")])
     assert all(status == "lost" for _, status in found[1:-1])
-    assert owed(path) == ()
+    assert owed(path) == {}
 
 
 HOLDER = """
@@ -143,7 +143,7 @@ def test_one_process_has_the_ledger_and_a_killed_one_frees_it_and_loses_nothing(
         holder.communicate()
     again = Ledger(path, NAMES)
     assert again.known == (7, 0, 0)
-    assert again.owed == (OpenGoal(Identity(3, 1), "a", 1.8e9, 2),)
+    assert again.owed == {Identity(3, 1): AcceptanceEntry("a", 1.8e9, 2)}
     again.close()
 
 
@@ -164,7 +164,7 @@ def test_the_folder_is_that_of_systemd_or_of_the_user(monkeypatch: pytest.Monkey
 def test_a_missing_ledger_is_an_error_and_not_made(path: Path) -> None:
     with pytest.raises(sqlite3.Error):
         read(path)
-    assert (counted(path), owed(path)) == ({}, ())
+    assert (counted(path), owed(path)) == ({}, {})
     assert not path.parent.exists()
 
 

@@ -154,7 +154,7 @@ class Desk:
         arm: Arm,
         densities: Densities,
         published: Any = MappingProxyType({}),
-        owed: Any = (),
+        owed: Any = MappingProxyType({}),
         simulation: PlayableFaults | None = None,
     ) -> None:
         self.arm, self.now, self.wall = arm, FAR, 2 * FAR

@@ -51,19 +51,19 @@ class PlayedObstacles:
 
 @dataclass
 class PlayedReport:
-    id: str
     waypoint: int | None
     target: Any
 
 
 @dataclass
-class PlayedProgram:
+class PlayedGoal:
+    id: str
     report: PlayedReport
 
 
 @dataclass
 class PlayedPrograms:
-    current: PlayedProgram | None = None
+    current: PlayedGoal | None = None
     offered: bool = False
     improving: bool = False
     last_accepted: int = 0

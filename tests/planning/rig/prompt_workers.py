@@ -18,8 +18,10 @@ from hyperbit.controller.planning.core.tasks import (
     PrepareSearch,
     Task,
 )
-from hyperbit.controller.planning.workers.arm_model import ArmModel, build_scene, build_tables
 from hyperbit.controller.planning.workers.computations import (
+    ArmModel,
+    build_scene,
+    build_tables,
     check_stages,
     check_standing,
     describe,

@@ -21,7 +21,7 @@ from hyperbit.controller.planning.core.tasks import (
     Tables,
     VersionedScene,
 )
-from hyperbit.controller.planning.workers.arm_model import Abandoned, ArmModel, build_scene, build_tables
+from hyperbit.controller.planning.workers.computations import Abandoned, ArmModel, build_scene, build_tables
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.mapping import map_densities
 

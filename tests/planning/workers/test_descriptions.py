@@ -3,8 +3,7 @@
 import pytest
 
 from hyperbit.controller.planning.core.tasks import DescribePlan
-from hyperbit.controller.planning.workers.arm_model import Abandoned, ArmModel
-from hyperbit.controller.planning.workers.computations import describe
+from hyperbit.controller.planning.workers.computations import Abandoned, ArmModel, describe
 from hyperbit.controller.refusals.refusal import Refusal
 from tests.planning.workers.conftest import A, B, Bench, abandoned, nothing
 

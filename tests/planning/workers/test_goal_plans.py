@@ -8,8 +8,7 @@ import pytest
 
 from hyperbit.controller.planning.core.tasks import Done, Planned, PrepareSearch
 from hyperbit.controller.planning.workers import computations
-from hyperbit.controller.planning.workers.arm_model import Abandoned
-from hyperbit.controller.planning.workers.computations import plan_goal, prepare_search
+from hyperbit.controller.planning.workers.computations import Abandoned, plan_goal, prepare_search
 from hyperbit.controller.refusals import codes
 from hyperbit.controller.refusals.refusal import Refusal
 from tests.planning.conftest import DOCUMENT

@@ -8,8 +8,7 @@ import pytest
 from hyperbit.controller.motion.stages.feed import Improved, PlannedPoint
 from hyperbit.controller.planning.core.tasks import Deviations, ImprovePlan, Planned
 from hyperbit.controller.planning.workers import computations
-from hyperbit.controller.planning.workers.arm_model import Abandoned
-from hyperbit.controller.planning.workers.computations import improve, plan_goal
+from hyperbit.controller.planning.workers.computations import Abandoned, improve, plan_goal
 from tests.planning.workers.conftest import A, B, Bench, C, abandoned, nothing
 
 PATH = [A, B, C, A, (2, 2, 1, 0), (5, 1, 4, 0), B, C]

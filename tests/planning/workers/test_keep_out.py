@@ -6,8 +6,7 @@ from typing import Any
 import pytest
 
 from hyperbit.controller.planning.core.tasks import BuildScene, Checked, CheckStages, CheckStanding
-from hyperbit.controller.planning.workers.arm_model import Abandoned, build_scene
-from hyperbit.controller.planning.workers.computations import check_stages, check_standing
+from hyperbit.controller.planning.workers.computations import Abandoned, build_scene, check_stages, check_standing
 from tests.planning.conftest import DOCUMENT
 from tests.planning.test_actuators import JOINT
 from tests.planning.workers.conftest import HOME, A, B, Bench, abandoned, nothing

@@ -15,8 +15,7 @@ from hyperbit.controller.planning.core import tasks
 from hyperbit.controller.planning.core.events import Answered, Event
 from hyperbit.controller.planning.core.tasks import Described, DescribePlan, Done, Failed, Refused
 from hyperbit.controller.planning.workers import long_plans, pool
-from hyperbit.controller.planning.workers.arm_model import Abandoned, ArmModel
-from hyperbit.controller.planning.workers.computations import describe
+from hyperbit.controller.planning.workers.computations import Abandoned, ArmModel, describe
 from hyperbit.controller.planning.workers.long_plans import LongPlanner, Planner, answer_plans, is_long, packed
 from hyperbit.controller.planning.workers.pool import Workers
 from tests.planning.workers.conftest import A, B, Bench, abandoned, nothing

@@ -8,8 +8,7 @@ import pytest
 from hyperbit.controller.motion.stages.pacing import Blocked
 from hyperbit.controller.planning.core.tasks import FollowSetpoint
 from hyperbit.controller.planning.workers import computations
-from hyperbit.controller.planning.workers.arm_model import ArmModel
-from hyperbit.controller.planning.workers.computations import follow
+from hyperbit.controller.planning.workers.computations import ArmModel, follow
 from tests.planning.workers.conftest import HOME, A, Bench
 
 

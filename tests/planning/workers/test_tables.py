@@ -3,7 +3,7 @@
 import pytest
 
 from hyperbit.controller.planning.core.tasks import BuildTables
-from hyperbit.controller.planning.workers.arm_model import build_tables
+from hyperbit.controller.planning.workers.computations import build_tables
 from hyperbit.controller.search.solver import Solver
 from tests.planning.workers.conftest import Bench
 

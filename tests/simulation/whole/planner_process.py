@@ -92,7 +92,7 @@ class KillableLoop(Loop):
 
     def due(self, retry_at: float) -> float:
         """Returns when the loop must run again without an event [s]."""
-        return min(self._wake, self._warnings_at, self.mailboxes.due, retry_at)
+        return min(self._wake, self._warnings_at, self._look_at, retry_at)
 
 
 class SteppedOutbox(Outbox):

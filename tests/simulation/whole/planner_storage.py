@@ -10,7 +10,6 @@ from hyperbit.controller.planning.core.events import (
     AcceptanceEntry,
     Event,
     Identity,
-    OpenGoal,
     Payload,
     Record,
     Recorded,
@@ -71,13 +70,13 @@ class Storage:
         fields = ResultEntry(0.0, "", 0, "", 0) if ended is None else ended
         return {**fields._asdict(), "ended": None if ended is None else ended.wall}
 
-    def owed(self) -> list[OpenGoal]:
+    def owed(self) -> dict[Identity, AcceptanceEntry]:
         """Returns the goals without a result."""
-        return [
-            OpenGoal(identity, row.accepted.goal, row.accepted.wall, row.accepted.waypoints)
+        return {
+            identity: row.accepted
             for identity, row in self.rows.items()
             if row.accepted is not None and row.ended is None
-        ]
+        }
 
 
 class SimulatedLedger:

@@ -10,7 +10,7 @@ import zenoh
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
 from hyperbit.controller.planning.core.events import Key, Message, SetpointArrived, TipArrived
-from hyperbit.controller.planning.loop import Mailboxes, Receive
+from hyperbit.controller.planning.loop import Mailbox
 from hyperbit.controller.planning.planner import RequestDecoder
 from tests.keys import certificates, openssl
 from tests.system.stack.observer import Observer
@@ -47,26 +47,20 @@ class Seen:
         self.all: list[tuple[str, bytes]] = []
         seen = self.all
 
-        decode, set_mailbox = RequestDecoder.decode, Mailboxes.set
+        decode, take = RequestDecoder.decode, Mailbox.take
 
         def decoding(self: RequestDecoder, key: Key, payload: bytes) -> Message:
             seen.append((key, payload))
             return decode(self, key, payload)
 
-        def setting(self: Mailboxes, kind: type[SetpointArrived | TipArrived], receive: Receive) -> None:
-            key = "setpoint" if kind is SetpointArrived else "measured_tip"
-            set_mailbox(self, kind, watched(key, receive))
-
-        def watched(key: str, receive: Receive) -> Receive:
-            def look() -> list[SetpointArrived | TipArrived]:
-                latest = list(receive())
-                seen.extend((key, arrived.payload) for arrived in latest)
-                return latest
-
-            return look
+        def taking(self: Mailbox) -> list[SetpointArrived | TipArrived]:
+            latest = take(self)
+            keys = {SetpointArrived: "setpoint", TipArrived: "measured_tip"}
+            seen.extend((keys[type(arrived)], arrived.payload) for arrived in latest)
+            return latest
 
         monkeypatch.setattr(RequestDecoder, "decode", decoding)
-        monkeypatch.setattr(Mailboxes, "set", setting)
+        monkeypatch.setattr(Mailbox, "take", taking)
 
 
 def answers(session: zenoh.Session, key: str, payload: bytes = b"") -> list[bool]:

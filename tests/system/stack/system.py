@@ -140,7 +140,7 @@ class System:
         arm = self.arm
         densities = load_or_map(arm.reduced, arm.pixel, arm.level_pixels, self._cache)
         digest = hashlib.sha256(self.file.read_bytes()).hexdigest()
-        return daemon.running(daemon.ServedArm(arm, densities, digest), config, ledger, self.socket)
+        return daemon.running(arm, densities, digest, config, ledger, self.socket, simulated=False)
 
     def start_planner_process(self, lease: float = PATIENCE) -> Process:
         """Starts a planner in a process of its own; it connects to the endpoint, where a session must listen.
