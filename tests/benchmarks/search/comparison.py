@@ -9,7 +9,6 @@ import os
 import platform
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -19,7 +18,6 @@ from hyperbit.controller.search.method import METHODS as PRODUCT_METHODS
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
 from tests.benchmarks.harness import CommandLine, timed, write_figures
-from tests.benchmarks.search.figure import plot
 from tests.benchmarks.search.goals import SETS
 from tests.benchmarks.search.growth import growth, growth_table
 from tests.benchmarks.search.measuring import (
@@ -129,10 +127,9 @@ def table(name: str, rows: list[Row], proofs: dict[str, int]) -> Table:
 
 
 def main() -> None:
-    """Measures, prints the tables, and writes figures and plot if requested."""
+    """Measures, prints the tables, and writes the figures if requested."""
     parser = CommandLine(__doc__, goals=1_000)
     parser.add_argument("--set", choices=SETS, help="this set alone, without the growth with the number of modules")
-    parser.add_argument("--plot", type=Path, help="also plot the first set there, as PNG")
     arguments = parser.parse()
     console, progress = Console(width=max(150, Console().width)), Console(stderr=True)
     if OURS not in PRODUCT_METHODS:
@@ -146,10 +143,6 @@ def main() -> None:
     for name in [arguments.set] if arguments.set else SETS:
         rows, proofs = compared(name, arm, arguments.goals, progress)
         console.print(table(name, rows, proofs))
-        if not figures["sets"] and arguments.plot is not None:
-            title = f"{rows[0].goals} goals of the set {name!r}, within {TOLERANCE * 1e3:g} mm, {MODULES} modules"
-            columns = zip(*((r.method, r.seconds_median, r.switches_mean, r.within) for r in rows), strict=True)
-            plot(arguments.plot, title, *columns)
         figures["sets"][name] = {"proofs": proofs, "rows": rows}
     if not arguments.set:
         grown = growth(min(arguments.goals, 100), TOLERANCE)
