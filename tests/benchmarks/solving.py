@@ -25,7 +25,6 @@ def ready_solver(arm: Arm) -> Solver:
 
 
 def home(manipulator: Manipulator) -> Configuration:
-    """Returns the configuration with all actuators contracted, shape (B,)."""
     return np.zeros(len(manipulator.states), dtype=np.int64)
 
 

@@ -55,7 +55,6 @@ class Judge:
         self._staged: dict[int, int] = {}  # sub-index of the last write of 6200h in two steps, by its COB-ID
 
     def begin(self) -> None:
-        """Removes programs that ended before this event."""
         for number in self._ended:
             self.asked.pop(number, None)
         self._ended.clear()
@@ -66,13 +65,11 @@ class Judge:
             self.asked.pop(STREAM, None)
 
     def clear(self) -> None:
-        """Removes all programs and set-points."""
         self.asked.clear()
         self._proposed.clear()
         self._latched.clear()
 
     def proposed(self, message: Down) -> None:
-        """Records a message of the planner."""
         match message:
             case Program():
                 self._proposed[message.program] = [message]
@@ -84,7 +81,6 @@ class Judge:
                 pass
 
     def heard(self, message: Up) -> None:
-        """Records an answer of the executor to the planner."""
         match message:
             case Accepted():
                 self.asked[message.program] = self._states(message.program)

@@ -154,11 +154,9 @@ class World(Hardware, Witness):
 
     @property
     def epoch(self) -> int:
-        """The executor's epoch."""
         return self.core.modes.epoch
 
     def send(self, message: Down, client: ClientId = PLANNER) -> None:
-        """Sends a message of a client, which connects again after a refusal. An operator may send no program."""
         self.executor.hear(client, FromClient(client, message))
         self.agenda.run(WAKE_UP)
         gone, self._turned_away = self._turned_away, []
@@ -169,7 +167,6 @@ class World(Hardware, Witness):
         self._end_event()
 
     def program(self, *stages: int, step: float = 0.04) -> None:
-        """Sends a program that begins at the arm's present states."""
         number = self.core._requests.greatest + 1
         packed = tuple(Stage(pack(states, SIZE), k * step, k, k * step) for k, states in enumerate(stages))
         start, epoch = pack(self.master.outputs, SIZE), self.core.modes.epoch

@@ -34,7 +34,6 @@ def world(tmp_path: Path) -> World:
 
 
 def call(world: World, name: str, type_name: str, fields: dict[str, Any]) -> list[bytes]:
-    """Calls a service; returns the list that receives the reply."""
     replies = world.deliver(Input(name, serialize(fields, type_name, TYPES), ATTACHMENT))
     world.run_jobs()
     return replies

@@ -54,7 +54,6 @@ def publish(rig: Rig, topic: str, type_name: str, fields: dict[str, Any], *words
 
 
 def stamped(x: float, y: float, **header: Any) -> dict[str, Any]:
-    """The fields of a PoseStamped."""
     return {"header": header, "pose": {"position": {"x": x, "y": y}}}
 
 

@@ -70,7 +70,6 @@ def daemon(world: World, monkeypatch: pytest.MonkeyPatch) -> Daemon:
 
 
 def ask(world: World, name: str, type_name: str = TRIGGER, **fields: Any) -> list[bytes]:
-    """Sends a request, and does not let any thread run; returns the list that receives the reply."""
     return world.deliver(Input(name, serialize(fields, type_name, TYPES), ATTACHMENT))
 
 
@@ -80,7 +79,6 @@ def cancel(world: World) -> list[bytes]:
 
 
 def pass_turns(world: World, seconds: float, but: str = "") -> None:
-    """Lets the bridge's loop run."""
     for _ in range(round(seconds / TURN)):
         world.clock.sleep(TURN)
         world.hear("feedback", b"{}")
@@ -89,7 +87,6 @@ def pass_turns(world: World, seconds: float, but: str = "") -> None:
 
 
 def crowd(world: World) -> list[list[bytes]]:
-    """Lets plans take all places of the threads for motion."""
     start = {"header": {"frame_id": "world"}}
     plans = [ask(world, "plan", PLAN, start=start, goal=pose_stamped(0.4, 2.9)) for _ in range(64)]
     assert not any(plans)
@@ -97,7 +94,6 @@ def crowd(world: World) -> list[list[bytes]]:
 
 
 def restart(world: World) -> None:
-    """Starts a bridge after a kill."""
     world.restart()
     world.hear(*world._waiting.popleft()[:2])
 

@@ -30,7 +30,6 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
 
 
 def said(world: World, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The list that receives the sentences on /rosout."""
     sentences: list[str] = []
 
     def receive(data: bytes) -> None:

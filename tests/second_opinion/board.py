@@ -94,12 +94,10 @@ class Board:
     # --- supply and NMT
 
     def power_on(self, now: float) -> None:
-        """Switches the supply on."""
         self._now = now
         self._restart(everything=True)
 
     def power_off(self, now: float) -> None:
-        """Switches the supply off."""
         self._now = now
         self._drive(0, "power")
         self.state = None
@@ -189,7 +187,6 @@ class Board:
     # --- frames
 
     def receive(self, cob_id: int, data: bytes, now: float) -> None:
-        """Receives a frame of the bus."""
         self._now = now
         if self.state is None:
             return
@@ -241,7 +238,6 @@ class Board:
                 self.entries.put(index, sub, byte)
 
     def _send_inputs(self, always: bool = False) -> None:
-        """Sends the TPDOs that changed, by event."""
         if self.state != OPERATIONAL:
             return
         enabled = not self.entries.has(0x6005) or self.entries.number(0x6005)

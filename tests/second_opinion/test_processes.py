@@ -87,7 +87,6 @@ def write_arm(folder: Path, bus: dict[str, Any], kind: Kind) -> Path:
 
 @pytest.fixture(params=["emulated", "socketcan"])
 def interface(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, Any]]:
-    """The fields of a bus in an arm's file."""
     only = {"virtual": "emulated"}.get(request.config.getoption("bus"), request.config.getoption("bus"))
     if only not in (None, request.param):
         pytest.skip(f"only on {only}")

@@ -33,7 +33,6 @@ class Row:
 
 
 def measured(path: Path, number: int) -> tuple[str, list[Row]]:
-    """Measures an arm on tips of random configurations, each from the previous goal's configuration."""
     arm = load(path)
     manipulator = arm.manipulator
     map_densities(manipulator, manipulator.length / 20, 1_000)  # loads the kernels
@@ -66,7 +65,6 @@ def measured(path: Path, number: int) -> tuple[str, list[Row]]:
 
 
 def main() -> None:
-    """Prints the tables."""
     given = CommandLine(__doc__, goals=200).parse()
     figures = {}
     console = Console(width=120)

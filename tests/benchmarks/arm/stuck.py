@@ -44,7 +44,6 @@ class Row:
 
 
 def drawn(manipulator: Manipulator, stuck: int, rng: np.random.Generator) -> LockedStates:
-    """Returns random actuators locked in the states of a random configuration."""
     held = none_locked(manipulator)
     chosen = rng.choice(len(held), stuck, replace=False)
     held[chosen] = manipulator.actuator_states(rng.integers(0, manipulator.states))[chosen]
@@ -75,7 +74,6 @@ def searched(
 
 
 def measured(arm: Arm, stuck: int, goals: NDArray[np.float64], edge: NDArray[np.float64], draws: int) -> Row:
-    """Measures an arm with a number of stuck actuators."""
     rng = np.random.default_rng(stuck)
     each = [searched(arm, drawn(arm.manipulator, stuck, rng), goals, edge) for _ in range(draws if stuck else 1)]
     found, mapping, on_edge = zip(*each, strict=True)
@@ -95,7 +93,6 @@ def measured(arm: Arm, stuck: int, goals: NDArray[np.float64], edge: NDArray[np.
 
 
 def main() -> None:
-    """Measures and prints the table."""
     parser = CommandLine(__doc__, goals=250)
     parser.add_argument("--draws", type=int, default=10, help="of stuck actuators, for each number of them")
     arguments = parser.parse()

@@ -55,7 +55,6 @@ def planned(arm: Arm, solver: Solver, goal: np.ndarray, start: np.ndarray, deadl
 
 
 def measured(name: str, count: int) -> dict[float, Tally]:
-    """Returns the tallies of one shipped arm by deadline."""
     arm, rng = load(DEPLOY / name), np.random.default_rng(4)
     m, solver, tallies = arm.manipulator, ready_solver(arm), {deadline: Tally() for deadline in DEADLINES}
     done = 0
@@ -77,7 +76,6 @@ def measured(name: str, count: int) -> dict[float, Tally]:
 
 
 def main() -> None:
-    """Prints the tables."""
     parser = CommandLine(__doc__, goals=100)
     parser.add_argument("--only", default="platform8,revolute24", help="names of the arms' files")
     given = parser.parse()

@@ -32,7 +32,6 @@ LINES = {
 
 
 def greedy(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np.ndarray]:
-    """Returns for each point a configuration that switches least from the previous one; holds if that suffices."""
     chosen = [start]
     for goal, tolerance in zip(trajectory.positions[1:], trajectory.tolerances[1:], strict=True):
         chosen.append(solver.solve(solver.target(goal, float(tolerance)), chosen[-1], timeout=10.0).configuration)
@@ -40,7 +39,6 @@ def greedy(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np
 
 
 def ahead(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np.ndarray]:
-    """Returns the configurations that are found by looking ahead to the end."""
     look = LookAhead(TrajectoryPoints(solver, trajectory), start, 1)
     for _ in trajectory.positions[1:]:
         look.extend()
@@ -48,7 +46,6 @@ def ahead(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np.
 
 
 def figures(solver: Solver, waypoints: np.ndarray, path_tolerance: float) -> list[str]:
-    """Returns a row of the table."""
     times = LEISURE * np.arange(len(waypoints))
     trajectory = along(times, waypoints, TOLERANCE, path_tolerance, PACE)
     began = time.perf_counter()
@@ -69,7 +66,6 @@ def figures(solver: Solver, waypoints: np.ndarray, path_tolerance: float) -> lis
 
 
 def main() -> None:
-    """Measures and prints."""
     options = CommandLine(__doc__).parse()
     solver = ready_solver(load(PAPER_ARM))
     figures(solver, LINES["line of 0.81 m"], 0.1)  # loads the kernels

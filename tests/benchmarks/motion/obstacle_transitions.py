@@ -51,8 +51,6 @@ BENDS = [
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """An arm, and how it is planned for."""
-
     name: str
     parts: Sequence[Part]
     tolerance: float
@@ -77,8 +75,6 @@ RUNS = [
 
 @dataclass
 class Tally:
-    """What came of one run."""
-
     goals: int = 0
     transitions: int = 0
     barred: int = 0  # a configuration was found, but no way there
@@ -104,7 +100,6 @@ def scene(manipulator: Manipulator, rng: np.random.Generator) -> list[Shape]:
 
 
 def measured(run: Run, count: int, minutes: float) -> Tally:
-    """Plans transitions and carries them out."""
     manipulator, rng, tally = arm(run.parts), np.random.default_rng(1), Tally()
     solver = Solver(manipulator, map_densities(manipulator, manipulator.length / 200, 20_000))
     pace, size = Pace(LEAD, run.inrush), manipulator.dimension
@@ -233,7 +228,6 @@ def linked(clear: np.ndarray, start: int) -> np.ndarray:
 
 
 def main() -> None:
-    """Prints the tables."""
     parser = CommandLine(__doc__, busy=True)
     parser.add_argument("--count", type=int, default=10_000, help="transitions in all")
     parser.add_argument("--scenes", type=int, default=30, help="of each small arm, 0 for none")

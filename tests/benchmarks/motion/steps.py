@@ -59,7 +59,6 @@ def stages() -> float:
 
 
 def main() -> None:
-    """Prints the times and writes them to a file."""
     options = CommandLine(__doc__).parse()
     figures = {"setpoint": setpoint(), f"stages of {SWITCHES} switches": stages()}
     table = Table("step", "processor time [ms]")

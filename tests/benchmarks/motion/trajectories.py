@@ -27,7 +27,6 @@ GAP = 0.05
 
 
 def curve(manipulator: Manipulator, spacing: float, rng: np.random.Generator) -> tuple[Configuration, Trajectory]:
-    """Returns a random configuration, and a smooth random curve from its tip on that stays where the arm is dense."""
     while True:
         start = rng.integers(0, manipulator.states)
         heading = rng.uniform(0, 2 * np.pi)
@@ -40,7 +39,6 @@ def curve(manipulator: Manipulator, spacing: float, rng: np.random.Generator) ->
 
 
 def greedy(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDArray[np.int64]:
-    """Returns the cheapest configuration for each point in turn, after the start, shape (n + 1, B)."""
     rows = [start]
     for k, tolerance in enumerate(trajectory.tolerances.tolist()):
         rows.append(solver.solve(solver.target(trajectory.goal(k), tolerance), rows[-1]).configuration)
@@ -48,7 +46,6 @@ def greedy(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDAr
 
 
 def ahead(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDArray[np.int64]:
-    """Returns the configurations of the look-ahead of a running goal with enough time, see greedy."""
     search = LookAhead(TrajectoryPoints(solver, trajectory), start)
     for _ in trajectory.times:
         search.extend()
@@ -56,7 +53,6 @@ def ahead(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDArr
 
 
 def measured(solver: Solver, start: Configuration, trajectory: Trajectory, seconds: float) -> dict[str, float]:
-    """Returns the costs and times of one curve."""
     times, costs, search = (
         [time.perf_counter()],
         list[float](),
@@ -77,7 +73,6 @@ def measured(solver: Solver, start: Configuration, trajectory: Trajectory, secon
 
 
 def main() -> None:
-    """Prints the table."""
     parser = CommandLine(__doc__)
     parser.add_argument("--curves", type=int, default=20)
     parser.add_argument("--seconds", type=float, default=4.0, help="for each curve, a fifth of it for the proof")

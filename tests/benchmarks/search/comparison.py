@@ -60,7 +60,6 @@ class Row:
 
 
 def row(name: str, trace: Trace, arm: Arm, ratio: tuple[float | None, int], tables: tuple[float, int]) -> Row:
-    """Returns the figures of a trace."""
     return Row(
         name,
         len(trace.switches),
@@ -75,14 +74,12 @@ def row(name: str, trace: Trace, arm: Arm, ratio: tuple[float | None, int], tabl
 
 
 def measured(method: Method, arm: Arm, goals: Goals, proofs: Proofs) -> Row:
-    """Measures one method on a set."""
     problem, *tables = prepared(method, arm)
     trace = traced(method, problem, arm, goals)
     return row(method.name, trace, arm, ratio(method, problem, arm, goals, proofs), tuple(tables))
 
 
 def compared(name: str, arm: Arm, number: int, console: Console) -> tuple[list[Row], dict[str, int]]:
-    """Measures all methods on a set; returns the rows and the number of proven goals."""
     draw, most = SETS[name]
     goals = draw(arm.manipulator, arm.densities, arm.tolerance, min(number, most))
     problem, seconds, _ = prepared(OPTIMUM, arm)
@@ -105,7 +102,6 @@ def compared(name: str, arm: Arm, number: int, console: Console) -> tuple[list[R
 
 
 def table(name: str, rows: list[Row], proofs: dict[str, int]) -> Table:
-    """Returns the table of one set."""
     headers = ("goals", "within", "switches", "worst", "ratio to\noptimum", "over\ngoals", "error\nmm", "99 %\nmm")
     headers += ("time\nms", "99 %\nms", "tables\ns", "tables\nMiB")
     caption = f"Optimum proven for {proofs['proven']} of the first {proofs['tried']} goals: its row is of those alone. "
@@ -127,7 +123,6 @@ def table(name: str, rows: list[Row], proofs: dict[str, int]) -> Table:
 
 
 def main() -> None:
-    """Measures, prints the tables, and writes the figures if requested."""
     parser = CommandLine(__doc__, goals=1_000)
     parser.add_argument("--set", choices=SETS, help="this set alone, without the growth with the number of modules")
     arguments = parser.parse()

@@ -43,12 +43,10 @@ class Grown:
 
 
 def growth(number: int, tolerance: float) -> list[Grown]:
-    """Measures the arms of MODULES modules, each on `number` random goals."""
     return [grown(modules, number, tolerance) for modules in MODULES]
 
 
 def grown(modules: int, number: int, tolerance: float) -> Grown:
-    """Measures one arm."""
     manipulator = paper_arm(modules)
     densities = map_densities(manipulator, manipulator.length / PIXELS_ALONG, LEVEL_PIXELS)
     arm = Arm(manipulator, densities, 0.0, tolerance)
@@ -80,7 +78,6 @@ def bounded(result: Grown, problem: product.Problem, arm: Arm, goals: Goals) -> 
 
 
 def growth_table(rows: list[Grown]) -> Table:
-    """Returns the table."""
     table = Table("modules", title="growth with the number of modules: random goals, from contracted")
     for name in NAMES:
         short = name.removeprefix("hyperbit ")
@@ -98,7 +95,6 @@ def growth_table(rows: list[Grown]) -> Table:
 
 
 def main() -> None:
-    """Prints the table."""
     parser = CommandLine(__doc__, goals=100, busy=True)
     parser.add_argument("--tolerance", type=float, default=0.002)
     given = parser.parse()

@@ -16,7 +16,6 @@ SECONDS = 5.0  # for a proof
 
 
 def main() -> None:
-    """Prints the table."""
     given = CommandLine(__doc__, goals=10_000).parse()
     arm = load(PAPER_ARM)
     m, solver = arm.manipulator, ready_solver(arm)

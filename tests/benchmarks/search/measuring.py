@@ -145,5 +145,4 @@ def memory(thing: Any, seen: set[int] | None = None) -> int:
 
 
 def exponent(modules: list[int], values: list[float]) -> float:
-    """Returns the slope of the logarithms: 1 where the values grow linearly."""
     return float(np.polyfit(np.log(modules), np.log(values), 1)[0])

@@ -58,7 +58,6 @@ class Trace:
 
 
 def drawn(clearance: BodyClearance, number: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], float]:
-    """Returns random clear configurations (n, B), and which share of all is clear."""
     arm, found, tried = clearance.manipulator, list[NDArray[np.int64]](), 0
     while sum(map(len, found)) < number:
         some = rng.integers(0, arm.states, (number, len(arm.states)))
@@ -98,7 +97,6 @@ def traced(
 def measured(
     solver: Solver, clearance: BodyClearance, number: int, tolerance: float, turn: float, console: Console
 ) -> dict[str, dict[str, float]]:
-    """Measures all methods on one arm, with and without regions; returns shares and ratio of times by method."""
     arm = solver.manipulator
     chosen, share = drawn(clearance, number + 1, np.random.default_rng(1))
     tips, home = arm.tips(chosen[1:]), chosen[0]
@@ -182,7 +180,6 @@ def held_to_brute_force(scenes: int, each: int, tolerance: float, turn: float, c
 
 
 def main() -> None:
-    """Prints the tables."""
     parser = CommandLine(__doc__, goals=500, busy=True)
     parser.add_argument("--scenes", type=int, default=100)
     given = parser.parse()

@@ -43,7 +43,6 @@ EXPERIMENTS = (
 
 
 def measured(experiment: Experiment, number: int, console: Console) -> dict[str, list[Figures]]:
-    """Measures one arm and prints the table; returns the figures of each goal, by method."""
     arm = load(DEPLOY / experiment.file)
     m = arm.manipulator
     tolerance, turn = experiment.tolerance * (m.length if experiment.relative else 1.0), experiment.turn
@@ -96,7 +95,6 @@ def proven(
 
 
 def main() -> None:
-    """Prints the tables."""
     given = CommandLine(__doc__, goals=500, busy=True).parse()
     figures = {one.file: measured(one, given.goals, Console(width=120)) for one in EXPERIMENTS}
     write_figures(given.json, figures)

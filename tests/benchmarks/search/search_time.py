@@ -37,7 +37,6 @@ def agree(found: list[Solution]) -> None:
 
 
 def measured(count: int, poses: bool) -> dict[str, list[Solution]]:
-    """Returns the solutions of all goals by row."""
     arm = load(PAPER_ARM)
     m, solver = arm.manipulator, ready_solver(arm)
     sparse, known = count // 4, (m, solver.densities, arm.tolerance)
@@ -64,7 +63,6 @@ def measured(count: int, poses: bool) -> dict[str, list[Solution]]:
 
 
 def main() -> None:
-    """Prints the tables."""
     given = CommandLine(__doc__, goals=2_000, busy=True).parse()
     figures = {}
     for kind, count in (("positions", given.goals), ("poses", max(given.goals // 5, 1))):

@@ -42,7 +42,6 @@ class Row(NamedTuple):
 
 
 def main() -> None:
-    """Prints the table."""
     line = CommandLine(__doc__)
     line.add_argument("--counts", default="10000,100000,1000000", help="numbers of goals (default: %(default)s)")
     line.add_argument("--workers", type=int, default=2, help="number of worker processes (default: 2)")
@@ -61,7 +60,6 @@ def main() -> None:
 
 
 def measured(goals: int, workers: int, folder: Path) -> Row:
-    """Runs the command, which writes its results to a file, and watches its processes."""
     arm = hb.load(PAPER_ARM)
     x, y = arm.position(arm.sample(1, seed=1)[0] * 0).tolist()
     file, output = folder / "goals.csv", folder / "results.jsonl"
@@ -87,7 +85,6 @@ def measured(goals: int, workers: int, folder: Path) -> Row:
 
 
 def children(process: psutil.Process) -> list[psutil.Process]:
-    """Returns the processes that a process has started."""
     try:
         found: list[psutil.Process] = process.children(recursive=True)
         return found

@@ -57,7 +57,6 @@ class Run(NamedTuple):
 
 
 def main() -> None:
-    """Prints the table."""
     line = CommandLine(__doc__, goals=10_000)
     line.add_argument("--effort", type=float, default=10.0, help="of each goal (default: 10)")
     line.add_argument("--workers", type=int, default=2, help="number of worker processes (default: 2)")
@@ -80,7 +79,6 @@ def main() -> None:
 
 
 def ran(goals: Path, options: Sequence[str], workers: int) -> dict[str, Run]:
-    """Runs all rows once."""
     words = "--goals", str(goals), *options
     runs = {"this process": plan(words)}
     with ThreadPoolExecutor(workers) as pool:
@@ -93,7 +91,6 @@ def ran(goals: Path, options: Sequence[str], workers: int) -> dict[str, Run]:
 
 
 def medians(name: str, rounds: Sequence[dict[str, Run]], goals: int) -> Row:
-    """Returns the medians over the rounds."""
     runs, ones = [one[name] for one in rounds], [one["this process"] for one in rounds]
     took = [run.seconds - run.tenth for run in runs]
     return Row(
@@ -108,7 +105,6 @@ def medians(name: str, rounds: Sequence[dict[str, Run]], goals: int) -> Row:
 
 
 def plan(words: Sequence[str]) -> Run:
-    """Runs the command; its results come through a pipe."""
     began, times, lines = time.perf_counter(), list[float](), list[bytes]()
     command = [sys.executable, "-m", "hyperbit", "plan", str(PAPER_ARM), *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
@@ -122,7 +118,6 @@ def plan(words: Sequence[str]) -> Run:
 
 
 def split(goals: Path, count: int) -> list[Path]:
-    """Writes the goals into files of nearly equal length; returns these."""
     head, *rows = goals.read_text().splitlines(keepends=True)
     parts = [goals.with_name(f"part{k}.csv") for k in range(count)]
     for k, part in enumerate(parts):
@@ -131,7 +126,6 @@ def split(goals: Path, count: int) -> list[Path]:
 
 
 def joined(runs: Sequence[Run]) -> Run:
-    """Returns commands that ran at once as one."""
     output = b"".join(run.output for run in runs)
     return Run(output, *(max(run[k] for run in runs) for k in (1, 2, 3)))
 

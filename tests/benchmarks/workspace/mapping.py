@@ -61,7 +61,6 @@ def mapped(manipulator: Manipulator) -> tuple[Densities, float]:
 
 
 def measured(modules: int) -> Row:
-    """Measures an arm with a number of modules; a separate process gives the correct peak of memory."""
     manipulator = paper_arm(modules)
     map_densities(paper_arm(2), 0.1, 100)  # loads the kernels
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -84,7 +83,6 @@ def measured(modules: int) -> Row:
 
 
 def main() -> None:
-    """Measures, prints the table, and writes it as JSON if asked to."""
     parser = CommandLine(__doc__)
     parser.add_argument("--only", type=int, help="measure one number of modules here, and print JSON")
     arguments = parser.parse()

@@ -85,7 +85,6 @@ class World(Hardware):
         self.tick()
 
     def tick(self) -> None:
-        """Gives the master a tick, and the events that wait."""
         self.master.tick(self.now)
         waiting, self._waiting = self._waiting, []
         for event in waiting:
@@ -109,7 +108,6 @@ class World(Hardware):
     # --- what a test gives
 
     def say(self, cob_id: int, data: bytes = b"", bus: str = "can0") -> None:
-        """Sends a frame of another node."""
         self.buses[bus].from_other(Frame(cob_id, data))
 
     def boot(self) -> World:
@@ -151,7 +149,6 @@ class World(Hardware):
 
     @property
     def faults(self) -> list[ArmFault]:
-        """Faults that the masters have reported."""
         self._collect()
         return self._faults
 

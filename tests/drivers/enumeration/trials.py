@@ -40,7 +40,6 @@ class Trial(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name for messages."""
         return f"{self.case.name}; {self.before.name}; {self.failure.kind}, {self.failure.at}: {self.failure.text}"
 
 
@@ -83,7 +82,6 @@ def trials(case: Case, every: int = 1, kind: str = "") -> Iterator[Trial]:
 
 
 def frames_of_a_boot(copies: Copies) -> list[tuple[str, Frame]]:
-    """Returns the frames of a boot without a failure."""
     rig = copies.copy()
     master = rig.start_master()
     rig.log.clear()
@@ -93,7 +91,6 @@ def frames_of_a_boot(copies: Copies) -> list[tuple[str, Frame]]:
 
 
 def run(trial: Trial) -> Verdict:
-    """Runs a trial."""
     rig = trial.copies.copy()
     rig.changes.clear()
     holding = _holding(rig)

@@ -13,7 +13,6 @@ def actuator() -> Actuator:
 
 
 def ends(actuator: Actuator) -> tuple[int, int]:
-    """Returns the readings of the switches at the contracted and at the extended end."""
     return actuator.reads(CONTRACTED), actuator.reads(EXTENDED)
 
 

@@ -19,7 +19,6 @@ OFF, ON = (0x185, "00" + 7 * " 00"), (0x185, EXTEND)
 
 
 def rig(variant: Variant = STANDARD) -> Rig:
-    """A board that has booted, with actuators on outputs 0 and 1 and their end-stops on inputs 0 and 1."""
     rig = Rig((0, 0), (1, 1), variant=variant)
     rig.answers()
     return rig

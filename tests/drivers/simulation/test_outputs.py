@@ -14,7 +14,6 @@ GUARD = cia301.REMOTE | 0x705
 
 
 def extended(variant: Variant = STANDARD) -> Rig:
-    """An operational board whose two outputs are on."""
     rig = Rig((0, 0), (1, 1), variant=variant)
     rig.nmt(Command.START)
     rig.say(0x205, "03" + 7 * " 00")
@@ -23,7 +22,6 @@ def extended(variant: Variant = STANDARD) -> Rig:
 
 
 def lose_master(rig: Rig) -> None:
-    """The supervision of the board runs out."""
     if rig.board.objects.has(0x100C):
         assert rig.write(0x100C, 0, 100, 2) == rig.write(0x100D, 0, 3) == 0
         rig.say(GUARD)
@@ -34,7 +32,6 @@ def lose_master(rig: Rig) -> None:
 
 
 def leave_by(cause: str, rig: Rig) -> None:
-    """Makes an operational board enter its error state."""
     if cause == "stop":
         rig.nmt(Command.STOP)
         return

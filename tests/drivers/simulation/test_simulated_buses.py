@@ -183,7 +183,6 @@ def kinds() -> Rig:
 
 
 def inputs(rig: Rig) -> list[int]:
-    """First bytes of the TPDOs since the last call."""
     return [int(data[:2], 16) for _, cob_id, data in rig.heard() if cob_id & 0x780 == 0x180]
 
 

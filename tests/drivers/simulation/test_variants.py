@@ -16,14 +16,12 @@ EXTEND = "03" + 7 * " 00"
 
 
 def rig(name: str) -> Rig:
-    """A board that has booted, with actuators on outputs 0 and 1 and their end-stops on inputs 0 and 1."""
     rig = Rig((0, 0), (1, 1), variant=VARIANTS[name])
     assert rig.answers()[0] == BOOTED
     return rig
 
 
 def lose_master(it: Rig) -> None:
-    """Both actuators are extended, then the master is lost."""
     assert it.write(0x1016, 1, 127 << 16 | 300, 4) == 0
     it.nmt(Command.START)
     it.say(0x205, EXTEND)

@@ -40,7 +40,6 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name for files and messages."""
         return f"{self.variant}-{self.label}" if self.label else self.variant
 
     def world(self) -> World:

@@ -92,7 +92,6 @@ def test_a_board_that_saves_writes_is_written_only_once():
 
 
 def lose_master(world: World) -> None:
-    """Both actuators are extended; then no heartbeats are sent for a second."""
     world.commit(1, 1)
     world.run(1.0)
     assert world.positions() == [1.0, 1.0]

@@ -7,7 +7,6 @@ from tests.drivers.canopen.world import World
 
 
 def ends(world: World) -> int:
-    """Levels of the input lines: extended ends by actuator, then contracted ends."""
     return world.master.ends
 
 

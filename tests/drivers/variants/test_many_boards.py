@@ -14,7 +14,6 @@ SLOW = ("slow-answers", "late-boot")
 
 
 def mixed(*left_out: str, each: int = 50) -> World:
-    """`each` boards on each of two buses, of all variants that boot, slow ones first, without the excluded ones."""
     names = [name for name in (*SLOW, *(name for name in BOOTING if name not in SLOW)) if name not in left_out]
     named = [*names, "no-error-mode", "canopennode", "maker-object"]
     random = Random(1)

@@ -35,7 +35,6 @@ class Daemon:
         self._late: list[tuple[float, bool, Mapping[str, Any]]] = []  # when it begins [s], whether it has arrived
 
     def request(self, key: str, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns the answer to a request."""
         name = payload.get("id")
         if key in ("stop", "cancel"):
             self._late = [it for it in self._late if not it[1] or name not in (None, it[2]["id"])]

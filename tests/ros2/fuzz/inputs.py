@@ -243,7 +243,6 @@ class Inputs:
 
 @functools.cache
 def payloads() -> dict[str, dict[str, Any]]:
-    """Messages of the daemon by key."""
     fault = {"code": "board-lost", "source": "can0/5", "message": "board can0/5 is silent"}
     return {
         "arm": {**told(), "travel_time": 0.5},

@@ -8,8 +8,6 @@ from tests.ros2.fuzz.inputs import Input
 
 
 class Clock:
-    """Stands in for the module `time`."""
-
     def __init__(self) -> None:
         self.now, self._epoch = 1_000.0, 1.7e9
 

@@ -73,13 +73,11 @@ class World:
         self._begin()
 
     def _begin(self) -> None:
-        """Starts a bridge."""
         session, client, listener = cast("Session", self.network), cast("Client", self), cast("Listener", self)
         self.book = GoalBook(self._folder / "goals.json")
         self.bridge = Bridge(listener, client, session, self.book, self._settings)
 
     def run(self, messages: int) -> None:
-        """Feeds the bridge this many messages of ROS 2, and others of the daemon; raises Wrong."""
         with self.in_place():
             self._left, self.faulty = messages, True
             while self._left > 0:
@@ -95,7 +93,6 @@ class World:
             raise Wrong(f"tokens of an ended bridge are there: {self.network.tokens}")
 
     def rest(self) -> None:
-        """Lets everything come to its end."""
         self.faulty = False
         self._rests_until = self.clock.now + REST
         self.hear("alive", b"")
@@ -109,7 +106,6 @@ class World:
         return places.in_place(self.chance, self.clock, pool, run_others, lambda _: self._note("said"))
 
     def kill(self) -> None:
-        """Kills the bridge: nothing that it does from now on has an effect."""
         self.kills += 1
         self.book._path = self._folder / "dead.json"
         self.network.kill()
@@ -117,7 +113,6 @@ class World:
         self.judge.receive_kill()
 
     def restart(self) -> None:
-        """Starts the bridge again after a kill."""
         self.trial = None
         self._begin()
         self._waiting.clear()
@@ -130,12 +125,10 @@ class World:
             self.hear(*self._waiting.popleft()[:2])
 
     def hear(self, key: str, data: bytes) -> None:
-        """Hands the bridge a message of the daemon, and lets it publish."""
         self._heard.append((key, data))
         self.bridge.run(lambda: not self._heard, lambda: None)
 
     def ask(self) -> None:
-        """Lets the daemon describe the arm."""
         self._waiting.append(("arm", json.dumps(payloads()["arm"]).encode(), True))
 
     def receive_messages(self, timeout: float) -> list[ReceivedMessage]:
@@ -192,7 +185,6 @@ class World:
             self.ask()
 
     def request(self, key: str, payload: Mapping[str, Any] | None, timeout: float, sending: Sending) -> Any:
-        """Answers a request to the daemon; answers and requests may get lost, others come meanwhile."""
         payload, chance = payload or {}, self.chance
         strict_json(payload)
         self._interrupt()
@@ -219,7 +211,6 @@ class World:
         return answer
 
     def put(self, key: str, payload: bytes) -> None:
-        """Accepts a set-point."""
         self._note(key)
         self.judge.receive_setpoint(json.loads(payload, parse_constant=lambda text: math.nan))
 
@@ -274,7 +265,6 @@ class World:
             raise Killed
 
     def run_jobs(self, but: str = "") -> None:
-        """Runs the jobs that wait, but for those of the threads of this name."""
         while any(pool.jobs for pool in self.pools if pool.name != but):
             self._run_job(but)
 
@@ -289,7 +279,6 @@ class World:
             self._judge(trial)
 
     def _judge(self, trial: Trial) -> None:
-        """Checks that a message that has no effect is told."""
         if trial.jobs:
             return
         if not trial.outcomes:

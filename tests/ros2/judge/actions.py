@@ -26,8 +26,6 @@ class Wrong(BaseException):
 
 
 class Result(NamedTuple):
-    """Answer to get_result."""
-
     status: int
     code: int
     text: str
@@ -92,7 +90,6 @@ class Actions:
         self.accepted = self.ended = 0
 
     def receive_request(self) -> None:
-        """Accepts that a client sends a goal, which the bridge may reject."""
         for goal in self.goals.values():
             goal.later += 1
 
@@ -107,7 +104,6 @@ class Actions:
         self.accepted += 1
 
     def receive_status(self, data: bytes) -> None:
-        """Accepts an array of states."""
         reading, states = Reading(data), {}
         for _ in range(reading.get("I")):
             uuid = reading.raw(16)

@@ -87,7 +87,6 @@ def check_attachment(data: bytes | None) -> None:
 
 
 def check_frame(name: str, arm: Arm) -> None:
-    """Raises Invalid if the frame is unknown."""
     if name not in ("", *arm.frames):
         raise Invalid("frame")
 
@@ -144,7 +143,6 @@ def goal_of(kind: str, message: bytes, arm: Arm, now: float) -> Goal:
 
 
 def trajectory(reader: Reader, arm: Arm, *, tip: bool) -> Goal:
-    """Returns the positions of a goal of FollowJointTrajectory."""
     reader.get("B", 16)
     _, frame = reader.header()
     joints = [reader.text() for _ in range(reader.count())]

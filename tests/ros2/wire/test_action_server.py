@@ -58,7 +58,6 @@ def client(connect: Connect, arm: Arm) -> Client:
 
 
 def asked(client: Client, goal: bytes) -> tuple[threading.Thread, list[Result | None]]:
-    """Asks for a result in a thread of its own."""
     got: list[Result | None] = []
     thread = threading.Thread(target=lambda: got.append(client.get_result(goal)))
     thread.start()

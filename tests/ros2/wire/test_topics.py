@@ -34,7 +34,6 @@ def text(content: str) -> bytes:
 
 
 def published(publisher: Any, got: list[Received], data: str) -> Received:
-    """Publishes until the subscriber has it, since a route takes its time."""
     assert eventually(lambda: (publisher.publish({"data": data}), [it for it in got if it.message.data == data])[1])
     return got[-1]
 

@@ -50,7 +50,6 @@ class Bus:
         self.ending = False
 
     def run(self) -> None:
-        """Runs until `ending`."""
         while not self.ending:
             wait = min(max(self._boards.next_due() - time.monotonic(), 0.0), 0.1)
             readable = select.select([self._client or self._server], [], [], wait)[0]

@@ -108,13 +108,10 @@ class Parts:
         return process.stdout.readline().strip() if process.stdout else ""
 
     def _check(self) -> None:
-        """Checks that all processes run."""
         for process in self.processes.values():
             assert process.poll() is None, f"process {process.args} has ended with {process.returncode}"
 
     def session(self) -> zenoh.Session:
-        """A client's session, until the end of the context."""
-
         def connect() -> zenoh.Session | None:
             self._check()
             try:
@@ -125,13 +122,11 @@ class Parts:
         return self._closing.enter_context(eventually(connect))
 
     def client(self) -> Observer:
-        """A client that has heard a state."""
         observer = Observer(Client(self.session(), self.name))
         eventually(lambda: observer.heard["state"])
         return observer
 
     def record(self, name: str) -> dict[str, NDArray[np.float64]]:
-        """Returns a record by its name, once all has ended."""
         return self._kept[name]
 
 

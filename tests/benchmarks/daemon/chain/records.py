@@ -23,7 +23,6 @@ class Record:
         self._count = 0
 
     def note(self, *row: float) -> None:
-        """Records a row."""
         if self._count < len(self._rows):
             self._rows[self._count] = row
             self._count += 1

@@ -17,7 +17,6 @@ BOARD = {"can0/5": VARIANTS["standard"]}
 
 
 def extended(**options: object) -> World:
-    """An arm whose two actuators are extended; its boards then lose the master."""
     world = World(one_board(), **{"variants": BOARD, **options}).up()
     world.commit(1, 1)
     world.run(0.3)
@@ -39,7 +38,6 @@ def boot(world: World) -> list[str]:
 
 
 def lose_answers(world: World, state: State) -> None:
-    """Boots until the board is in a state; then its SDO answers are lost, and the boot fails."""
     board = world.boards.board("can0/5")
     world.master.boot(world.now)
     world.until(lambda: board.state is state)

@@ -21,7 +21,6 @@ def changed(changes: Changes, **more: object) -> World:
 
 
 def refusal(world: World) -> tuple[str, str]:
-    """Boots the board in vain; returns code and message."""
     [fault] = world.boot().master.boot_faults
     return fault.code, fault.message
 

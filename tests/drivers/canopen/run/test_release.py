@@ -59,7 +59,6 @@ def test_a_release_of_one_board_leaves_the_other_alone() -> None:
 
 
 def bus_lost(channels: list[Channel] | None = None) -> World:
-    """A world in which both actuators have an output on, and the bus was off for a moment."""
     world = World(channels or pairs()).up()
     world.master.commit(0b1001, world.now)
     world.run(0.02)
@@ -203,7 +202,6 @@ def test_frames_that_are_neither_sent_nor_lost_hold_nothing_up_for_ever() -> Non
 
 
 def on_two_buses() -> World:
-    """A world in which an actuator of each bus has an output on."""
     world = World([Channel(bus, bus, 1, 0, None, 1, pulse=0.05) for bus in ("can0", "can1")]).up()
     world.master.commit(0b0011, world.now)
     world.run(0.02)

@@ -131,7 +131,6 @@ def test_nothing_is_read_of_boards_that_switch_all_the_time_but_they_are_no_faul
 
 
 def pulse(world: World, length: float) -> None:
-    """Switches an output on for a time."""
     world.master.commit(1, world.now)
     world.run(length)
     world.master.commit(0, world.now, release=True)

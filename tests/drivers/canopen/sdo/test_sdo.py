@@ -30,8 +30,6 @@ class Line:
         self.fault: ArmFault | None = None
 
     def run(self, steps) -> object:
-        """Runs a part of a procedure to its end; returns its value, or its fault."""
-
         def procedure():
             self.value = yield from steps
 

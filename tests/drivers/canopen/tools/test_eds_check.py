@@ -43,7 +43,6 @@ def found(tmp_path: Path, *changes: tuple[str, str], **options: object) -> list[
 
 
 def sections(index: int) -> list[str]:
-    """Returns the sections of an object in the EDS of the simulated board."""
     return re.findall(rf"^\[({index:04X}(?:sub[0-9A-Fa-f]+)?)\]$", EDS.read_text(), flags=re.MULTILINE)
 
 
