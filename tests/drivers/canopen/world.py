@@ -110,6 +110,10 @@ class World(Hardware):
     def say(self, cob_id: int, data: bytes = b"", bus: str = "can0") -> None:
         self.buses[bus].from_other(Frame(cob_id, data))
 
+    def cycle_power(self, board: str) -> None:
+        self.fault("power_cut", board)
+        self.fault("power_on", board)
+
     def boot(self) -> World:
         self.run(0.05)  # the boards have long booted when the master comes
         self.master.boot(self.now)
@@ -123,10 +127,12 @@ class World(Hardware):
         self.frames()
         return self
 
-    def commit(self, *states: int) -> None:
-        """Commits, and runs until the commit has ended."""
+    def commit(self, *states: int, then: float = 0.0) -> None:
+        """Commits, and runs until the commit has ended, and `then` [s] longer."""
         self.master.commit(bits(*states), self.now)
         self.until(lambda: not self.master.committing)
+        if then:
+            self.run(then)
 
     def commit_when_possible(self, *states: int) -> None:
         def taken() -> bool:
@@ -154,6 +160,11 @@ class World(Hardware):
 
     def codes(self) -> list[str]:
         return [fault.code for fault in self.faults]
+
+    def next_codes(self) -> list[str]:
+        """Waits for a fault."""
+        self.until(self.codes)
+        return self.codes()
 
     def positions(self) -> list[float]:
         self._attached.step()

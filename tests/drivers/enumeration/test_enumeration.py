@@ -9,8 +9,8 @@ from tests.drivers.enumeration.mixed import MIXED
 from tests.drivers.enumeration.trials import Verdict, run, trials
 from tests.drivers.variants.cases import CASES, Case
 
-EVERY, EVERY_SLOW = 1187, 8009  # prime, so that all kinds of failures are among them
-EVERY_RESTART = 3  # a restart is dangerous between some successive frames
+EVERY, EVERY_SLOW = 2003, 8009  # prime, so that all kinds of failures are among them
+EVERY_RESTART = 7  # a restart is dangerous between some successive frames
 
 
 @pytest.mark.parametrize("case", [*CASES, *MIXED], ids=lambda case: case.name)

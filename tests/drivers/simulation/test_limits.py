@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hyperbit.drivers.canopen.wire import cia301
-from hyperbit.drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.canopen.wire.cia301 import Command
 from hyperbit.drivers.canopen.wiring import BusWiring, Timing, Wiring
 from hyperbit.drivers.simulation.buses import SimulatedBuses
 from hyperbit.drivers.simulation.fault_commands import perform
@@ -13,7 +13,6 @@ from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS, Variant
 from tests.drivers.canopen.world import one_board
 from tests.drivers.simulation.rig import Rig
 
-GUARD = cia301.REMOTE | 0x705
 EXTEND = "03" + 7 * " 00"
 OFF, ON = (0x185, "00" + 7 * " 00"), (0x185, EXTEND)
 
@@ -61,13 +60,6 @@ def test_times_are_rounded_down(name, index, sub, value, size, kept):
     assert it.board.objects.number(index, sub) == kept
 
 
-def test_a_rounded_heartbeat_comes_at_the_rounded_time():
-    it = rig(VARIANTS["rounded-heartbeats"])
-    assert it.write(0x1017, 0, 88, 2) == 0
-    assert it.wait(0.079) == []
-    assert it.wait(0.002) == [(0x705, "7f")]
-
-
 def test_one_node_is_watched_by_one_entry_only():
     it = rig(VARIANTS["watched-already"])
     assert it.write(0x1016, 1, 127 << 16 | 300, 4) == 0x0604_0043
@@ -75,23 +67,6 @@ def test_one_node_is_watched_by_one_entry_only():
     assert it.write(0x1016, 2, 127 << 16 | 300, 4) == 0, "the entry itself may change"
     it.say(0x77F, "05")
     assert [cob_id for cob_id, _ in it.wait(0.31)] == [0x085]
-
-
-def test_a_mapping_may_have_fewer_entries():
-    it = rig(VARIANTS["short-mapping"])
-    assert it.sdo("40 00 16 00") == "4f 00 16 00 04 00 00 00"
-    assert it.sdo("40 00 16 05") == "80 00 16 05 11 00 09 06"
-    assert it.write(0x1400, 1, 0x8000_0205, 4) == 0
-    assert it.write(0x1600, 0, 0) == 0
-    assert it.write(0x1600, 5, 0x6200_0508, 4) == 0x0609_0011
-    assert it.write(0x1600, 0, 5) == 0x0604_0042
-
-
-@pytest.mark.parametrize(("name", "kind"), [("no-device-type", "00 00 00 00"), ("many-profiles", "ff ff 00 00")])
-def test_device_types_that_name_no_profile(name, kind):
-    it = rig(VARIANTS[name])
-    assert it.sdo("40 00 10 00") == "43 00 10 00 " + kind
-    assert it.sdo("40 00 62 00") == "4f 00 62 00 08 00 00 00"
 
 
 @pytest.mark.parametrize(("name", "heard"), [("standard", 1), ("no-emergencies", 0)])
@@ -105,31 +80,6 @@ def test_emergencies_come_only_if_1014h_enables_them(name, heard):
         assert it.write(0x1014, 0, 0x85, 4) == 0
         it.board.emergencies.recover(0x2320)
         assert it.answers() == [(0x085, "00 00 00 00 00 00 00 00")]
-
-
-def test_a_kept_loss_of_the_master_stands_until_a_reset():
-    it = rig(VARIANTS["kept-loss"])
-    assert it.write(0x1016, 1, 127 << 16 | 300, 4) == 0
-    it.say(0x77F, "05")
-    assert [cob_id for cob_id, _ in it.wait(0.31)] == [0x085]
-    assert it.say(0x77F, "05") == []
-    assert it.sdo("40 01 10 00") == "4f 01 10 00 11 00 00 00"
-    it.nmt(Command.START)
-    assert it.board.state is State.OPERATIONAL
-    it.nmt(Command.RESET_COMMUNICATION)
-    assert it.board.objects.number(0x1001) == 0
-
-
-def test_a_stopped_guarded_board_only_answers_remote_frames():
-    it = rig(VARIANTS["guarding-with-1029h"])
-    assert it.write(0x1029, 1, 2) == it.write(0x100C, 0, 100, 2) == it.write(0x100D, 0, 3) == 0
-    it.nmt(Command.START)
-    it.say(0x205, EXTEND)
-    it.say(GUARD)
-    it.wait(0.31)
-    assert (it.board.state, it.board.pins) == (State.STOPPED, 0)
-    assert it.wait(10.0) == it.say(0x605, "40 00 10 00 00 00 00 00") == []
-    assert [data[-1] for _, data in it.say(GUARD)] == ["4"]
 
 
 def test_the_event_timer_repeats_a_tpdo_while_the_board_is_operational():

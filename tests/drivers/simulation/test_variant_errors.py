@@ -7,7 +7,7 @@ import pytest
 from hyperbit.drivers.canopen.wire.cia301 import Command, State
 from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.simulation.rig import Rig
-from tests.drivers.simulation.test_variants import BOOTED, EXTEND, OVER, lose_master, rig
+from tests.drivers.simulation.test_variants import BOOTED, OVER, lose_master, rig
 
 
 @pytest.mark.parametrize(
@@ -58,11 +58,3 @@ def test_a_standing_error_is_told_once_and_stands(name, emergency, register, ent
     assert it.sdo("40 03 10 00") == "4f 03 10 00 00 00 00 00"
     it.nmt(Command.START)
     assert (it.board.state is State.OPERATIONAL) == (name != "blocking-error")
-
-
-def test_other_errors_add_to_the_register_of_a_standing_one():
-    it = rig("standing-error")
-    it.nmt(Command.START)
-    it.answers()
-    assert it.say(0x205, "01") == [(0x085, "10 82 91 00 00 00 00 00")]
-    assert it.say(0x205, EXTEND) == [(0x085, "00 00 80 00 00 00 00 00")]

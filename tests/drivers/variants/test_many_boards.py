@@ -51,8 +51,7 @@ def test_a_hundred_boards_boot_in_parallel_and_switch_together():
     assert took < 3.0
     assert not any(world.switches())
     ones = [1] * len(world.wiring.channels)
-    world.commit(*ones)
-    world.run(1.0)
+    world.commit(*ones, then=1.0)
     assert world.positions() == ones
     assert world.measured() == ones
     assert world.faults == []

@@ -149,8 +149,7 @@ def test_a_release_switches_nothing_on_at_a_board_that_has_restarted() -> None:
     world = World([*pairs(), Channel("plain", "can0", 1, 5, None)]).up()
     world.master.commit(0b00101, world.now)
     world.run(0.05)
-    world.fault("power_cut", "can0/1")
-    world.fault("power_on", "can0/1")
+    world.cycle_power("can0/1")
     world.run(0.1)
     assert world.codes() == ["board-rebooted"]
     world.frames()

@@ -86,11 +86,6 @@ def test_a_refusal_of_another_object_is_no_refusal_and_a_confirmation_of_another
     )
 
 
-def test_an_answer_to_a_read_is_none_to_a_write():
-    fault = Line(*[[OTHER]] * 3).run(objects.write("can0/5", Need(0x6200, 1, 7), 7))
-    assert fault.code == "board-missing"
-
-
 def test_gives_up_after_three_attempts():
     line = Line()
     fault = line.run(objects.read("can0/5", 0x1000, 0, 4))

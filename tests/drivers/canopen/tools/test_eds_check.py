@@ -112,24 +112,6 @@ def test_a_value_that_is_delivered_wrong_and_read_only_is_a_lack(tmp_path):
     )
 
 
-def test_a_timer_of_an_rpdo_that_cannot_be_switched_off_is_a_lack(tmp_path):
-    [told] = found(tmp_path, ("1400sub5", "AccessType=ro"), ("1400sub5", "DefaultValue=500"))
-    assert told.startswith(
-        "1400h sub 5: the EDS says AccessType=ro, PDOMapping=0, DataType=0x0006, DefaultValue=0x1f4;"
-    )
-    assert "RPDO1 has the timer 500 ms, not 0" in told
-
-
-def test_a_mapping_that_is_fixed_and_carries_nothing_is_a_lack(tmp_path):
-    changes = [("1600sub0", "AccessType=const"), ("1600sub0", "DefaultValue=0")]
-    [told] = found(tmp_path, *changes)
-    assert told.startswith("1600h sub 0: the EDS says AccessType=const")
-    assert "62000108h is needed; it refuses" in told
-    [told] = found(tmp_path, ("DeviceInfo", "Granularity=0"), ("1600sub0", "DefaultValue=0"))
-    assert told.startswith("1600h sub 1: the EDS says AccessType=rw")
-    assert "Granularity=0; 1600h maps nothing to RPDO1" in told
-
-
 def test_a_shared_rpdo_needs_dummy_entries(tmp_path):
     channels = (Channel("a", "can0", 4, 0, 0), Channel("b", "can0", 5, 0, 0))
     assert found(tmp_path, channels=channels, shared_rpdo=True) == []

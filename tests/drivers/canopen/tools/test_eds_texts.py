@@ -271,7 +271,7 @@ def test_what_is_no_number_is_none(text):
     assert parse_number(text, 5) is None
 
 
-@settings(max_examples=150)
+@settings(max_examples=50)
 @given(st.data())
 def test_no_text_raises_another_error(tmp_path_factory, data):
     lines = TEXT.splitlines()
