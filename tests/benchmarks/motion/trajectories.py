@@ -8,8 +8,6 @@ import time
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
@@ -18,7 +16,7 @@ from hyperbit.controller.motion.plans.lookahead import LookAhead
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.trajectory import Trajectory, through
 from hyperbit.controller.search.solver import Solver
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, show, write_figures
 from tests.benchmarks.solving import ready_solver
 
 WAYPOINTS = 30
@@ -81,27 +79,20 @@ def main() -> None:
     solver = ready_solver(load(PAPER_ARM))
     m = solver.manipulator
     measured(solver, *curve(m, 0.001, np.random.default_rng(1)), 0.1)  # kernels are loaded
-    table = Table(
-        *("spacing", "switches: greedy", "ahead", "plan", "proven bound", "mean gap", f"gap at most {GAP:.0%}"),
-        *("optimal", "time [s]: greedy", "ahead", "plan and proof"),
-        title=f"{given.curves} curves of {WAYPOINTS} waypoints, means",
-    )
-    rows = []
+    rows, shown = [], []
     for spacing in given.spacing or SPACINGS:
         rng = np.random.default_rng(7)
         own = [measured(solver, *curve(m, spacing, rng), given.seconds) for _ in range(given.curves)]
         mean = {key: float(np.mean([row[key] for row in own])) for key in own[0]}
         gaps = np.array([row["plan"] / row["bound"] - 1 for row in own])
-        table.add_row(
-            f"{spacing:g}",
-            *(f"{mean[key]:.1f}" for key in ("greedy", "ahead", "plan", "bound")),
-            f"{gaps.mean():.0%}",
-            str(int((gaps <= GAP + 1e-9).sum())),
-            str(int((gaps <= 1e-9).sum())),
-            *(f"{mean[key]:.2f}" for key in ("greedy_seconds", "ahead_seconds", "seconds")),
-        )
+        costs = (f"{mean[key]:.1f}" for key in ("greedy", "ahead", "plan", "bound"))
+        counts = (int((gaps <= least + 1e-9).sum()) for least in (GAP, 0.0))
+        times = (f"{mean[key]:.2f}" for key in ("greedy_seconds", "ahead_seconds", "seconds"))
+        shown.append((f"{spacing:g}", *costs, f"{gaps.mean():.0%}", *counts, *times))
         rows += [{"spacing": spacing, **row} for row in own]
-    Console(width=140).print(table)
+    headers = ("spacing", "switches: greedy", "ahead", "plan", "proven bound", "mean gap", f"gap at most {GAP:.0%}")
+    headers += ("optimal", "time [s]: greedy", "ahead", "plan and proof")
+    show(f"{given.curves} curves of {WAYPOINTS} waypoints, means", headers, shown, 140)
     write_figures(given.json, rows)
 
 

@@ -19,7 +19,7 @@ from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
 from tests.benchmarks.harness import CommandLine, timed, write_figures
 from tests.benchmarks.search.goals import SETS
-from tests.benchmarks.search.growth import growth, growth_table
+from tests.benchmarks.search.growth import growth
 from tests.benchmarks.search.measuring import (
     Arm,
     Goals,
@@ -140,9 +140,7 @@ def main() -> None:
         console.print(table(name, rows, proofs))
         figures["sets"][name] = {"proofs": proofs, "rows": rows}
     if not arguments.set:
-        grown = growth(min(arguments.goals, 100), TOLERANCE)
-        console.print(growth_table(grown))
-        figures["growth"] = grown
+        figures["growth"] = growth(min(arguments.goals, 100), TOLERANCE)
     write_figures(arguments.json, figures)
 
 

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.search.solution import Solution
 from hyperbit.controller.search.solver import Solver
-from tests.benchmarks.harness import DEPLOY, CommandLine, write_figures
+from tests.benchmarks.harness import DEPLOY, CommandLine, show, write_figures
 from tests.benchmarks.solving import Solve, home, random_tips, ready_solver, solved_in_sequence
 
 PROVING = 2.0  # [s] for a proof
@@ -42,7 +40,7 @@ EXPERIMENTS = (
 )
 
 
-def measured(experiment: Experiment, number: int, console: Console) -> dict[str, list[Figures]]:
+def measured(experiment: Experiment, number: int) -> dict[str, list[Figures]]:
     arm = load(DEPLOY / experiment.file)
     m = arm.manipulator
     tolerance, turn = experiment.tolerance * (m.length if experiment.relative else 1.0), experiment.turn
@@ -57,8 +55,7 @@ def measured(experiment: Experiment, number: int, console: Console) -> dict[str,
         "pop": lambda goal, previous: solver.solve(solver.target(goal, tolerance, turn), previous, "pop"),
     }
     title = f"{experiment.file}: {count} poses, tolerance {tolerance:.3g} and {turn:.3g} rad"
-    table = Table("method", "within", "proven", "switches, mean / most", "median / 99 % / most [ms]", title=title)
-    proofs, figures = "", {}
+    proofs, figures, rows = "", {}, []
     for name, solve in ways.items():
         before, found = solved_in_sequence(solve, goals, home(m))
         if name == "minimum-switch":
@@ -69,10 +66,10 @@ def measured(experiment: Experiment, number: int, console: Console) -> dict[str,
             np.mean([getattr(f, name) is True for f in found]) for name in ("within_tolerance", "optimal")
         )
         numbers = f"{np.mean(switches):.2f} / {max(switches)}"
-        table.add_row(name, f"{within:.1%}", f"{optimal:.0%}", numbers, spent)
+        rows.append((name, f"{within:.1%}", f"{optimal:.0%}", numbers, spent))
         figures[name] = [(f.switches, f.error, f.certificate, f.seconds) for f in found]
-    table.caption = proofs
-    console.print(table)
+    headers = ("method", "within", "proven", "switches, mean / most", "median / 99 % / most [ms]")
+    show(f"{title}; {proofs}", headers, rows)
     return figures
 
 
@@ -96,7 +93,7 @@ def proven(
 
 def main() -> None:
     given = CommandLine(__doc__, goals=500, busy=True).parse()
-    figures = {one.file: measured(one, given.goals, Console(width=120)) for one in EXPERIMENTS}
+    figures = {one.file: measured(one, given.goals) for one in EXPERIMENTS}
     write_figures(given.json, figures)
 
 
