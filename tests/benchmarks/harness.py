@@ -29,7 +29,6 @@ class CommandLine(argparse.ArgumentParser):
     """The options of a benchmark. Each benchmark has `--json`.
 
     Args:
-        description: docstring of the benchmark.
         goals: default of the option `--goals`; None: no such option.
         busy: whether there is the option `--busy`.
     """
@@ -80,7 +79,6 @@ def percentiles(times: Times, *names: str) -> dict[str, float]:
     """Returns percentiles of times in milliseconds.
 
     Args:
-        times: in seconds.
         names: of `PERCENTILES`; by default median, 99 %, 99.9 % and worst.
     """
     names = names or ("p50", "p99", "p999", "worst")

@@ -40,7 +40,6 @@ def solved_in_sequence(
     """Solves goals, each from the configuration reached for the goal before.
 
     Args:
-        solve: takes a goal and the previous configuration.
         goals: the first `WARM` are also solved before, without being counted.
         start: the first previous configuration.
 

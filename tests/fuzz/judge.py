@@ -37,12 +37,7 @@ class Flood(AssertionError):
 
 
 class Judge:
-    """Checks that the executor commands only the states of programs and set-points.
-
-    Attributes:
-        asked: actuator states by number of the program.
-        syncs: number of checked SYNCs.
-    """
+    """Checks that the executor commands only the states of programs and set-points."""
 
     def __init__(self, wiring: Wiring) -> None:
         self._wiring = wiring
@@ -95,8 +90,6 @@ class Judge:
         """Checks a frame of the executor.
 
         Args:
-            frame: the frame.
-            core: of the executor.
             pins: returns the pins of a board that are on, by its node id.
 
         Raises:

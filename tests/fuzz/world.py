@@ -62,10 +62,6 @@ class World(Hardware, Witness):
     """One arm of two boards with executor, bus, planner, and an intruder on the bus.
 
     Attributes:
-        judge: checks all frames of the executor.
-        boots: number of boots of the boards.
-        lines: of the log.
-        last: line of the log.
         dirty: whether the intruder may have commanded the boards.
     """
 

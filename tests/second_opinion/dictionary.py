@@ -32,8 +32,6 @@ class Dictionary(LocalNode):
         history: entries of 1003h, the newest first.
 
     Args:
-        node: node id.
-        eds: name of the EDS file in this folder.
         stored: called with index and sub-index after each write over the bus.
         empty_is_no_data: an unused entry of 1003h is read with the abort code 08000024h, not as 0.
     """

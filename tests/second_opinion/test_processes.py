@@ -33,11 +33,7 @@ ON_BOARD = 12  # actuators
 
 
 class Boards:
-    """Boards on a bus of python-can, in one thread.
-
-    Attributes:
-        changes: each change of the pins.
-    """
+    """Boards on a bus of python-can, in one thread."""
 
     def __init__(self, bus: can.BusABC, kind: Kind) -> None:
         self.changes: list[Change] = []

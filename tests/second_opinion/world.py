@@ -89,10 +89,6 @@ class World:
         changes: each change of the pins, with the executor's mode at that time.
         answers: whether the boards' SDO answers reach the executor.
         in_mid_boot: called once, when the executor has sent its first NMT command or 60 frames since its start.
-
-    Args:
-        kind: of all boards.
-        wiring: fields of the wiring.
     """
 
     def __init__(self, kind: Kind = MODULE, **wiring: Any) -> None:

@@ -36,15 +36,11 @@ class Row(NamedTuple):
     """One number of arms.
 
     Attributes:
-        arms: how many.
-        goals: ended goals a second, of each arm.
         answer: time to the answer, median and 99 % [ms].
         end: time to the result, median and 99 % [ms].
-        states: messages of state a second, of each arm.
         arm, others: processor time over time, of each arm with its executor and boards, and of router, pages, recorder
             and clients.
         memory: of each arm with its executor [MB].
-        ended: how goals ended.
     """
 
     arms: int

@@ -39,16 +39,7 @@ class Cost(NamedTuple):
 
 
 class Plant:
-    """The plant; arms are added, killed and started again.
-
-    Attributes:
-        endpoint: of the router.
-        arms: names.
-
-    Args:
-        folder: of all files.
-        closing: ends everything.
-    """
+    """The plant; arms are added, killed and started again."""
 
     def __init__(self, folder: Path, closing: ExitStack) -> None:
         self._folder, self._closing = folder, closing

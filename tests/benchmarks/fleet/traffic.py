@@ -33,11 +33,9 @@ class Traffic:
 
     Attributes:
         sent: goals whose end is known, or that were refused.
-        unknown: goals whose end no client could learn.
         results: how often a result of each goal was published, without repetitions after a kill.
 
     Args:
-        plant: has the arms.
         places: that the arms go to in turn, shape (n, 2).
         clients: sessions; an arm's goals all come from one.
     """

@@ -48,8 +48,6 @@ class Table(NamedTuple):
         rows: in the order of the cells.
         starts: shape (cells + 1,).
         low: least corner, shape (3,).
-        side: of a cell.
-        shape: numbers of cells along x, y and z.
         least: fewest switches of any row in a cell or beside it, shape (cells,).
     """
 

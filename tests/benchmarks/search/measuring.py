@@ -49,7 +49,6 @@ class Proofs:
     Attributes:
         previous: configurations, shape (n, B).
         fewest: switches from there to the goal, shape (n,); -1 where the time did not suffice for the proof.
-        trace: of the proof itself.
     """
 
     previous: NDArray[np.int64]

@@ -37,13 +37,8 @@ class Row:
     """Measurements of one arm; times in processor seconds, memory in MiB.
 
     Attributes:
-        modules: B.
         mapping: least time to map all densities.
-        densities: memory that they take.
         peak: most memory of the process while it mapped, less that before.
-        goal: mean time for one goal, by method.
-        error: median error, by method.
-        switches: mean number of switches, by method.
     """
 
     modules: int

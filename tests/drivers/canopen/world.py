@@ -23,9 +23,7 @@ class World(Hardware):
     """A master and the boards of its wiring; the boards have power, and answer SDO after `latency` [s] or later.
 
     Attributes:
-        master: the present master, or a tool in its place.
         stalled: whether the master's loop stands still; events wait for it.
-        switched: switches that the masters have reported.
     """
 
     def __init__(

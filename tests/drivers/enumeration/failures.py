@@ -19,7 +19,6 @@ class Failure(NamedTuple):
     Attributes:
         kind: a key of `SDO_KINDS`, of `WIRE_KINDS` or of `FRAME_KINDS`.
         at: ordinal of the SDO request, or of the frame after which it happens, from 1.
-        text: the object, or the frame.
     """
 
     kind: str

@@ -22,7 +22,6 @@ class Before(NamedTuple):
     """A history.
 
     Attributes:
-        name: for the table.
         happens: takes a rig whose arm is extended and whose executor has ended.
         other_loss: whether the executor before had the other `on_loss`.
     """

@@ -49,19 +49,12 @@ class Rig:
 
     Attributes:
         now: time [s].
-        board: the board.
         master: the present master; None: no executor runs.
-        wiring: of the next master.
         stalled: whether the executor stands still; frames and echoes wait for it.
         off: whether the controller of the master is bus-off.
         log: frames on the bus since the last boot began, with their senders.
         changes: changes of the pins since the last boot began.
         interception: sees each frame; None: none does.
-
-    Args:
-        wiring: of one board.
-        timing: times of board and actuators.
-        variant: of the board.
     """
 
     def __init__(self, wiring: Wiring, timing: Timing, variant: Variant) -> None:

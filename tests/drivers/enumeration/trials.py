@@ -27,9 +27,6 @@ class Trial(NamedTuple):
     """One failure of one boot.
 
     Attributes:
-        case: the board.
-        before: history of the board.
-        failure: the failure.
         copies: of the rig before the boot.
     """
 
@@ -52,7 +49,6 @@ class Verdict(NamedTuple):
             program, by the supply, or as `on_loss` says.
         moved: number of changes by the master of pins that hold on loss.
         ready: whether the board is ready at the end.
-        boots: number of boots.
         broken: sentences on broken invariants, also those of `started` and `energised`.
     """
 
@@ -65,13 +61,7 @@ class Verdict(NamedTuple):
 
 
 def trials(case: Case, every: int = 1, kind: str = "") -> Iterator[Trial]:
-    """Yields each `every`-th trial of a board, in an order that is always the same.
-
-    Args:
-        case: the board.
-        every: see above.
-        kind: text in the kinds of failures.
-    """
+    """Yields each `every`-th trial of a board, in an order that is always the same."""
     number = 0
     for before, rig in histories(case):
         copies = Copies(rig)

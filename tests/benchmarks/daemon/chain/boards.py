@@ -31,8 +31,6 @@ class Bus:
     """The one bus: each frame of the executor comes back as its echo and goes to all boards.
 
     Args:
-        channel: folder of the interface.
-        arm: its file.
         syncs: keeps when each SYNC was handed over [s].
         beats: keeps the same of each heartbeat of the master [s].
     """

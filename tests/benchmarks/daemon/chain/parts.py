@@ -31,17 +31,9 @@ ENDING = 20.0  # [s] for a process to end in order
 class Parts:
     """The arm of the paper, running; the parts end with the context, and then their records can be read.
 
-    Attributes:
-        folder: of everything that is written.
-        file: of the arm.
-        name: of the arm.
-        endpoint: of the planner.
-        processes: the parts by their module's name.
-
     Args:
         real_time: whether the arm's file asks for it.
         simulate: the boards are simulated in the executor's process, else in one of their own on an emulated bus.
-        fields: replace fields of the arm's file.
     """
 
     def __init__(self, *, real_time: bool = False, simulate: bool = False, **fields: Any) -> None:

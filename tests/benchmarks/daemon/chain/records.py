@@ -14,7 +14,6 @@ class Record:
 
     Args:
         path: path of the file; None: nothing is recorded.
-        columns: names of the numbers of each row.
     """
 
     def __init__(self, path: Path | None, *columns: str) -> None:
