@@ -7,7 +7,7 @@ import struct
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.simulation.actuator import Actuator
 from hyperbit.drivers.simulation.firmware import SimulatedBoard, Wired
-from hyperbit.drivers.simulation.variants import STANDARD, Variant
+from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS, Variant
 
 Sent = list[tuple[int, str]]  # COB-ID and data in hexadecimal
 
@@ -55,3 +55,13 @@ class Rig:
 
     def outputs(self) -> int:
         return self.board.objects.number(0x6200, 1)
+
+
+EXTEND = "03" + 7 * " 00"  # data of an RPDO
+
+
+def booted(variant: str = "standard") -> Rig:
+    """A board that has booted, with actuators on outputs 0 and 1 and their end-stops on inputs 0 and 1."""
+    rig = Rig((0, 0), (1, 1), variant=VARIANTS[variant])
+    rig.answers()
+    return rig

@@ -9,22 +9,14 @@ from hyperbit.drivers.canopen.wire.cia301 import Command
 from hyperbit.drivers.canopen.wiring import BusWiring, Timing, Wiring
 from hyperbit.drivers.simulation.buses import SimulatedBuses
 from hyperbit.drivers.simulation.fault_commands import perform
-from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS, Variant
 from tests.drivers.canopen.world import one_board
-from tests.drivers.simulation.rig import Rig
+from tests.drivers.simulation.rig import EXTEND, booted
 
-EXTEND = "03" + 7 * " 00"
 OFF, ON = (0x185, "00" + 7 * " 00"), (0x185, EXTEND)
 
 
-def rig(variant: Variant = STANDARD) -> Rig:
-    rig = Rig((0, 0), (1, 1), variant=variant)
-    rig.answers()
-    return rig
-
-
 def test_synchronous_rpdos_after_the_window_are_dropped():
-    it = rig(VARIANTS["sync-window"])
+    it = booted("sync-window")
     assert it.sdo("40 07 10 00") == "43 07 10 00 10 27 00 00"
     assert it.write(0x1400, 2, 1) == 0
     it.nmt(Command.START)
@@ -55,13 +47,13 @@ def test_synchronous_rpdos_after_the_window_are_dropped():
     ],
 )
 def test_times_are_rounded_down(name, index, sub, value, size, kept):
-    it = rig(VARIANTS[name])
+    it = booted(name)
     assert it.write(index, sub, value, size) == 0
     assert it.board.objects.number(index, sub) == kept
 
 
 def test_one_node_is_watched_by_one_entry_only():
-    it = rig(VARIANTS["watched-already"])
+    it = booted("watched-already")
     assert it.write(0x1016, 1, 127 << 16 | 300, 4) == 0x0604_0043
     assert it.write(0x1016, 1, 126 << 16 | 300, 4) == 0
     assert it.write(0x1016, 2, 127 << 16 | 300, 4) == 0, "the entry itself may change"
@@ -71,7 +63,7 @@ def test_one_node_is_watched_by_one_entry_only():
 
 @pytest.mark.parametrize(("name", "heard"), [("standard", 1), ("no-emergencies", 0)])
 def test_emergencies_come_only_if_1014h_enables_them(name, heard):
-    it = rig(VARIANTS[name])
+    it = booted(name)
     it.board.emergencies.report(0x2320)
     assert len(it.answers()) == heard
     assert it.board.objects.number(0x1001) == 0x03
@@ -83,7 +75,7 @@ def test_emergencies_come_only_if_1014h_enables_them(name, heard):
 
 
 def test_the_event_timer_repeats_a_tpdo_while_the_board_is_operational():
-    it = rig()
+    it = booted()
     assert it.write(0x1800, 5, 100, 2) == 0
     assert it.wait(1.0) == []
     assert it.nmt(Command.START) == [OFF]
@@ -99,7 +91,7 @@ def test_the_event_timer_repeats_a_tpdo_while_the_board_is_operational():
 
 @pytest.mark.parametrize(("timer", "after"), [(0, []), (150, [ON])])
 def test_a_lost_tpdo_comes_again_only_by_the_event_timer(timer, after):
-    it = rig()
+    it = booted()
     assert it.write(0x1800, 5, timer, 2) == 0
     it.nmt(Command.START)
     it.board.lose_tpdo()

@@ -6,19 +6,12 @@ import pytest
 
 from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Command, State
 from hyperbit.drivers.simulation.variants import VARIANTS
-from tests.drivers.simulation.rig import Rig
+from tests.drivers.simulation.rig import EXTEND, Rig, booted
 
 NO_OBJECT = "00 00 02 06"  # abort code as on the wire
 GUARD = REMOTE | 0x705
 BOOTED = (0x705, "00")
 LOST, OVER = (0x085, "30 81 11 00 00 00 00 00"), (0x085, "00 00 00 00 00 00 00 00")
-EXTEND = "03" + 7 * " 00"
-
-
-def rig(name: str) -> Rig:
-    rig = Rig((0, 0), (1, 1), variant=VARIANTS[name])
-    assert rig.answers()[0] == BOOTED
-    return rig
 
 
 def lose_master(it: Rig) -> None:
@@ -44,7 +37,7 @@ def test_each_variant_boots_when_its_time_has_come_and_answers_what_it_is(name):
 
 
 def test_guarding_answers_with_a_toggle_bit_and_the_state():
-    it = rig("guarding-only")
+    it = booted("guarding-only")
     assert it.say(GUARD) == [(0x705, "7f")]
     assert it.say(GUARD) == [(0x705, "ff")]
     it.nmt(Command.START)
@@ -58,7 +51,7 @@ def test_guarding_answers_with_a_toggle_bit_and_the_state():
 
 
 def test_guarding_that_ends_after_life_time_is_the_loss_of_the_master():
-    it = rig("guarding-only")
+    it = booted("guarding-only")
     assert (it.write(0x100C, 0, 100, 2), it.write(0x100D, 0, 3)) == (0, 0)
     it.nmt(Command.START)
     it.say(0x205, EXTEND)
@@ -73,7 +66,7 @@ def test_guarding_that_ends_after_life_time_is_the_loss_of_the_master():
 
 
 def test_outputs_that_are_off_in_each_state_but_operational():
-    it = rig("off-in-preoperational")
+    it = booted("off-in-preoperational")
     assert it.write(0x6200, 1, 1) == 0
     assert it.driven() == [0, 0]
     it.nmt(Command.START)
@@ -87,7 +80,7 @@ def test_outputs_that_are_off_in_each_state_but_operational():
 
 
 def test_slow_answers_come_in_order_after_their_time():
-    it = rig("slow-answers")
+    it = booted("slow-answers")
     assert it.say(0x605, "40 00 10 00 00 00 00 00") == []
     assert it.wait(0.3) == []
     assert it.say(0x605, "40 17 10 00 00 00 00 00") == []
@@ -100,7 +93,7 @@ def test_slow_answers_come_in_order_after_their_time():
 
 
 def test_a_foreign_sync_identifier_is_what_it_obeys():
-    it = rig("foreign-sync")
+    it = booted("foreign-sync")
     assert it.sdo("40 05 10 00") == "43 05 10 00 85 00 00 00"
     assert it.write(0x1400, 2, 1) == 0
     it.nmt(Command.START)
@@ -116,7 +109,7 @@ def test_a_foreign_sync_identifier_is_what_it_obeys():
 
 
 def test_with_a_sync_counter_a_sync_without_one_is_an_error():
-    it = rig("sync-counter")
+    it = booted("sync-counter")
     assert it.sdo("40 19 10 00") == "4f 19 10 00 0a 00 00 00"
     assert it.write(0x1400, 2, 1) == 0
     it.nmt(Command.START)
@@ -129,7 +122,7 @@ def test_with_a_sync_counter_a_sync_without_one_is_an_error():
 
 
 def test_with_a_sync_period_the_end_of_syncs_is_an_error():
-    it = rig("sync-period")
+    it = booted("sync-period")
     assert it.sdo("40 06 10 00") == "43 06 10 00 a0 86 01 00"
     assert it.write(0x1400, 2, 1) == 0
     it.nmt(Command.START)
@@ -147,3 +140,53 @@ def test_with_a_sync_period_the_end_of_syncs_is_an_error():
     assert it.write(0x1006, 0, 0, 4) == 0
     it.say(0x080)
     assert it.wait(10.0) == [], "it does not miss them any more"
+
+
+@pytest.mark.parametrize(
+    ("name", "lost", "over"),
+    [
+        ("standard", ["30 81 00 00"], ["30 81 00 00"]),
+        ("logged-ends", ["30 81 00 1b"], ["00 00 00 1b", "30 81 00 1b"]),
+        ("canopennode", ["30 81 00 1b"], ["00 00 00 1b", "30 81 00 1b"]),
+    ],
+)
+def test_the_history_after_the_loss_of_the_master_and_its_return(name, lost, over):
+    it = booted(name)
+    assert history(it) == []
+    lose_master(it)
+    assert history(it) == lost
+    assert it.say(0x77F, "05") == [OVER]
+    assert history(it) == over
+    assert it.write(0x1003, 0, 0) == 0
+    assert history(it) == []
+
+
+def history(it: Rig) -> list[str]:
+    """The entries of 1003h as on the wire; those above their count answer that there are no data."""
+    count = int(it.sdo("40 03 10 00").split()[4], 16)
+    for sub in range(count + 1, 9):
+        assert it.sdo(f"40 03 10 {sub:02x}") == f"80 03 10 {sub:02x} 24 00 00 08"
+    return [it.sdo(f"40 03 10 {sub:02x}")[12:] for sub in range(1, count + 1)]
+
+
+@pytest.mark.parametrize(
+    ("name", "emergency", "register", "entry"),
+    [
+        ("standing-error", "00 ff 80", "80", "00 ff 00 00"),
+        ("generic-error", "00 10 01", "01", "00 10 00 00"),
+        ("blocking-error", "00 50 01", "01", "00 50 00 00"),
+    ],
+)
+def test_a_standing_error_is_told_once_and_stands(name, emergency, register, entry):
+    it = Rig((0, 0), variant=VARIANTS[name])
+    assert it.answers() == [BOOTED, (0x085, emergency + " 00 00 00 00 00")]
+    for _ in range(2):
+        assert it.sdo("40 01 10 00") == f"4f 01 10 00 {register} 00 00 00"
+        assert it.sdo("40 03 10 00") == "4f 03 10 00 01 00 00 00"
+        assert it.sdo("40 03 10 01") == "43 03 10 01 " + entry
+        assert it.nmt(Command.RESET_COMMUNICATION) == [BOOTED], "it was told before"
+    assert it.nmt(Command.RESET_NODE) == [BOOTED, (0x085, emergency + " 00 00 00 00 00")]
+    assert it.write(0x1003, 0, 0) == 0
+    assert it.sdo("40 03 10 00") == "4f 03 10 00 00 00 00 00"
+    it.nmt(Command.START)
+    assert (it.board.state is State.OPERATIONAL) == (name != "blocking-error")
