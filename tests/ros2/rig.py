@@ -28,12 +28,8 @@ class Rig:
 
     Attributes:
         router: in place of ROS 2's router; the daemon joins it as well.
-        node: of a peer that hears everything.
-        said: sentences on /rosout.
 
     Args:
-        folder: of all files.
-        closing: ends everything.
         travel_time: of the arm's actuators [s].
     """
 

@@ -16,16 +16,7 @@ CODES = {"succeeded": 0, "canceled": -1, "replaced": -1}
 
 
 class Daemon:
-    """Answers requests.
-
-    Attributes:
-        goal: id of the running goal.
-
-    Args:
-        chance: decides.
-        clock: of the world.
-        tell: publishes a message.
-    """
+    """Answers requests."""
 
     def __init__(self, chance: random.Random, clock: Clock, tell: Callable[[str, bytes], None]) -> None:
         self._chance, self._clock, self._tell = chance, clock, tell

@@ -58,13 +58,7 @@ JUNK = (
 
 
 class Input(NamedTuple):
-    """A message of ROS 2.
-
-    Attributes:
-        name: of the topic or service.
-        payload: CDR, perhaps damaged.
-        attachment: perhaps none, or damaged.
-    """
+    """A message of ROS 2."""
 
     name: str
     payload: bytes

@@ -64,11 +64,7 @@ class Declared:
 
 
 class Network:
-    """The session of the wire and that of Zenoh in one: everything that is declared, by name below the namespace.
-
-    Args:
-        judge: sees what is published, and the node's end.
-    """
+    """The session of the wire and that of Zenoh in one: everything that is declared, by name below the namespace."""
 
     zid = "f00d"
 

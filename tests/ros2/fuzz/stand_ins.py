@@ -63,13 +63,7 @@ class Trial:
 
 
 class Pool:
-    """Stands in for ThreadPoolExecutor: jobs run when the world says so.
-
-    Args:
-        name: of the threads.
-        pools: all that are open.
-        present: returns the input that is being delivered.
-    """
+    """Stands in for ThreadPoolExecutor: jobs run when the world says so."""
 
     def __init__(self, name: str, pools: "list[Pool]", present: Callable[[], Trial | None]) -> None:
         self.name, self._pools, self._present = name, pools, present

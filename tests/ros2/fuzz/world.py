@@ -47,10 +47,6 @@ class World:
     Attributes:
         counts: of inputs by what followed first, and of sentences and nodes.
         largest: greatest number of entries in all tables of the bridge.
-
-    Args:
-        inputs: makes the inputs.
-        folder: of the file of goals.
     """
 
     def __init__(self, inputs: Inputs, folder: Path) -> None:

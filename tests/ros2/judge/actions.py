@@ -36,7 +36,6 @@ class Goal:
     """A goal of the action.
 
     Attributes:
-        uuid: of the goal.
         joints: of its trajectory; none: not known.
         status: last one on the wire; 0: none yet.
         canceled: whether a cancel was accepted.
@@ -75,8 +74,6 @@ class Actions:
 
     Args:
         clock: returns the time [s].
-        on_end: called with a goal that ends.
-        on_cancel: called with a goal whose cancel is accepted.
     """
 
     def __init__(

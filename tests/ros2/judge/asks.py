@@ -19,9 +19,7 @@ class Ask:
     Attributes:
         number: in the order of arrival.
         at: when it came [s].
-        name: of its topic or service.
         key: of the daemon, to which it may lead; "": it leads to none.
-        payload: CDR.
         points: positions of a goal, by the independent reader; None: it is no goal.
         service: whether a reply is due.
         sent: whether it was sent to the daemon.

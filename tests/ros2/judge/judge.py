@@ -38,7 +38,6 @@ class Judge:
     """The account of all.
 
     Args:
-        arm: what the rules of goals depend on.
         kinds: kind of a message by name of its topic or service.
         clock: returns the time [s]; any, but it never goes back.
         epoch: returns the UNIX time [s].

@@ -19,8 +19,6 @@ class Arm(NamedTuple):
 
     Attributes:
         frames: allowed names of frames; the base of the arm is the world's origin.
-        axes: names of the tip's joints without tip_yaw.
-        actuators: labels of the actuators.
         oriented: whether the orientation of topics counts.
     """
 
@@ -114,8 +112,6 @@ def goal_of(kind: str, message: bytes, arm: Arm, now: float) -> Goal:
 
     Args:
         kind: goal_pose, goal_path, setpoint, plan, tip or actuators.
-        message: CDR.
-        arm: the arm.
         now: UNIX time [s].
 
     Raises:
