@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from hyperbit.drivers.canopen.run.master import Master
 from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.simulation.objects import Objects
 from tests.drivers.enumeration.failures import SDO_KINDS, Failure, Injection, failures
-from tests.drivers.enumeration.histories import LONGEST_BOOT, Before, histories
+from tests.drivers.enumeration.histories import HISTORIES, LONGEST_BOOT, Before, histories
 from tests.drivers.enumeration.rig import BUS, MASTER, NODE, TICK, TOOL, Copies, PinChange, Rig
 from tests.drivers.variants.cases import Case
 
@@ -60,10 +60,10 @@ class Verdict(NamedTuple):
     broken: tuple[str, ...]
 
 
-def trials(case: Case, every: int = 1, kind: str = "") -> Iterator[Trial]:
+def trials(case: Case, every: int = 1, kind: str = "", chosen: Iterable[Before] = HISTORIES) -> Iterator[Trial]:
     """Yields each `every`-th trial of a board, in an order that is always the same."""
     number = 0
-    for before, rig in histories(case):
+    for before, rig in histories(case, chosen):
         copies = Copies(rig)
         for failure in failures(frames_of_a_boot(copies)):
             number += kind in failure.kind
