@@ -9,10 +9,7 @@ from pathlib import Path
 from hyperbit.controller.host.kernels import compile_all, imports, source
 
 ROOT = Path(__file__).parents[1]
-TESTS = {  # modules whose import compiles kernels, each with those that it depends on
-    "tests.benchmarks.proofs.kernels": set[str](),
-    "tests.benchmarks.search.oriented_densities.frame_pixels": set[str](),
-}
+TESTS = {"tests.benchmarks.proofs.kernels": set[str]()}  # modules whose import compiles kernels, with what they need
 
 
 def bench() -> dict[str, set[str]]:

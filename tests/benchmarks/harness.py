@@ -5,7 +5,7 @@ import gc
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
@@ -13,6 +13,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 PAPER_ARM = DEPLOY / "planar16.yaml"
@@ -26,7 +29,6 @@ class CommandLine(argparse.ArgumentParser):
     """The options of a benchmark. Each benchmark has `--json`.
 
     Args:
-        description: docstring of the benchmark.
         goals: default of the option `--goals`; None: no such option.
         busy: whether there is the option `--busy`.
     """
@@ -77,7 +79,6 @@ def percentiles(times: Times, *names: str) -> dict[str, float]:
     """Returns percentiles of times in milliseconds.
 
     Args:
-        times: in seconds.
         names: of `PERCENTILES`; by default median, 99 %, 99.9 % and worst.
     """
     names = names or ("p50", "p99", "p999", "worst")
@@ -88,6 +89,16 @@ def median_and_99(times: Times) -> str:
     """Returns median and 99 % of times [s] as text, in milliseconds."""
     median, nearly_all = 1e3 * np.quantile(times, (0.5, 0.99))
     return f"{median:.2f} / {nearly_all:.1f}"
+
+
+def show(title: str, headers: Sequence[str], rows: Iterable[Sequence[object]], width: int = 130) -> None:
+    """Prints a table, the first column to the left and the others to the right."""
+    table = Table(title=escape(title))
+    for k, header in enumerate(headers):
+        table.add_column(escape(header), justify="right" if k else "left")
+    for row in rows:
+        table.add_row(*map(str, row))
+    Console(width=width).print(table)
 
 
 def write_figures(path: Path | None, figures: Any) -> None:

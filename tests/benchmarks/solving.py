@@ -25,7 +25,6 @@ def ready_solver(arm: Arm) -> Solver:
 
 
 def home(manipulator: Manipulator) -> Configuration:
-    """Returns the configuration with all actuators contracted, shape (B,)."""
     return np.zeros(len(manipulator.states), dtype=np.int64)
 
 
@@ -41,7 +40,6 @@ def solved_in_sequence(
     """Solves goals, each from the configuration reached for the goal before.
 
     Args:
-        solve: takes a goal and the previous configuration.
         goals: the first `WARM` are also solved before, without being counted.
         start: the first previous configuration.
 

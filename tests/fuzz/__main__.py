@@ -65,7 +65,6 @@ def attack(job: tuple[str, str, int], room: Path) -> dict[str, Any]:
 
 
 def row(result: dict[str, Any]) -> str:
-    """Returns one line of the table."""
     r = result
     cells = [f"{r['runs']:,}", f"{r['inputs']:,}", f"{r['seconds']:.0f}", r["crashes"], r["motions"]]
     judged = r["engine"] in ("replay", "")  # engines keep memory of their own
@@ -74,7 +73,6 @@ def row(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Runs all targets, prints the table, and writes the figures as JSON if a file is given."""
     began = time.monotonic()
     print(ROW.format("target", "engine", "runs", "inputs", "seconds", "crashes", "motions", "blocks", "resident"))
     with tempfile.TemporaryDirectory() as room, ThreadPoolExecutor(2) as two:

@@ -34,8 +34,6 @@ class Endless(Exception):
 
 
 class Record:
-    """Figures and failures of one target."""
-
     def __init__(self, build: Callable[[], Callable[[bytes], int]], name: str, runs: int) -> None:
         self.inputs = self.count = 0
         self.wrong: collections.Counter[str] = collections.Counter()
@@ -58,7 +56,6 @@ class Record:
             self._before = footprint()
 
     def result(self) -> dict[str, Any]:
-        """Returns the figures for the table."""
         blocks, resident = footprint()
         before = self._before or (blocks, resident)
         moved = sum(times for kind, times in self.wrong.items() if kind.startswith("Moved"))

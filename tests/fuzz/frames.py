@@ -25,7 +25,6 @@ LINES = 40  # most lines of the log between two boots of the boards: one a sourc
 
 
 def message(kind: int, number: int, length: int, data: bytes) -> can.Message:
-    """Returns the frame of an act: mostly standard data frames, mostly with identifiers in use."""
     cob_id = IDS[number % len(IDS)] if kind & 1 else number & 0x7FF
     match kind >> 1 & 15:
         case 0:
@@ -44,7 +43,6 @@ def message(kind: int, number: int, length: int, data: bytes) -> can.Message:
 
 
 def acts(data: bytes) -> list[tuple[int, int, int, bytes]]:
-    """Yields kind, number, length and data of each complete act."""
     cut = [data[k : k + SIZE] for k in range(0, len(data) - SIZE + 1, SIZE)]
     return [(a[0], a[1] | a[2] << 8, a[3] % 9, a[4:]) for a in cut]
 
@@ -93,8 +91,6 @@ class Boards:
 
 
 class Lines(logging.Handler):
-    """Counts log lines."""
-
     def __init__(self) -> None:
         super().__init__(logging.INFO)
         self.count, self.last = 0, ""
@@ -150,7 +146,6 @@ class Firmware:
 
 
 def act(kind: int, number: int = 0, length: int = 8, body: bytes = b"") -> bytes:
-    """Returns one act as bytes."""
     return struct.pack("<BHB8s", kind, number, length, body)
 
 

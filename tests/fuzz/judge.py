@@ -37,12 +37,7 @@ class Flood(AssertionError):
 
 
 class Judge:
-    """Checks that the executor commands only the states of programs and set-points.
-
-    Attributes:
-        asked: actuator states by number of the program.
-        syncs: number of checked SYNCs.
-    """
+    """Checks that the executor commands only the states of programs and set-points."""
 
     def __init__(self, wiring: Wiring) -> None:
         self._wiring = wiring
@@ -55,7 +50,6 @@ class Judge:
         self._staged: dict[int, int] = {}  # sub-index of the last write of 6200h in two steps, by its COB-ID
 
     def begin(self) -> None:
-        """Removes programs that ended before this event."""
         for number in self._ended:
             self.asked.pop(number, None)
         self._ended.clear()
@@ -66,13 +60,11 @@ class Judge:
             self.asked.pop(STREAM, None)
 
     def clear(self) -> None:
-        """Removes all programs and set-points."""
         self.asked.clear()
         self._proposed.clear()
         self._latched.clear()
 
     def proposed(self, message: Down) -> None:
-        """Records a message of the planner."""
         match message:
             case Program():
                 self._proposed[message.program] = [message]
@@ -84,7 +76,6 @@ class Judge:
                 pass
 
     def heard(self, message: Up) -> None:
-        """Records an answer of the executor to the planner."""
         match message:
             case Accepted():
                 self.asked[message.program] = self._states(message.program)
@@ -99,8 +90,6 @@ class Judge:
         """Checks a frame of the executor.
 
         Args:
-            frame: the frame.
-            core: of the executor.
             pins: returns the pins of a board that are on, by its node id.
 
         Raises:

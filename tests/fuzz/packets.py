@@ -83,7 +83,6 @@ class Packets:
 
 
 def packets_of(data: bytes) -> list[tuple[int, bytes]]:
-    """Yields flags and body of each packet."""
     packets, at = [], 0
     while at + HEAD.size <= len(data):
         flags, length = HEAD.unpack_from(data, at)
@@ -93,7 +92,6 @@ def packets_of(data: bytes) -> list[tuple[int, bytes]]:
 
 
 def packet(flags: int, body: bytes) -> bytes:
-    """Returns one packet as bytes."""
     return HEAD.pack(flags, len(body)) + body
 
 

@@ -29,13 +29,11 @@ LONGEST = 2 * LONGEST_SENTENCE + 100  # characters of a refusal; half pairs of s
 
 
 def told(sentence: str) -> None:
-    """Checks that a text is printable and short."""
     assert 0 < len(sentence) <= 6 * LONGEST, f"a sentence of {len(sentence)} characters"
     assert sentence.encode() is not None
 
 
 def read_goal(data: bytes) -> int:
-    """A goal, for a planar arm."""
     try:
         parsed = goal.parse(data)
         it = goal.schedule(parsed, goal.GoalRules(2, 0.002, 0.05, Pace(0.06), ARMS[0]), NOW)
@@ -54,7 +52,6 @@ def read_goal(data: bytes) -> int:
 
 
 def read_jog(data: bytes) -> int:
-    """Actuators that are to be switched."""
     try:
         it = requests.decode_jog(data, LABELS).states
     except Refusal as error:
@@ -79,7 +76,6 @@ def read_setpoint(data: bytes) -> int:
 
 
 def read_degrade(data: bytes) -> int:
-    """A request to hold an actuator."""
     try:
         it = requests.decode_degrade(data)
     except Refusal as error:
@@ -145,8 +141,6 @@ def read_notation(data: bytes) -> int:
 
 
 class ReadArm:
-    """An arm's file."""
-
     def __init__(self) -> None:
         room = "/dev/shm" if os.access("/dev/shm", os.W_OK) else "/tmp"
         self.path = Path(room) / f"hyperbit-fuzz-{os.getpid()}.yaml"

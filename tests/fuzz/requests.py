@@ -75,7 +75,6 @@ SPATIAL = {
 
 
 def written(value: Any) -> bytes:
-    """Returns a value as JSON."""
     return json.dumps(value).encode()
 
 
@@ -94,7 +93,6 @@ AWKWARD: list[Any] = [
 
 
 def places(value: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Yields the paths of all parts of a value."""
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     return [at, *(path for key, part in inner for path in places(part, (*at, key)))]
 

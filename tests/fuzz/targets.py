@@ -23,8 +23,6 @@ class Target:
     Attributes:
         build: returns a function for one input after the other. A call returns the number of payloads or frames in the
             input, and raises an exception on a failure.
-        seeds: valid and nearly valid inputs.
-        strategy: strategy of hypothesis.
         spoil: mutates an input by its structure; None: mutate bytes.
         size: most bytes of an input.
     """

@@ -36,7 +36,7 @@ def test_seeds_and_former_failures(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "examples"), [("executor", 30), ("packets", 30), ("board", 300), ("arm", 100), ("obstacles", 300)]
+    ("name", "examples"), [("executor", 15), ("packets", 15), ("board", 100), ("arm", 40), ("obstacles", 100)]
 )
 def test_hypothesis_finds_nothing(name, examples):
     attack = TARGETS[name].build()

@@ -62,10 +62,6 @@ class World(Hardware, Witness):
     """One arm of two boards with executor, bus, planner, and an intruder on the bus.
 
     Attributes:
-        judge: checks all frames of the executor.
-        boots: number of boots of the boards.
-        lines: of the log.
-        last: line of the log.
         dirty: whether the intruder may have commanded the boards.
     """
 
@@ -154,11 +150,9 @@ class World(Hardware, Witness):
 
     @property
     def epoch(self) -> int:
-        """The executor's epoch."""
         return self.core.modes.epoch
 
     def send(self, message: Down, client: ClientId = PLANNER) -> None:
-        """Sends a message of a client, which connects again after a refusal. An operator may send no program."""
         self.executor.hear(client, FromClient(client, message))
         self.agenda.run(WAKE_UP)
         gone, self._turned_away = self._turned_away, []
@@ -169,7 +163,6 @@ class World(Hardware, Witness):
         self._end_event()
 
     def program(self, *stages: int, step: float = 0.04) -> None:
-        """Sends a program that begins at the arm's present states."""
         number = self.core._requests.greatest + 1
         packed = tuple(Stage(pack(states, SIZE), k * step, k, k * step) for k, states in enumerate(stages))
         start, epoch = pack(self.master.outputs, SIZE), self.core.modes.epoch

@@ -82,7 +82,6 @@ class Canceled(NamedTuple):
 
 
 def trajectory(joints: Sequence[str], points: Sequence[Sequence[float]], step: float = 1.0) -> bytes:
-    """The fields of a goal: positions of the joints, the first after `step` seconds; no tolerances."""
     out = Bytes().put("i", 0).put("I", 0).text("").put("I", len(joints))
     for joint in joints:
         out.text(joint)
@@ -128,7 +127,6 @@ class Client:
         )
 
     def call(self, key: str, payload: bytes, timeout: float = PATIENCE) -> Reading | None:
-        """Queries as rmw_zenoh's clients do; returns the reply, or None if there is none."""
         with self.lock:
             self.sequence += 1
             sequence = self.sequence

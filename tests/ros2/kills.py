@@ -22,7 +22,6 @@ PLACES = ((1.4, 2.3), (-1.4, 2.3))
 
 
 def kill(rig: Rig, victim: str) -> None:
-    """Kills what the victim is, and starts it again."""
     if victim == "router":
         rig.router.stop()
         time.sleep(0.3)
@@ -35,7 +34,6 @@ def kill(rig: Rig, victim: str) -> None:
 
 
 def goal_with_kill(rig: Rig, client: Client, victim: str, number: int) -> Result | None:
-    """Runs a goal, kills while it moves, and returns its result; None if it was rejected."""
     goal = uuid.uuid4().bytes
     if not begin(client, goal, *PLACES[number % 2]):
         return None
@@ -51,7 +49,6 @@ def goal_with_kill(rig: Rig, client: Client, victim: str, number: int) -> Result
 
 
 def run(rig: Rig, victim: str, each: int) -> Counter[str]:
-    """Runs goals with kills; returns how they ended."""
     ends: Counter[str] = Counter()
     client = rig.client()
     number = 0
@@ -64,7 +61,6 @@ def run(rig: Rig, victim: str, each: int) -> Counter[str]:
 
 
 def main() -> None:
-    """Prints how the goals ended, by what was killed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--each", type=int, default=20, help="kills of each")
     parser.add_argument("victims", nargs="*", help="what is killed; by default each in turn")

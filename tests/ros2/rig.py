@@ -28,12 +28,8 @@ class Rig:
 
     Attributes:
         router: in place of ROS 2's router; the daemon joins it as well.
-        node: of a peer that hears everything.
-        said: sentences on /rosout.
 
     Args:
-        folder: of all files.
-        closing: ends everything.
         travel_time: of the arm's actuators [s].
     """
 
@@ -53,7 +49,6 @@ class Rig:
             self.start(name)
 
     def start(self, name: str) -> None:
-        """Starts the executor, the planner, or the bridge."""
         boards = [str(self._arm), "--simulate", "--socket", str(self._folder / "executor.sock")]
         words = {
             "executor": ["execute", *boards],
@@ -71,16 +66,13 @@ class Rig:
             )
 
     def kill(self, name: str) -> None:
-        """Kills a process."""
         self._processes[name].kill()
         self._processes[name].wait()
 
     def log(self, name: str) -> str:
-        """What a process has printed."""
         return (self._folder / f"{name}.log").read_text()
 
     def hear(self, topic: str, type_name: str, quality: qos.Qos = qos.DEFAULT) -> list[Any]:
-        """Returns the list that receives the messages of a topic."""
         heard: list[Any] = []
         self.node.subscriber(topic, type_name, lambda it: heard.append(it.message), quality)
         return heard
@@ -115,7 +107,6 @@ class Rig:
         eventually(ended, PATIENCE, lambda: str(self.said[-10:]))
 
     def client(self, action: str = TIP) -> Client:
-        """An action client that uses nothing of the wire."""
         return Client(self.session.zenoh, action)
 
     def _end(self) -> None:

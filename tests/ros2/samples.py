@@ -21,19 +21,16 @@ ACTION = "control_msgs/action/FollowJointTrajectory"
 
 @functools.cache
 def told(name: str = "planar16") -> dict[str, Any]:
-    """The description of a shipped arm."""
     arm = load(DEPLOY / f"{name}.yaml")
     return {**description(arm), "drawing": drawing(arm)}
 
 
 @functools.cache
 def chain(name: str = "planar16") -> Manipulator:
-    """The chain of a shipped arm."""
     return load(DEPLOY / f"{name}.yaml").manipulator
 
 
 def place(base: Any = None, dimension: int = 2) -> Place:
-    """Where an arm stands."""
     return Place("world", "planar16", np.eye(4) if base is None else base, dimension)
 
 
@@ -51,12 +48,10 @@ def state(name: str = "planar16", **fields: Any) -> dict[str, Any]:
 
 
 def message_bytes(goal: dict[str, Any]) -> bytes:
-    """A goal as the daemon receives it."""
     return json.dumps(goal).encode()
 
 
 def pose_stamped(x: float, y: float, z: float = 0.0, **header: Any) -> Any:
-    """A PoseStamped without turn."""
     fields = {"header": header, "pose": {"position": {"x": x, "y": y, "z": z}}}
     return message(fields, "geometry_msgs/msg/PoseStamped", TYPES)
 

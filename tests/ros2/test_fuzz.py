@@ -20,9 +20,8 @@ MOST_ENTRIES = 20_000  # in all tables of the bridge; the description of the arm
 ARM = Arm(("world",), ("tip_x", "tip_y"), ("1.left",), oriented=False)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_no_input_harms_the_bridge(tmp_path: Path, seed: int) -> None:
-    world = World(Inputs(random.Random(seed)), tmp_path)
+def test_no_input_harms_the_bridge(tmp_path: Path) -> None:
+    world = World(Inputs(random.Random(1)), tmp_path)
     world.run(1500)
     assert world.counts["dropped"] > 100
     assert world.counts["goal"] > 20

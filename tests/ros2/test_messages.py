@@ -14,7 +14,6 @@ from tests.ros2.samples import TYPES, chain, state, told
 
 
 def sent(fields: object, name: str) -> object:
-    """A message as it arrives at the other side."""
     return deserialize(serialize(fields, name, TYPES), name, TYPES)
 
 

@@ -27,19 +27,6 @@ def test_a_position_in_the_world_or_in_the_frame_of_the_base() -> None:
     assert it["orientation"] == pytest.approx(math.pi / 2)
 
 
-@pytest.mark.parametrize(
-    ("message", "sentence"),
-    [
-        (pose_stamped(0.5, math.nan), r"goal_pose.pose.position.y: nan, expected a finite number"),
-        (pose_stamped(math.inf, 0.5), r"position.x: inf"),
-        (pose_stamped(0.5, 2.8, frame_id="map"), "frame_id: 'map', expected 'world' or 'planar16/0'"),
-    ],
-)
-def test_what_is_no_pose_is_refused_by_field(message: object, sentence: str) -> None:
-    with pytest.raises(BadGoal, match=sentence):
-        waypoint(message, place(), "goal_pose", oriented=False)
-
-
 @pytest.mark.parametrize("w", [0.0, math.nan, 2.0])
 def test_a_turn_needs_a_unit_quaternion(w: float) -> None:
     message = pose_stamped(0.5, 2.8)

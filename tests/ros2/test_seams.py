@@ -17,7 +17,7 @@ from tests.ros2.fuzz.inputs import TIP, Input, Inputs, payloads
 from tests.ros2.fuzz.stand_ins import Pool
 from tests.ros2.fuzz.world import World
 from tests.ros2.samples import ACTION, TYPES, pose_stamped, state
-from tests.ros2.test_bad_input import ATTACHMENT, ID, UUID, describe_again, get_result, send_goal
+from tests.ros2.test_bad_input import ATTACHMENT, ID, SEND_GOAL, UUID, describe_again, get_result, send_goal
 
 BOOKED = BookedGoal(UUID.hex(), "tip", ("tip_x", "tip_y"), 1)
 
@@ -30,7 +30,6 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
 
 
 def said(world: World, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The list that receives the sentences on /rosout."""
     sentences: list[str] = []
 
     def receive(data: bytes) -> None:
@@ -51,11 +50,6 @@ def book_earlier(world: World) -> None:
     world.judge.actions[TIP].orphans[UUID] = list(BOOKED.joints)
 
 
-def goal_fields() -> dict[str, Any]:
-    points = [{"positions": [0.4, 2.9]}]
-    return {"trajectory": {"joint_names": ["tip_x", "tip_y"], "points": points}}
-
-
 def test_a_goal_that_is_accepted_while_the_bridge_ends_has_one_result(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,10 +62,8 @@ def test_a_goal_that_is_accepted_while_the_bridge_ends_has_one_result(
         shutdown(pool, cancel_futures)
 
     monkeypatch.setattr(Pool, "shutdown", finish)
-    goal = {"goal_id": {"uuid": UUID}, "goal": goal_fields()}
     with world.in_place():
-        query = serialize(goal, f"{ACTION}_SendGoal_Request", TYPES)
-        replies = world.deliver(Input(f"{TIP}/send_goal", query, ATTACHMENT))
+        replies = world.deliver(Input(f"{TIP}/send_goal", SEND_GOAL, ATTACHMENT))
         describe_again(world)
         assert [it[4] for it in replies] == [1]
         (result,) = get_result(world)
@@ -87,8 +79,7 @@ def test_a_goal_that_its_client_sends_again_while_the_bridge_begins_is_accepted(
 
     def come_first(book: GoalBook) -> list[BookedGoal]:
         if not replies:
-            data = serialize({"goal_id": {"uuid": UUID}, "goal": goal_fields()}, f"{ACTION}_SendGoal_Request", TYPES)
-            replies.append(world.deliver(Input(f"{TIP}/send_goal", data, ATTACHMENT)))
+            replies.append(world.deliver(Input(f"{TIP}/send_goal", SEND_GOAL, ATTACHMENT)))
         return booked(book)
 
     monkeypatch.setattr(GoalBook, "goals", come_first)

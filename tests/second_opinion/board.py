@@ -31,7 +31,6 @@ class Kind(NamedTuple):
     """What differs between the boards.
 
     Attributes:
-        eds: name of the EDS file.
         off_outside_operational: the pins are off in any state but operational, as in CANopenNode's example.
         end_in_history: the end of an error enters 1003h, and an empty entry is no data, as in CANopenNode.
     """
@@ -49,7 +48,6 @@ class Change(NamedTuple):
     """A change of a board's pins: bit k is output k.
 
     Attributes:
-        node: node id.
         cause: "SYNC", "RPDO", "START", "error", "SDO write", "NMT" or "power".
         before: pins before.
         after: pins after.
@@ -70,16 +68,10 @@ class Board:
     """A board of 16 outputs and 16 inputs.
 
     Attributes:
-        node: node id.
-        pins: the outputs as they are, bit k is output k.
         state: NMT state; None without supply.
-        entries: its object dictionary.
 
     Args:
-        node: node id.
-        kind: what it is.
         send: takes COB-ID and data of each frame that it sends.
-        changed: called at each change of the pins.
     """
 
     def __init__(
@@ -94,12 +86,10 @@ class Board:
     # --- supply and NMT
 
     def power_on(self, now: float) -> None:
-        """Switches the supply on."""
         self._now = now
         self._restart(everything=True)
 
     def power_off(self, now: float) -> None:
-        """Switches the supply off."""
         self._now = now
         self._drive(0, "power")
         self.state = None
@@ -189,7 +179,6 @@ class Board:
     # --- frames
 
     def receive(self, cob_id: int, data: bytes, now: float) -> None:
-        """Receives a frame of the bus."""
         self._now = now
         if self.state is None:
             return
@@ -241,7 +230,6 @@ class Board:
                 self.entries.put(index, sub, byte)
 
     def _send_inputs(self, always: bool = False) -> None:
-        """Sends the TPDOs that changed, by event."""
         if self.state != OPERATIONAL:
             return
         enabled = not self.entries.has(0x6005) or self.entries.number(0x6005)

@@ -32,8 +32,6 @@ class Dictionary(LocalNode):
         history: entries of 1003h, the newest first.
 
     Args:
-        node: node id.
-        eds: name of the EDS file in this folder.
         stored: called with index and sub-index after each write over the bus.
         empty_is_no_data: an unused entry of 1003h is read with the abort code 08000024h, not as 0.
     """
@@ -45,28 +43,22 @@ class Dictionary(LocalNode):
         self._stored, self._empty_is_no_data = stored, empty_is_no_data
 
     def connect(self, send: Callable[[int, bytes], None]) -> None:
-        """Gives the SDO server and the emergency producer a way to send."""
         self.sdo.network = self.emcy.network = NoNetwork(send)
 
     def number(self, index: int, sub: int = 0) -> int:
-        """Returns the value of an object."""
         return int.from_bytes(self.get_data(index, sub), "little")
 
     def put(self, index: int, sub: int, value: int) -> None:
-        """Writes an object from inside the board."""
         size = len(self.get_data(index, sub))
         self.data_store.setdefault(index, {})[sub] = value.to_bytes(size, "little")
 
     def has(self, index: int) -> bool:
-        """Returns whether the EDS has an object."""
         return index in self.object_dictionary
 
     def note_error(self, entry: int) -> None:
-        """Adds an entry to 1003h."""
         self.history = [entry, *self.history][:MOST_ERRORS]
 
     def reset(self, first: int, last: int) -> None:
-        """Gives the objects first..last the values of the EDS."""
         for index in [index for index in self.data_store if first <= index <= last]:
             del self.data_store[index]
 
@@ -82,7 +74,6 @@ class Dictionary(LocalNode):
         return super().get_data(index, subindex, check_readable)
 
     def set_data(self, index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:
-        """Writes an object; only the SDO server calls it with `check_writable`."""
         if check_writable:
             self._check(index, subindex, int.from_bytes(data, "little"))
         super().set_data(index, subindex, data, check_writable)

@@ -33,11 +33,7 @@ ON_BOARD = 12  # actuators
 
 
 class Boards:
-    """Boards on a bus of python-can, in one thread.
-
-    Attributes:
-        changes: each change of the pins.
-    """
+    """Boards on a bus of python-can, in one thread."""
 
     def __init__(self, bus: can.BusABC, kind: Kind) -> None:
         self.changes: list[Change] = []
@@ -87,7 +83,6 @@ def write_arm(folder: Path, bus: dict[str, Any], kind: Kind) -> Path:
 
 @pytest.fixture(params=["emulated", "socketcan"])
 def interface(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, Any]]:
-    """The fields of a bus in an arm's file."""
     only = {"virtual": "emulated"}.get(request.config.getoption("bus"), request.config.getoption("bus"))
     if only not in (None, request.param):
         pytest.skip(f"only on {only}")

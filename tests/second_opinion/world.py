@@ -72,8 +72,6 @@ class Cable:
 
 
 class Wire(CanBus):
-    """The executor's bus on a cable."""
-
     def __init__(self, cable: Cable, world: World) -> None:
         super().__init__(BUS, lambda: world.now)
         self._cable = cable
@@ -91,10 +89,6 @@ class World:
         changes: each change of the pins, with the executor's mode at that time.
         answers: whether the boards' SDO answers reach the executor.
         in_mid_boot: called once, when the executor has sent its first NMT command or 60 frames since its start.
-
-    Args:
-        kind: of all boards.
-        wiring: fields of the wiring.
     """
 
     def __init__(self, kind: Kind = MODULE, **wiring: Any) -> None:
@@ -126,7 +120,6 @@ class World:
         self.send(Hello(VERSION, "planner", self.arm.name))
 
     def kill(self) -> None:
-        """Ends the executor without a word."""
         self.core = None
 
     def stall(self, seconds: float) -> None:
@@ -138,7 +131,6 @@ class World:
     # --- time
 
     def go(self, seconds: float) -> None:
-        """Lets time pass."""
         for k in range(round(seconds / STEP)):
             self.now += STEP
             for board in self.boards.values():
@@ -150,14 +142,12 @@ class World:
                     self._do(ExecutorTick())
 
     def until(self, mode: str, seconds: float = 20.0) -> None:
-        """Lets time pass until the executor is in a mode."""
         end = self.now + seconds
         while self.mode != mode:
             assert self.now < end, f"not {mode} but {self.mode}: {self.reason}; {self.logged[-5:]}"
             self.go(TICK)
 
     def up(self) -> World:
-        """Starts an executor, and waits until it is ready."""
         self.start()
         self.until("ready")
         self.go(0.5)
@@ -184,11 +174,9 @@ class World:
         self._poll()
 
     def send(self, message: Any) -> None:
-        """Sends a message of the planner."""
         self._do(FromClient(PLANNER, message))
 
     def run(self, *states: int, step: float = 0.3) -> None:
-        """Sends a program of several stages."""
         self.programs += 1
         snapshot = self.last(Snapshot)
         stages = tuple(Stage(pack(bits, SIZE), at=step * k, mark=k) for k, bits in enumerate(states))
@@ -204,14 +192,12 @@ class World:
         assert (ended.status, unpack(ended.measured), self.pins) == ("done", states[-1], states[-1]), self.logged[-5:]
 
     def reset(self) -> None:
-        """Resets the executor, and waits until it is ready."""
         self.send(Reset(1, self.epoch))
         self.go(TICK)
         self.until("ready")
 
     @property
     def epoch(self) -> int:
-        """The executor's epoch."""
         assert self.core is not None
         return self.core.modes.epoch
 
@@ -231,7 +217,6 @@ class World:
     # --- the bus
 
     def sent(self, cob_id: int, data: bytes) -> None:
-        """Brings a frame of the executor to the boards."""
         for board in self.boards.values():
             board.receive(cob_id, data, self.now)
         self._frames += 1
@@ -240,22 +225,18 @@ class World:
             strike()
 
     def foreign(self, cob_id: int, data: bytes) -> None:
-        """Sends a frame of another tool."""
         self._to_executor(cob_id, data)
         for board in self.boards.values():
             board.receive(cob_id, data, self.now)
 
     def lose_answers(self) -> None:
-        """Loses the boards' SDO answers from now on."""
         self.answers = False
 
     def bus_off(self) -> None:
-        """Takes the executor's controller off the bus."""
         self.cable.off = True
         self._error(BUS_OFF)
 
     def restart_bus(self) -> None:
-        """Restarts the executor's controller."""
         self.cable.off = False
         self._error(RESTARTED)
 

@@ -1,13 +1,11 @@
 """Each arm in deploy: time and memory of mapping, and the results of each method for random goals."""
 
 import tracemalloc
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.manipulator.manipulator import Configuration
@@ -15,25 +13,17 @@ from hyperbit.controller.search.method import Method
 from hyperbit.controller.search.solution import Solution
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
-from tests.benchmarks.harness import DEPLOY, CommandLine, median_and_99, timed, write_figures
+from tests.benchmarks.harness import DEPLOY, CommandLine, median_and_99, show, timed, write_figures
 from tests.benchmarks.solving import home, random_tips, solved_in_sequence
 
 METHODS: tuple[Method, ...] = ("minimum-switch", "ipop-fewest-switches", "pop")
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
-    """One method on one arm: share within the tolerance and proven, mean and most switches, time of each goal [s]."""
+def measured(path: Path, number: int) -> dict[str, dict[str, Any]]:
+    """Measures an arm on tips of random configurations, each from the previous goal's configuration; shows the table.
 
-    method: str
-    within: float
-    proven: float
-    switches: tuple[float, int]
-    seconds: list[float]
-
-
-def measured(path: Path, number: int) -> tuple[str, list[Row]]:
-    """Measures an arm on tips of random configurations, each from the previous goal's configuration."""
+    Returns by method: shares within the tolerance and proven, mean and most switches, and the time of each goal [s].
+    """
     arm = load(path)
     manipulator = arm.manipulator
     map_densities(manipulator, manipulator.length / 20, 1_000)  # loads the kernels
@@ -49,7 +39,7 @@ def measured(path: Path, number: int) -> tuple[str, list[Row]]:
     solver = Solver(manipulator, densities, arm.weights())
     solver.prepare()
     goals = random_tips(manipulator, number)[:, : manipulator.dimension, 3]
-    rows = []
+    figures, rows = {}, []
     for method in METHODS:
 
         def solve(goal: NDArray[np.float64], previous: Configuration, method: Method = method) -> Solution:
@@ -57,36 +47,19 @@ def measured(path: Path, number: int) -> tuple[str, list[Row]]:
 
         _, found = solved_in_sequence(solve, goals, home(manipulator))
         switches, times = [f.switches for f in found], [f.seconds for f in found]
-        within, proven = (
-            np.mean([f.within_tolerance for f in found]),
-            np.mean([f.certificate == "optimal" for f in found]),
-        )
-        rows.append(Row(method, float(within), float(proven), (float(np.mean(switches)), max(switches)), times))
-    return head, rows
+        within = float(np.mean([f.within_tolerance for f in found]))
+        proven = float(np.mean([f.certificate == "optimal" for f in found]))
+        numbers = float(np.mean(switches)), max(switches)
+        figures[method] = {"within": within, "proven": proven, "switches": numbers, "seconds": times}
+        switched = f"{numbers[0]:.2f} / {numbers[1]}"
+        rows.append((method, f"{within:.1%}", f"{proven:.0%}", switched, median_and_99(times)))
+    show(head, ("method", "within", "proven", "switches, mean / most", "median / 99 % [ms]"), rows)
+    return figures
 
 
 def main() -> None:
-    """Prints the tables."""
     given = CommandLine(__doc__, goals=200).parse()
-    figures = {}
-    console = Console(width=120)
-    for path in sorted(DEPLOY.glob("*.yaml")):
-        head, rows = measured(path, given.goals)
-        table = Table(
-            "method",
-            "within",
-            "proven",
-            "switches, mean / most",
-            "median / 99 % [ms]",
-            title=head,
-            title_justify="left",
-        )
-        for r in rows:
-            switches = f"{r.switches[0]:.2f} / {r.switches[1]}"
-            table.add_row(r.method, f"{r.within:.1%}", f"{r.proven:.0%}", switches, median_and_99(r.seconds))
-        figures[path.stem] = rows
-        console.print(table)
-    write_figures(given.json, figures)
+    write_figures(given.json, {path.stem: measured(path, given.goals) for path in sorted(DEPLOY.glob("*.yaml"))})
 
 
 if __name__ == "__main__":

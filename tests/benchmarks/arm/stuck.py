@@ -6,45 +6,23 @@ searched from the configuration reached for the one before; and tips of configur
 workspace.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.arm.arm import Arm, load
 from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, none_locked, transferred
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, timed, write_figures
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, show, timed, write_figures
 from tests.benchmarks.search.goals import boundary
 from tests.benchmarks.solving import home, random_tips
 
 MOST, EDGE = 8, 20
-
-
-@dataclass(frozen=True)
-class Row:
-    """So many stuck: shares of the goals within the tolerance, mean switches, and times [s], over all draws.
-
-    Switches are those for goals within the tolerance.
-    """
-
-    stuck: int
-    within: float
-    worst: float
-    excluded: float
-    switches: float
-    seconds: float
-    seconds_99: float
-    mapping: float
-    edge: float
+HEADERS = ("stuck", "within", "worst draw", "surely out of reach", "switches", "ms", "99 % ms", "mapped in s")
 
 
 def drawn(manipulator: Manipulator, stuck: int, rng: np.random.Generator) -> LockedStates:
-    """Returns random actuators locked in the states of a random configuration."""
     held = none_locked(manipulator)
     chosen = rng.choice(len(held), stuck, replace=False)
     held[chosen] = manipulator.actuator_states(rng.integers(0, manipulator.states))[chosen]
@@ -74,28 +52,21 @@ def searched(
     return np.array(rows, dtype=float), mapping, float(np.mean(there))
 
 
-def measured(arm: Arm, stuck: int, goals: NDArray[np.float64], edge: NDArray[np.float64], draws: int) -> Row:
-    """Measures an arm with a number of stuck actuators."""
+def measured(
+    arm: Arm, stuck: int, goals: NDArray[np.float64], edge: NDArray[np.float64], draws: int
+) -> dict[str, float]:
+    """Returns the figures of a number of stuck actuators over all draws; switches are those of goals within."""
     rng = np.random.default_rng(stuck)
     each = [searched(arm, drawn(arm.manipulator, stuck, rng), goals, edge) for _ in range(draws if stuck else 1)]
     found, mapping, on_edge = zip(*each, strict=True)
     within = [float(np.mean(rows[:, 0] <= arm.tolerance)) for rows in found]
     error, out, switches, seconds = np.concatenate(found).T
-    return Row(
-        stuck,
-        float(np.mean(within)),
-        min(within),
-        float(out.mean()),
-        float(switches[error <= arm.tolerance].mean()),
-        float(np.median(seconds)),
-        float(np.quantile(seconds, 0.99)),
-        float(np.mean(mapping)),
-        float(np.mean(on_edge)),
-    )
+    times = (1e3 * np.median(seconds), 1e3 * np.quantile(seconds, 0.99), np.mean(mapping), np.mean(on_edge))
+    figures = (stuck, np.mean(within), min(within), out.mean(), switches[error <= arm.tolerance].mean(), *times)
+    return dict(zip((*HEADERS, "on the edge"), map(float, figures), strict=True))
 
 
 def main() -> None:
-    """Measures and prints the table."""
     parser = CommandLine(__doc__, goals=250)
     parser.add_argument("--draws", type=int, default=10, help="of stuck actuators, for each number of them")
     arguments = parser.parse()
@@ -104,27 +75,11 @@ def main() -> None:
     densities = map_densities(manipulator, arm.pixel, arm.level_pixels)
     edge = boundary(manipulator, densities, arm.tolerance, EDGE)
     goals = random_tips(manipulator, arguments.goals)[:, : manipulator.dimension, 3]
-    head = f"{arm.settings.name}, {arguments.draws} draws of stuck actuators, {len(goals)} goals each,"
-    table = Table("stuck", title=f"{head} tolerance {arm.tolerance:g}")
-    for header in (
-        "within",
-        "worst draw",
-        "surely out of reach",
-        "switches",
-        "ms",
-        "99 % ms",
-        "mapped in s",
-        f"of {EDGE} on the edge",
-    ):
-        table.add_column(header, justify="right")
-    rows = []
-    for stuck in range(MOST + 1):
-        r = measured(arm, stuck, goals, edge, arguments.draws)
-        shares = (f"{share:.2%}" for share in (r.within, r.worst, r.excluded))
-        times = (f"{1e3 * r.seconds:.2f}", f"{1e3 * r.seconds_99:.1f}", f"{r.mapping:.2f}")
-        table.add_row(str(stuck), *shares, f"{r.switches:.2f}", *times, f"{r.edge:.1%}")
-        rows.append(r)
-    Console(width=max(110, Console().width)).print(table)
+    rows = [measured(arm, stuck, goals, edge, arguments.draws) for stuck in range(MOST + 1)]
+    title = f"{arm.settings.name}, {arguments.draws} draws of stuck actuators, {len(goals)} goals each, "
+    forms = ("{:.0f}", "{:.2%}", "{:.2%}", "{:.2%}", "{:.2f}", "{:.2f}", "{:.1f}", "{:.2f}", "{:.1%}")
+    shown = [[form.format(it) for form, it in zip(forms, row.values(), strict=True)] for row in rows]
+    show(f"{title}tolerance {arm.tolerance:g}", (*HEADERS, f"of {EDGE} on the edge"), shown)
     write_figures(arguments.json, rows)
 
 

@@ -59,7 +59,6 @@ class Round(NamedTuple):
 
 
 def main() -> None:
-    """Measures, prints the figures, and writes them as JSON if a file is given."""
     options = CommandLine(__doc__, goals=100).parse()
     router = Router()
     with Parts(real_time=True) as parts, Session(router.endpoint) as ros:
@@ -86,7 +85,6 @@ def main() -> None:
 
 
 def heard_by(node: Node) -> list[str]:
-    """Returns the list that receives the name of each topic that a message came on."""
     heard: list[str] = []
     for topic, type_name, quality in HEARD:
         node.subscriber(topic, type_name, lambda _, topic=topic: heard.append(topic), quality)
@@ -111,12 +109,10 @@ def bridge(parts: Parts, router: Router, heard: list[str]) -> Iterator[None]:
 
 @contextmanager
 def nothing() -> Iterator[None]:
-    """A context without the bridge."""
     yield
 
 
 def one_round(parts: Parts, bare: zenoh.Session, count: int, heard: list[str], *, bridged: bool) -> Round:
-    """Sends goals, and returns what was measured."""
     heard.clear()
     began, busy = time.monotonic(), processor_time(parts.processes["planner"].pid)
     puts, pings = send(parts, bare, count)

@@ -24,14 +24,12 @@ TICKS = os.sysconf("SC_CLK_TCK")
 
 
 def publish(arms: list[PlayedArm], ending: threading.Event) -> None:
-    """Publishes a state of each arm 20 times a second."""
     while not ending.wait(0.05):
         for arm in arms:
             arm.publish(**STATE)
 
 
 def load(endpoint: str) -> float:
-    """Returns the share of a processor that `hyperbit fleet` takes in a terminal."""
     leader, follower = pty.openpty()
     command = [sys.executable, "-m", "hyperbit", "fleet", "--connect", endpoint]
     with subprocess.Popen(command, stdin=follower, stdout=follower, stderr=follower) as process:
@@ -50,7 +48,6 @@ def load(endpoint: str) -> float:
 
 
 def main() -> None:
-    """Measures for each number of arms."""
     command_line = CommandLine(__doc__)
     command_line.add_argument("--arms", type=int, nargs="+", default=[20, 50], help="numbers of arms")
     wanted, figures, bars = command_line.parse(), {}, {}

@@ -51,7 +51,6 @@ while True:
 
 
 def main() -> None:
-    """Measures, prints the figures, and writes them as JSON if a file is given."""
     parser = CommandLine(__doc__)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--stops", type=int, default=50)
@@ -101,7 +100,6 @@ def flooding(parts: Parts, kind: str) -> Iterator[list[int]]:
 
 
 def curve(client: Observer, kind: str) -> dict[str, Any]:
-    """Runs a curve; returns its feedback and result."""
     goal, began = f"flooded by {kind}", time.monotonic()
     answer = eventually(lambda: it if (it := run(client, goal))["accepted"] else None)
     accepted = time.monotonic()
@@ -115,7 +113,6 @@ def curve(client: Observer, kind: str) -> dict[str, Any]:
 
 
 def run(client: Observer, goal: str) -> dict[str, Any]:
-    """Sends a curve; returns the answer."""
     positions = (place(0.2 * k) for k in range(WAYPOINTS))
     return client.goal(*positions, times=[STEP * k for k in range(WAYPOINTS)], id=goal)
 

@@ -30,7 +30,6 @@ Times = NDArray[np.float64]
 
 
 def main() -> None:
-    """Measures, prints the figures, and writes them as JSON if a file is given."""
     options = CommandLine(__doc__, goals=200).parse()
     with Parts(real_time=True) as parts:
         endpoint = f"tcp/127.0.0.1:{free_port()}"

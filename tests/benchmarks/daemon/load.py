@@ -30,8 +30,6 @@ SHOWN = 8  # longest periods that are told of
 
 
 class Goals:
-    """Sends goals without waiting for results; counts answers and results."""
-
     def __init__(self, session: zenoh.Session, name: str) -> None:
         self._session, self._key = session, f"hyperbit/{name}/goal"
         self.sent = 0
@@ -67,7 +65,6 @@ class Goals:
 
 
 def main() -> None:
-    """Measures, prints the figures, and writes them as JSON if a file is given."""
     parser = CommandLine(__doc__)
     parser.add_argument("--seconds", type=float, default=240.0)
     parser.add_argument("--ordinary", action="store_true", help="no real-time priority")

@@ -33,7 +33,6 @@ HEARTBEAT = 0.1  # [s] of the master, as in the arm's file
 
 
 def main() -> None:
-    """Measures, prints the figures, and writes them as JSON if a file is given."""
     parser = CommandLine(__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     options = parser.parse()
@@ -116,7 +115,6 @@ def asking(parts: Parts) -> Iterator[None]:
 
 
 def burn() -> None:
-    """Uses all the time of a processor."""
     while True:
         pass
 

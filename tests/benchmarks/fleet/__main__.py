@@ -36,15 +36,11 @@ class Row(NamedTuple):
     """One number of arms.
 
     Attributes:
-        arms: how many.
-        goals: ended goals a second, of each arm.
         answer: time to the answer, median and 99 % [ms].
         end: time to the result, median and 99 % [ms].
-        states: messages of state a second, of each arm.
         arm, others: processor time over time, of each arm with its executor and boards, and of router, pages, recorder
             and clients.
         memory: of each arm with its executor [MB].
-        ended: how goals ended.
     """
 
     arms: int
@@ -59,7 +55,6 @@ class Row(NamedTuple):
 
 
 def main() -> None:
-    """Measures, prints the table, draws the picture, and plays the faults."""
     parser = CommandLine(__doc__)
     parser.add_argument("--arms", default="1,2,5,10,20", help="numbers of arms, increasing (default: %(default)s)")
     parser.add_argument("--seconds", type=float, default=30.0, help="time of each number (default: %(default)g)")
@@ -101,19 +96,16 @@ def written(plant: Plant) -> dict[str, list[str | None]]:
 
 
 def repeated(results: Counter[str]) -> list[str]:
-    """Returns the goals with more than one result."""
     return [goal for goal, count in results.items() if count > 1]
 
 
 def places() -> list[Place]:
-    """Returns tips of random configurations."""
     manipulator = load(PAPER_ARM).manipulator
     states = np.random.default_rng(9).integers(0, 8, (500, len(manipulator.states)))
     return [tip.tolist() for tip in manipulator.tips(states)[:, :2, 3]]
 
 
 def measured(plant: Plant, traffic: Traffic, count: int, seconds: float) -> Row:
-    """Adds arms up to `count`, and sends goals to all."""
     while len(plant.arms) < count:
         name = plant.add_arm()
         eventually(lambda name=name: plant.ready(name), PATIENCE)
@@ -149,7 +141,6 @@ def measured(plant: Plant, traffic: Traffic, count: int, seconds: float) -> Row:
 
 
 def costs(plant: Plant) -> tuple[Cost, Cost]:
-    """Returns the costs of all arms, and of all else."""
     return sum_of(plant.costs(plant.arms)), sum_of(plant.costs(OTHERS))
 
 
@@ -160,7 +151,6 @@ def middle_and_most(times: Sequence[float]) -> tuple[float, float]:
 
 
 def show(rows: Sequence[Row]) -> None:
-    """Prints the table."""
     table = Table("arms", "goals/s an arm", "answer p50, p99 [ms]", "result p50, p99 [ms]", "states/s an arm",
                   "processor an arm", "of all else", "MB an arm", "ended")  # fmt: skip
     for row in rows:
@@ -172,7 +162,6 @@ def show(rows: Sequence[Row]) -> None:
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Draws latency over arms."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 4.2), layout="constrained")

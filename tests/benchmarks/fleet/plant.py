@@ -39,16 +39,7 @@ class Cost(NamedTuple):
 
 
 class Plant:
-    """The plant; arms are added, killed and started again.
-
-    Attributes:
-        endpoint: of the router.
-        arms: names.
-
-    Args:
-        folder: of all files.
-        closing: ends everything.
-    """
+    """The plant; arms are added, killed and started again."""
 
     def __init__(self, folder: Path, closing: ExitStack) -> None:
         self._folder, self._closing = folder, closing
@@ -58,13 +49,10 @@ class Plant:
         self.start_router()
 
     def start_router(self) -> None:
-        """Starts the router, and waits until it accepts connections."""
         self._spawn("router", ["router", "--listen", self.endpoint])
         self.session().close()  # type: ignore[no-untyped-call]
 
     def session(self) -> zenoh.Session:
-        """Returns a client's session, which reconnects by itself."""
-
         def opened() -> zenoh.Session | None:
             try:
                 return zenoh.open(session.configuration("client", connect=self.endpoint))
@@ -74,7 +62,6 @@ class Plant:
         return eventually(opened, PATIENCE, self._logs)
 
     def add_arm(self) -> str:
-        """Starts one more arm; returns its name."""
         name = f"arm{len(self.arms) + 1}"
         document = yaml.safe_load(PAPER_ARM.read_text()) | {"name": name, "boards": PATIENT}
         for k, channel in enumerate(document["actuators"]):
@@ -86,7 +73,6 @@ class Plant:
         return name
 
     def start_arm(self, name: str) -> None:
-        """Starts the daemon of an arm, which starts its executor."""
         self._spawn(name, ["run", str(self._folder / f"{name}.yaml"), "--simulate", "--connect", self.endpoint])
 
     def same_name(self, name: str) -> str:
@@ -120,11 +106,9 @@ class Plant:
         threading.Thread(target=drain, args=(live,), daemon=True).start()
 
     def start_recorder(self) -> None:
-        """Starts a recorder of the first arm."""
         self._spawn("recorder", ["record", self.arms[0], "--connect", self.endpoint])
 
     def kill(self, names: Sequence[str]) -> None:
-        """Kills processes and those that they have started."""
         for name in names:
             for pid in session_of(self._processes[name].pid):
                 with contextlib.suppress(ProcessLookupError):
@@ -132,15 +116,12 @@ class Plant:
             self._processes[name].wait()
 
     def stall(self, name: str) -> None:
-        """Lets a process stand still."""
         self._processes[name].send_signal(signal.SIGSTOP)
 
     def go_on(self, name: str) -> None:
-        """Lets a process go on."""
         self._processes[name].send_signal(signal.SIGCONT)
 
     def costs(self, names: Sequence[str]) -> list[Cost]:
-        """Returns the cost of processes, each with those that it has started."""
         return [sum_of([cost(pid) for pid in session_of(self._processes[name].pid)]) for name in names]
 
     def ledgers(self) -> dict[str, list[str | None]]:
@@ -153,7 +134,6 @@ class Plant:
         return found
 
     def ready(self, name: str) -> bool:
-        """Returns whether an arm has said that it serves."""
         assert self._processes[name].poll() is None, f"{name} has ended: {self._log(name)[-500:]}"
         return f"serving the arm {name}" in self._log(name)
 
@@ -169,7 +149,6 @@ class Plant:
             return None
 
     def _spawn(self, name: str, words: Sequence[str]) -> None:
-        """Starts a command of hyperbit in a process group and a folder of its own."""
         own = self._folder / name
         own.mkdir(exist_ok=True)
         environment = {**os.environ, "STATE_DIRECTORY": str(own), "RUNTIME_DIRECTORY": str(own), "NOTIFY_SOCKET": ""}
@@ -204,7 +183,6 @@ class Plant:
 
 
 def drain(live: ClientConnection) -> None:
-    """Reads the messages to a page until its connection ends, also if the panel is killed."""
     with contextlib.suppress(ConnectionClosed):
         for _ in live:
             pass
@@ -224,7 +202,6 @@ def session_of(leader: int) -> list[int]:
 
 
 def cost(pid: int) -> Cost:
-    """Returns what a process costs; nothing if it has ended."""
     try:
         kilobytes = re.search(r"^Pss: +(\d+)", Path(f"/proc/{pid}/smaps_rollup").read_text(), re.MULTILINE)
         return Cost(processor_time(pid), int(kilobytes[1]) / 1e3 if kilobytes else 0.0)
@@ -233,5 +210,4 @@ def cost(pid: int) -> Cost:
 
 
 def sum_of(costs: Sequence[Cost]) -> Cost:
-    """Returns the sum of costs."""
     return Cost(sum(it.seconds for it in costs), sum(it.memory for it in costs))

@@ -33,11 +33,9 @@ class Traffic:
 
     Attributes:
         sent: goals whose end is known, or that were refused.
-        unknown: goals whose end no client could learn.
         results: how often a result of each goal was published, without repetitions after a kill.
 
     Args:
-        plant: has the arms.
         places: that the arms go to in turn, shape (n, 2).
         clients: sessions; an arm's goals all come from one.
     """
@@ -52,7 +50,6 @@ class Traffic:
         self._threads: list[threading.Thread] = []
 
     def run(self, arms: Sequence[str], seconds: float) -> list[Sent]:
-        """Sends goals to arms for a time; returns those of this time, once all of them have ended."""
         since = len(self.sent)
         self.begin(arms)
         time.sleep(seconds)
@@ -60,20 +57,17 @@ class Traffic:
         return self.sent[since:]
 
     def begin(self, arms: Sequence[str]) -> None:
-        """Begins to send goals."""
         self._ended.clear()
         self._threads = [threading.Thread(target=self._drive, args=(k, arm)) for k, arm in enumerate(arms)]
         for thread in self._threads:
             thread.start()
 
     def end(self) -> None:
-        """Sends no more goals, and returns when each goal's end is known or given up."""
         self._ended.set()
         for thread in self._threads:
             thread.join()
 
     def close(self) -> None:
-        """Ends all sessions."""
         self._hearing.undeclare()  # type: ignore[no-untyped-call]
         for one in self._sessions:
             one.close()  # type: ignore[no-untyped-call]
@@ -130,5 +124,4 @@ class Traffic:
 
 
 def ends(goals: Sequence[Sent]) -> dict[str, int]:
-    """Returns how many goals ended in which way."""
     return dict(Counter(it.status for it in goals).most_common())

@@ -11,8 +11,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.arm.arm import Arm, load
 from hyperbit.controller.armfile.settings import PlanningSettings
@@ -23,7 +21,7 @@ from hyperbit.controller.motion.trajectory import through
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.solver import Solver, search_time
-from tests.benchmarks.harness import DEPLOY, CommandLine, percentiles, write_figures
+from tests.benchmarks.harness import DEPLOY, CommandLine, percentiles, show, write_figures
 from tests.benchmarks.motion.obstacle_transitions import scene
 from tests.benchmarks.search.obstacles import drawn
 from tests.benchmarks.solving import ready_solver
@@ -55,7 +53,6 @@ def planned(arm: Arm, solver: Solver, goal: np.ndarray, start: np.ndarray, deadl
 
 
 def measured(name: str, count: int) -> dict[float, Tally]:
-    """Returns the tallies of one shipped arm by deadline."""
     arm, rng = load(DEPLOY / name), np.random.default_rng(4)
     m, solver, tallies = arm.manipulator, ready_solver(arm), {deadline: Tally() for deadline in DEADLINES}
     done = 0
@@ -77,7 +74,6 @@ def measured(name: str, count: int) -> dict[float, Tally]:
 
 
 def main() -> None:
-    """Prints the tables."""
     parser = CommandLine(__doc__, goals=100)
     parser.add_argument("--only", default="platform8,revolute24", help="names of the arms' files")
     given = parser.parse()
@@ -85,13 +81,13 @@ def main() -> None:
     for name in given.only.split(","):
         tallies = measured(f"{name}.yaml", given.goals)
         reasons = sorted({reason for tally in tallies.values() for reason in tally.outcomes} - {"found"})
-        table = Table("deadline [s]", "found", *reasons, "p50 / p99 / worst [ms]", title=f"{name}: {given.goals} goals")
+        rows = []
         for deadline, tally in tallies.items():
             times, total = percentiles(tally.seconds, "p50", "p99", "worst"), tally.outcomes.total()
             shares = (f"{tally.outcomes[reason] / total:.1%}" for reason in ("found", *reasons))
-            table.add_row(f"{deadline:g}", *shares, " / ".join(f"{t:.3g}" for t in times.values()))
+            rows.append((f"{deadline:g}", *shares, " / ".join(f"{t:.3g}" for t in times.values())))
             figures[f"{name} {deadline:g}"] = dict(tally.outcomes) | times
-        Console(width=130).print(table)
+        show(f"{name}: {given.goals} goals", ("deadline [s]", "found", *reasons, "p50 / p99 / worst [ms]"), rows)
     write_figures(given.json, figures)
 
 

@@ -7,8 +7,6 @@ import time
 from itertools import pairwise
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.motion.plans.lookahead import LookAhead
@@ -18,7 +16,7 @@ from hyperbit.controller.motion.plans.transitions import TransitionPlanner
 from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.trajectory import Trajectory, along
 from hyperbit.controller.search.solver import Solver
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, show, write_figures
 from tests.benchmarks.solving import ready_solver
 
 TOLERANCE, PATH_TOLERANCES = 0.002, (0.01, 0.02, 0.05)
@@ -32,7 +30,6 @@ LINES = {
 
 
 def greedy(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np.ndarray]:
-    """Returns for each point a configuration that switches least from the previous one; holds if that suffices."""
     chosen = [start]
     for goal, tolerance in zip(trajectory.positions[1:], trajectory.tolerances[1:], strict=True):
         chosen.append(solver.solve(solver.target(goal, float(tolerance)), chosen[-1], timeout=10.0).configuration)
@@ -40,7 +37,6 @@ def greedy(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np
 
 
 def ahead(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np.ndarray]:
-    """Returns the configurations that are found by looking ahead to the end."""
     look = LookAhead(TrajectoryPoints(solver, trajectory), start, 1)
     for _ in trajectory.positions[1:]:
         look.extend()
@@ -48,7 +44,6 @@ def ahead(solver: Solver, start: np.ndarray, trajectory: Trajectory) -> list[np.
 
 
 def figures(solver: Solver, waypoints: np.ndarray, path_tolerance: float) -> list[str]:
-    """Returns a row of the table."""
     times = LEISURE * np.arange(len(waypoints))
     trajectory = along(times, waypoints, TOLERANCE, path_tolerance, PACE)
     began = time.perf_counter()
@@ -69,20 +64,17 @@ def figures(solver: Solver, waypoints: np.ndarray, path_tolerance: float) -> lis
 
 
 def main() -> None:
-    """Measures and prints."""
     options = CommandLine(__doc__).parse()
     solver = ready_solver(load(PAPER_ARM))
     figures(solver, LINES["line of 0.81 m"], 0.1)  # loads the kernels
-    table = Table(title=f"switches in transitions, tolerance {TOLERANCE:g} at waypoints")
+    rows = [
+        [name, f"{path_tolerance:g}", *figures(solver, waypoints, path_tolerance)]
+        for name, waypoints in LINES.items()
+        for path_tolerance in PATH_TOLERANCES
+    ]
     headers = ("path", "path tolerance", "points", "first plan [ms]")
-    for header in (*headers, "first plan", "cheapest each time", "looking ahead", "ahead, a point [ms]"):
-        table.add_column(header, justify="right")
-    rows = []
-    for name, waypoints in LINES.items():
-        for path_tolerance in PATH_TOLERANCES:
-            rows.append([name, f"{path_tolerance:g}", *figures(solver, waypoints, path_tolerance)])
-            table.add_row(*rows[-1])
-    Console(width=130).print(table)
+    headers += ("first plan", "cheapest each time", "looking ahead", "ahead, a point [ms]")
+    show(f"switches in transitions, tolerance {TOLERANCE:g} at waypoints", headers, rows)
     write_figures(options.json, rows)
 
 

@@ -16,8 +16,6 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.manipulator.frames import spatial
 from hyperbit.controller.manipulator.manipulator import Manipulator
@@ -32,7 +30,7 @@ from hyperbit.controller.search.method import Method
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration
-from tests.benchmarks.harness import CommandLine, median_and_99, write_figures
+from tests.benchmarks.harness import CommandLine, median_and_99, show, write_figures
 from tests.manipulator.test_platform import hexapod as joints
 from tests.obstacles.dense import Box, Disc, Shape, obstacles_of
 from tests.obstacles.moving import Part, arm, hexapod, hinge, motion, pair, room, truss
@@ -51,8 +49,6 @@ BENDS = [
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """An arm, and how it is planned for."""
-
     name: str
     parts: Sequence[Part]
     tolerance: float
@@ -77,8 +73,6 @@ RUNS = [
 
 @dataclass
 class Tally:
-    """What came of one run."""
-
     goals: int = 0
     transitions: int = 0
     barred: int = 0  # a configuration was found, but no way there
@@ -104,7 +98,6 @@ def scene(manipulator: Manipulator, rng: np.random.Generator) -> list[Shape]:
 
 
 def measured(run: Run, count: int, minutes: float) -> Tally:
-    """Plans transitions and carries them out."""
     manipulator, rng, tally = arm(run.parts), np.random.default_rng(1), Tally()
     solver = Solver(manipulator, map_densities(manipulator, manipulator.length / 200, 20_000))
     pace, size = Pace(LEAD, run.inrush), manipulator.dimension
@@ -233,58 +226,35 @@ def linked(clear: np.ndarray, start: int) -> np.ndarray:
 
 
 def main() -> None:
-    """Prints the tables."""
     parser = CommandLine(__doc__, busy=True)
     parser.add_argument("--count", type=int, default=10_000, help="transitions in all")
     parser.add_argument("--scenes", type=int, default=30, help="of each small arm, 0 for none")
     parser.add_argument("--minutes", type=float, default=np.inf, help="that a run takes at most")
     parser.add_argument("--only", help="name of one run")
     given = parser.parse()
-    console = Console(width=150)
-    table = Table(title=f"{MOTIONS} motions of each stage, looked at {SAMPLES} times; bodies of radius {RADIUS:g}")
-    for header in (
-        "arm",
-        "goals",
-        "planned",
-        "no way",
-        "switches",
-        "stages",
-        "in more",
-        "violations",
-        "least room",
-        "planning, median / 99 % [ms]",
-        "without regions",
-        "ratio of means",
-    ):
-        table.add_column(header, justify="right")
-    tallies: dict[str, Tally] = {}
+    tallies, rows = dict[str, Tally](), []
     for run in RUNS:
         if given.only in (None, run.name):
-            t = measured(run, round(given.count * run.share), given.minutes)
-            tallies[run.name] = t
-            table.add_row(
-                run.name,
-                str(t.goals),
-                str(t.transitions),
-                str(t.barred),
-                f"{t.switches / t.transitions:.2f}",
-                f"{t.stages / t.transitions:.2f}",
-                f"{t.staged / t.transitions:.1%}",
-                str(t.violations),
-                f"{t.least:.5f}",
-                median_and_99(t.among),
-                median_and_99(t.alone),
-                f"{np.mean(t.among) / np.mean(t.alone):.2f}",
-            )
-    console.print(table)
+            t = tallies[run.name] = measured(run, round(given.count * run.share), given.minutes)
+            means = (f"{t.switches / t.transitions:.2f}", f"{t.stages / t.transitions:.2f}")
+            times = (median_and_99(t.among), median_and_99(t.alone), f"{np.mean(t.among) / np.mean(t.alone):.2f}")
+            found = (f"{t.staged / t.transitions:.1%}", t.violations, f"{t.least:.5f}")
+            rows.append((run.name, t.goals, t.transitions, t.barred, *means, *found, *times))
+    headers = ("arm", "goals", "planned", "no way", "switches", "stages", "in more", "violations", "least room")
+    headers += ("planning, median / 99 % [ms]", "without regions", "ratio of means")
+    title = f"{MOTIONS} motions of each stage, looked at {SAMPLES} times; bodies of radius {RADIUS:g}"
+    show(title, headers, rows, 150)
     small = {"trusses": TRUSS + TRUSS[:1], "hinges": [hinge(-0.6, 0.6, 0.2)] * 8}
-    table = Table(title=f"{given.scenes} scenes of each small arm, against every configuration and every order")
-    for header in ("arm", "goals", "solvable", "found", "found though not", "solvable to and fro"):
-        table.add_column(header, justify="right")
-    for name, parts in small.items():
-        if given.scenes and given.only in (None, name):
-            table.add_row(*held_to_brute_force(name, parts, given.scenes, 10, 0.03))
-    console.print(table)
+    show(
+        f"{given.scenes} scenes of each small arm, against every configuration and every order",
+        ("arm", "goals", "solvable", "found", "found though not", "solvable to and fro"),
+        [
+            held_to_brute_force(name, parts, given.scenes, 10, 0.03)
+            for name, parts in small.items()
+            if given.scenes and given.only in (None, name)
+        ],
+        150,
+    )
     write_figures(given.json, tallies)
 
 

@@ -9,13 +9,11 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.motion.stages.stages import order_stages
 from hyperbit.controller.motion.tracking.tracking import GoalTracker
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, report
 
 BATCHES, RUNS = 20, 50
 DELAY = 0.06  # from a decision to the tip's arrival [s]
@@ -23,18 +21,18 @@ SWITCHES, AT_ONCE = 8, 3
 
 
 def least(step: Callable[[int], object]) -> float:
-    """Returns the least mean processor time [s] of a step over the batches; a step takes its number."""
+    """Returns the least mean processor time [ms] of a step over the batches; a step takes its number."""
     times = []
     for batch in range(BATCHES):
         began = time.thread_time()
         for k in range(RUNS):
             step(RUNS * batch + k)
         times.append((time.thread_time() - began) / RUNS)
-    return min(times)
+    return round(1e3 * min(times), 4)
 
 
 def setpoint() -> float:
-    """Returns the time [s] that the tracker takes for one setpoint in space at 200 Hz."""
+    """Returns the time [ms] that the tracker takes for one setpoint in space at 200 Hz."""
     tracker = GoalTracker(3)
 
     def step(k: int) -> None:
@@ -46,7 +44,7 @@ def setpoint() -> float:
 
 
 def stages() -> float:
-    """Returns the time [s] to order SWITCHES switches of the paper's arm into stages of at most AT_ONCE."""
+    """Returns the time [ms] to order SWITCHES switches of the paper's arm into stages of at most AT_ONCE."""
     manipulator, rng = load(PAPER_ARM).manipulator, np.random.default_rng(0)
     pairs = []
     for _ in range(RUNS):
@@ -58,16 +56,6 @@ def stages() -> float:
     return least(lambda k: order_stages(manipulator, *pairs[k % RUNS], AT_ONCE))
 
 
-def main() -> None:
-    """Prints the times and writes them to a file."""
-    options = CommandLine(__doc__).parse()
-    figures = {"setpoint": setpoint(), f"stages of {SWITCHES} switches": stages()}
-    table = Table("step", "processor time [ms]")
-    for name, seconds in figures.items():
-        table.add_row(name, f"{seconds * 1e3:.3f}")
-    Console().print(table)
-    write_figures(options.json, figures)
-
-
 if __name__ == "__main__":
-    main()
+    options = CommandLine(__doc__).parse()
+    report({"setpoint [ms]": setpoint(), f"stages of {SWITCHES} switches [ms]": stages()}, {}, options.json)

@@ -8,8 +8,6 @@ import time
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
@@ -18,7 +16,7 @@ from hyperbit.controller.motion.plans.lookahead import LookAhead
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.trajectory import Trajectory, through
 from hyperbit.controller.search.solver import Solver
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, show, write_figures
 from tests.benchmarks.solving import ready_solver
 
 WAYPOINTS = 30
@@ -27,7 +25,6 @@ GAP = 0.05
 
 
 def curve(manipulator: Manipulator, spacing: float, rng: np.random.Generator) -> tuple[Configuration, Trajectory]:
-    """Returns a random configuration, and a smooth random curve from its tip on that stays where the arm is dense."""
     while True:
         start = rng.integers(0, manipulator.states)
         heading = rng.uniform(0, 2 * np.pi)
@@ -40,7 +37,6 @@ def curve(manipulator: Manipulator, spacing: float, rng: np.random.Generator) ->
 
 
 def greedy(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDArray[np.int64]:
-    """Returns the cheapest configuration for each point in turn, after the start, shape (n + 1, B)."""
     rows = [start]
     for k, tolerance in enumerate(trajectory.tolerances.tolist()):
         rows.append(solver.solve(solver.target(trajectory.goal(k), tolerance), rows[-1]).configuration)
@@ -48,7 +44,6 @@ def greedy(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDAr
 
 
 def ahead(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDArray[np.int64]:
-    """Returns the configurations of the look-ahead of a running goal with enough time, see greedy."""
     search = LookAhead(TrajectoryPoints(solver, trajectory), start)
     for _ in trajectory.times:
         search.extend()
@@ -56,7 +51,6 @@ def ahead(solver: Solver, start: Configuration, trajectory: Trajectory) -> NDArr
 
 
 def measured(solver: Solver, start: Configuration, trajectory: Trajectory, seconds: float) -> dict[str, float]:
-    """Returns the costs and times of one curve."""
     times, costs, search = (
         [time.perf_counter()],
         list[float](),
@@ -77,7 +71,6 @@ def measured(solver: Solver, start: Configuration, trajectory: Trajectory, secon
 
 
 def main() -> None:
-    """Prints the table."""
     parser = CommandLine(__doc__)
     parser.add_argument("--curves", type=int, default=20)
     parser.add_argument("--seconds", type=float, default=4.0, help="for each curve, a fifth of it for the proof")
@@ -86,27 +79,20 @@ def main() -> None:
     solver = ready_solver(load(PAPER_ARM))
     m = solver.manipulator
     measured(solver, *curve(m, 0.001, np.random.default_rng(1)), 0.1)  # kernels are loaded
-    table = Table(
-        *("spacing", "switches: greedy", "ahead", "plan", "proven bound", "mean gap", f"gap at most {GAP:.0%}"),
-        *("optimal", "time [s]: greedy", "ahead", "plan and proof"),
-        title=f"{given.curves} curves of {WAYPOINTS} waypoints, means",
-    )
-    rows = []
+    rows, shown = [], []
     for spacing in given.spacing or SPACINGS:
         rng = np.random.default_rng(7)
         own = [measured(solver, *curve(m, spacing, rng), given.seconds) for _ in range(given.curves)]
         mean = {key: float(np.mean([row[key] for row in own])) for key in own[0]}
         gaps = np.array([row["plan"] / row["bound"] - 1 for row in own])
-        table.add_row(
-            f"{spacing:g}",
-            *(f"{mean[key]:.1f}" for key in ("greedy", "ahead", "plan", "bound")),
-            f"{gaps.mean():.0%}",
-            str(int((gaps <= GAP + 1e-9).sum())),
-            str(int((gaps <= 1e-9).sum())),
-            *(f"{mean[key]:.2f}" for key in ("greedy_seconds", "ahead_seconds", "seconds")),
-        )
+        costs = (f"{mean[key]:.1f}" for key in ("greedy", "ahead", "plan", "bound"))
+        counts = (int((gaps <= least + 1e-9).sum()) for least in (GAP, 0.0))
+        times = (f"{mean[key]:.2f}" for key in ("greedy_seconds", "ahead_seconds", "seconds"))
+        shown.append((f"{spacing:g}", *costs, f"{gaps.mean():.0%}", *counts, *times))
         rows += [{"spacing": spacing, **row} for row in own]
-    Console(width=140).print(table)
+    headers = ("spacing", "switches: greedy", "ahead", "plan", "proven bound", "mean gap", f"gap at most {GAP:.0%}")
+    headers += ("optimal", "time [s]: greedy", "ahead", "plan and proof")
+    show(f"{given.curves} curves of {WAYPOINTS} waypoints, means", headers, shown, 140)
     write_figures(given.json, rows)
 
 

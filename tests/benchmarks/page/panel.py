@@ -52,7 +52,6 @@ def page(closing: ExitStack, url: str, cookie: str) -> ClientConnection:
 
 
 def serve(closing: ExitStack, parts: Parts) -> tuple[str, str]:
-    """Runs the panel until the end; returns its address and the cookie of an operator."""
     people, log = parts.folder / "people.yaml", parts.folder / "panel.log"
     people.write_text(f"people: [{{name: a, role: operator, token: {digest_of('t')}}}]")
     words = ["panel", "--connect", parts.endpoint, "--listen", "127.0.0.1:0", "--people", str(people)]
@@ -89,7 +88,6 @@ def stop_often(client: Observer, live: ClientConnection, count: int) -> dict[str
 
 
 def main() -> None:
-    """Measures, prints, writes."""
     parser = CommandLine(__doc__)
     parser.add_argument("--stops", type=int, default=30)
     parser.add_argument("--seconds", type=float, default=20.0)

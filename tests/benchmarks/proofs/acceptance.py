@@ -23,7 +23,6 @@ class Check(NamedTuple):
         base: frame F_0 in the world, shape (4, 4).
         frames: of the modules' states, shape (B, K, 4, 4).
         goal: frame in the world, shape (4, 4).
-        tolerance: of the distance.
         turn: tolerance of the angle about z [rad]; infinite: any angle.
         bodies: line segments of the modules' states, padded with the first one, shape (B, K, L, 2, 3).
         kinds: of the obstacles, shape (n,); see hyperbit.controller.obstacles.

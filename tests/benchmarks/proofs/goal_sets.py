@@ -34,13 +34,11 @@ ROUNDING = 1e-9  # differences of positions and angles between processors; goals
 
 
 def position(arm: Arm, rng: np.random.Generator) -> Drawn:
-    """Draws the tip of a random configuration, from another configuration; both are collision-free."""
     start, end = free(arm, rng), free(arm, rng)
     return start, tip(arm, end), None, arm.tolerance, math.inf, end
 
 
 def pose(arm: Arm, rng: np.random.Generator) -> Drawn:
-    """Draws the pose of a random configuration, from another configuration."""
     start, end = free(arm, rng), free(arm, rng)
     return start, tip(arm, end), float(angle(arm.manipulator.tip(end))), *POSE, end
 
@@ -75,7 +73,6 @@ def free(arm: Arm, rng: np.random.Generator) -> Configuration:
 
 
 def tip(arm: Arm, configuration: NDArray[np.int64]) -> tuple[float, ...]:
-    """Returns the tip's position for a configuration."""
     return tuple(arm.manipulator.tip(configuration)[: arm.manipulator.dimension, 3].tolist())
 
 
@@ -98,7 +95,6 @@ RECIPES: dict[str, Recipe] = {
 
 
 def drawn(recipe: Recipe) -> list[tuple[str, Drawn]]:
-    """Returns the goals of a set, each with the name of its arm."""
     draw, seed, counts = recipe
     seeds = [(arm, [seed, k, n]) for k, (arm, count) in enumerate(counts.items()) for n in range(count)]
     return [(arm, draw(load_arm(arm), np.random.default_rng(own))) for arm, own in seeds]
@@ -157,7 +153,6 @@ def again(task: Task, seconds: float) -> None:
 
 
 def write(path: Path, rows: list[dict[str, str]]) -> None:
-    """Writes a set's file."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
@@ -165,7 +160,6 @@ def write(path: Path, rows: list[dict[str, str]]) -> None:
 
 
 def main() -> None:
-    """Draws and proves."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--set", choices=SETS, required=True)
     parser.add_argument("--seconds", type=float, default=60.0, help="no deeper lists for a goal after this time")

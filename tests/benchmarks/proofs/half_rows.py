@@ -48,8 +48,6 @@ class Table(NamedTuple):
         rows: in the order of the cells.
         starts: shape (cells + 1,).
         low: least corner, shape (3,).
-        side: of a cell.
-        shape: numbers of cells along x, y and z.
         least: fewest switches of any row in a cell or beside it, shape (cells,).
     """
 
@@ -107,7 +105,6 @@ def rows(half: Half, point: Array, depth: int) -> Rows:
 
 
 def table(listed: Rows, radius: float) -> Table:
-    """Returns rows sorted into cells of at least twice a radius."""
     low, high = listed.points.min(axis=0), listed.points.max(axis=0)
     extent, side = high - low, 2 * radius
     while np.prod(np.floor(extent / side) + 1) > CELLS:
@@ -159,7 +156,6 @@ def grow(half: Half, depth: int, out: Rows) -> int:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write(half: Half, code: int, configuration: Index) -> None:
-    """Writes the states of a row's code."""
     for i in range(len(half.states) - 1, -1, -1):
         configuration[half.modules[i]] = code % half.states[i]
         code //= half.states[i]

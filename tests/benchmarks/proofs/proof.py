@@ -33,10 +33,8 @@ class Proof:
     """What is proven of a goal.
 
     Attributes:
-        bound: no accepted configuration has fewer switches.
         switches: of `configuration`; the fewest if equal to `bound`.
         configuration: accepted, shape (B,); None if none was found.
-        seconds: of the processor that it took.
     """
 
     bound: int
@@ -85,10 +83,8 @@ def prove(
         clearance: the arm, and the obstacles that its bodies must not touch.
         goal: tip's frame in the world, shape (4, 4).
         start: shape (B,).
-        tolerance: of the distance.
         turn: of the angle [rad]; infinite if any will do. Planar arms only.
         seconds: no deeper lists are begun after this time of the processor.
-        depths: of the lists, ascending.
         known: a configuration that is accepted, shape (B,), if any is known; the search looks for a better one.
     """
     began, m = time.thread_time(), clearance.manipulator

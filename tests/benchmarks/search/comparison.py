@@ -8,20 +8,17 @@ methods from the same configurations: those of fewest switches for the goal befo
 import os
 import platform
 import sys
-from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.search.method import METHODS as PRODUCT_METHODS
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
-from tests.benchmarks.harness import CommandLine, timed, write_figures
-from tests.benchmarks.search.figure import plot
+from tests.benchmarks.harness import CommandLine, show, timed, write_figures
 from tests.benchmarks.search.goals import SETS
-from tests.benchmarks.search.growth import growth, growth_table
+from tests.benchmarks.search.growth import growth
 from tests.benchmarks.search.measuring import (
     Arm,
     Goals,
@@ -42,49 +39,44 @@ PROOFS = 100
 PROOF_SECONDS, PROOF_SHARE = 25.0, 0.08  # for all proofs of one set: at most, and for each goal asked for
 
 
-@dataclass(frozen=True)
-class Row:
-    """Measurements of one method on one set; times in seconds, memory in bytes."""
-
-    method: str
-    goals: int
-    within: float
-    switches_mean: float
-    switches_worst: int
-    ratio: float | None
-    ratio_goals: int
-    error_median: float
-    error_99: float
-    seconds_median: float
-    seconds_99: float
-    tables_seconds: float
-    tables_bytes: int
+Row = dict[str, Any]  # by method's figure; times in seconds, memory in bytes, errors as positions
+COLUMNS = {  # of the table: the figure, its form and its factor
+    "goals": ("goals", "", 1),
+    "within": ("within", ".1%", 1),
+    "switches": ("switches_mean", ".2f", 1),
+    "worst": ("switches_worst", "", 1),
+    "ratio to\noptimum": ("ratio", ".3f", 1),
+    "over\ngoals": ("ratio_goals", "", 1),
+    "error\nmm": ("error_median", ".2f", 1e3),
+    "99 %\nmm": ("error_99", ".2f", 1e3),
+    "time\nms": ("seconds_median", ".3f", 1e3),
+    "99 %\nms": ("seconds_99", ".3f", 1e3),
+    "tables\ns": ("tables_seconds", ".2f", 1),
+    "tables\nMiB": ("tables_bytes", ".1f", 2**-20),
+}
 
 
 def row(name: str, trace: Trace, arm: Arm, ratio: tuple[float | None, int], tables: tuple[float, int]) -> Row:
-    """Returns the figures of a trace."""
-    return Row(
-        name,
-        len(trace.switches),
-        float(np.mean(trace.errors <= arm.tolerance)),
-        float(trace.switches.mean()),
-        int(trace.switches.max()),
-        *ratio,
-        *(float(np.quantile(trace.errors, q)) for q in (0.5, 0.99)),
-        *(float(np.quantile(trace.seconds, q)) for q in (0.5, 0.99)),
-        *tables,
-    )
+    return {
+        "method": name,
+        "goals": len(trace.switches),
+        "within": float(np.mean(trace.errors <= arm.tolerance)),
+        "switches_mean": float(trace.switches.mean()),
+        "switches_worst": int(trace.switches.max()),
+        **dict(zip(("ratio", "ratio_goals"), ratio, strict=True)),
+        **{f"error_{part}": float(np.quantile(trace.errors, q)) for part, q in (("median", 0.5), ("99", 0.99))},
+        **{f"seconds_{part}": float(np.quantile(trace.seconds, q)) for part, q in (("median", 0.5), ("99", 0.99))},
+        **dict(zip(("tables_seconds", "tables_bytes"), tables, strict=True)),
+    }
 
 
 def measured(method: Method, arm: Arm, goals: Goals, proofs: Proofs) -> Row:
-    """Measures one method on a set."""
     problem, *tables = prepared(method, arm)
     trace = traced(method, problem, arm, goals)
     return row(method.name, trace, arm, ratio(method, problem, arm, goals, proofs), tuple(tables))
 
 
 def compared(name: str, arm: Arm, number: int, console: Console) -> tuple[list[Row], dict[str, int]]:
-    """Measures all methods on a set; returns the rows and the number of proven goals."""
     draw, most = SETS[name]
     goals = draw(arm.manipulator, arm.densities, arm.tolerance, min(number, most))
     problem, seconds, _ = prepared(OPTIMUM, arm)
@@ -106,37 +98,29 @@ def compared(name: str, arm: Arm, number: int, console: Console) -> tuple[list[R
     return rows, figures
 
 
-def table(name: str, rows: list[Row], proofs: dict[str, int]) -> Table:
-    """Returns the table of one set."""
-    headers = ("goals", "within", "switches", "worst", "ratio to\noptimum", "over\ngoals", "error\nmm", "99 %\nmm")
-    headers += ("time\nms", "99 %\nms", "tables\ns", "tables\nMiB")
+def show_set(name: str, rows: list[Row], proofs: dict[str, int]) -> None:
     caption = f"Optimum proven for {proofs['proven']} of the first {proofs['tried']} goals: its row is of those alone. "
     caption += "The ratio is over those that a method brings within the tolerance."
     if "claimed" in proofs:
         caption += f" {OURS} itself claims to have proven {proofs['claimed']} of them optimal; "
         caption += f"{proofs['confirmed']} confirmed, {proofs['contradicted']} contradicted."
-    result = Table("method", title=f"{name}: tolerance {TOLERANCE * 1e3:g} mm", caption=caption)
-    for header in headers:
-        result.add_column(header, justify="right")
-    for r in rows:
-        figures = [f"{r.goals}", f"{r.within:.1%}", f"{r.switches_mean:.2f}", f"{r.switches_worst}"]
-        figures += ["-" if r.ratio is None else f"{r.ratio:.3f}", f"{r.ratio_goals}"]
-        figures += [f"{1e3 * r.error_median:.2f}", f"{1e3 * r.error_99:.2f}"]
-        figures += [f"{1e3 * r.seconds_median:.3f}", f"{1e3 * r.seconds_99:.3f}"]
-        figures += [f"{r.tables_seconds:.2f}", f"{r.tables_bytes / 2**20:.1f}"]
-        result.add_row(r.method, *figures)
-    return result
+    cells = [
+        [
+            r["method"],
+            *("-" if r[key] is None else format(r[key] * times, form) for key, form, times in COLUMNS.values()),
+        ]
+        for r in rows
+    ]
+    show(f"{name}: tolerance {TOLERANCE * 1e3:g} mm. {caption}", ("method", *COLUMNS), cells, 150)
 
 
 def main() -> None:
-    """Measures, prints the tables, and writes figures and plot if requested."""
     parser = CommandLine(__doc__, goals=1_000)
     parser.add_argument("--set", choices=SETS, help="this set alone, without the growth with the number of modules")
-    parser.add_argument("--plot", type=Path, help="also plot the first set there, as PNG")
     arguments = parser.parse()
-    console, progress = Console(width=max(150, Console().width)), Console(stderr=True)
+    progress = Console(stderr=True)
     if OURS not in PRODUCT_METHODS:
-        console.print(f"The product has no method {OURS} yet: left out.")
+        print(f"The product has no method {OURS} yet: left out.")
     manipulator = paper_arm(MODULES)
     map_densities(paper_arm(2), 0.1, 100)  # loads the kernels
     densities, mapping = timed(lambda: map_densities(manipulator, PIXEL, LEVEL_PIXELS))
@@ -145,16 +129,10 @@ def main() -> None:
     figures |= {"python": platform.python_version(), "machine": platform.machine(), "cores": os.cpu_count()}
     for name in [arguments.set] if arguments.set else SETS:
         rows, proofs = compared(name, arm, arguments.goals, progress)
-        console.print(table(name, rows, proofs))
-        if not figures["sets"] and arguments.plot is not None:
-            title = f"{rows[0].goals} goals of the set {name!r}, within {TOLERANCE * 1e3:g} mm, {MODULES} modules"
-            columns = zip(*((r.method, r.seconds_median, r.switches_mean, r.within) for r in rows), strict=True)
-            plot(arguments.plot, title, *columns)
+        show_set(name, rows, proofs)
         figures["sets"][name] = {"proofs": proofs, "rows": rows}
     if not arguments.set:
-        grown = growth(min(arguments.goals, 100), TOLERANCE)
-        console.print(growth_table(grown))
-        figures["growth"] = grown
+        figures["growth"] = growth(min(arguments.goals, 100), TOLERANCE)
     write_figures(arguments.json, figures)
 
 

@@ -22,7 +22,6 @@ def random(manipulator: Manipulator, densities: Densities, tolerance: float, num
 
 
 def curve(manipulator: Manipulator, densities: Densities, tolerance: float, number: int) -> Goals:
-    """Waypoints of the largest figure of eight in the dense part of the workspace."""
     turn = np.linspace(0, 2 * np.pi, 200, endpoint=False)[:number]
     tips = random(manipulator, densities, tolerance, 1_000)
     good = expected(densities, tolerance) >= MANY

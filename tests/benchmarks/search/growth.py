@@ -3,16 +3,12 @@
 With --busy deadlines and times are those of the thread on its processor, so that other programs do not count.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.search.method import METHODS as PRODUCT_METHODS
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import paper_arm
-from tests.benchmarks.harness import CommandLine, write_figures
+from tests.benchmarks.harness import CommandLine, show, write_figures
 from tests.benchmarks.search.goals import random
 from tests.benchmarks.search.measuring import Arm, Goals, prepared, traced
 from tests.benchmarks.search.methods import METHODS, product
@@ -20,55 +16,44 @@ from tests.benchmarks.search.methods import METHODS, product
 MODULES, LEVEL_PIXELS = (8, 16, 32, 64, 128), 100_000
 PIXELS_ALONG = 400  # of the arm's length, as where an arm's configuration names no pixel
 NAMES = [f"hyperbit {name}" for name in ("minimum-switch", "ipop-fewest-switches", "pop") if name in PRODUCT_METHODS]
+Figures = dict[str, float]
 
 
-@dataclass(frozen=True)
-class Grown:
-    """One number of modules: median and 99 % time [s], mean switches and share within the tolerance, by method.
-
-    Attributes:
-        proven: share of the goals whose minimum-switch answer is proven optimal.
-        least_bound: least lower bound of a goal.
-        gap: mean of (cost - bound) / bound, over the goals that are reached; infinite if a bound is 0.
-    """
-
-    modules: int
-    seconds: dict[str, float]
-    seconds_99: dict[str, float]
-    switches: dict[str, float]
-    within: dict[str, float]
-    proven: float = 0.0
-    least_bound: float = 0.0
-    gap: float = 0.0
+def growth(number: int, tolerance: float) -> dict[int, Figures]:
+    """Measures arms, each on `number` random goals; shows the table, and returns the figures by number of modules."""
+    figures = {modules: grown(modules, number, tolerance) for modules in MODULES}
+    headers = [name.removeprefix("hyperbit ").replace(", ", "\n") for name in figures[MODULES[0]]]
+    rows = [(modules, *(f"{value:.3g}" for value in row.values())) for modules, row in figures.items()]
+    title = "growth with the number of modules: random goals, from contracted"
+    show(title, ("modules", *headers), rows, 170)
+    return figures
 
 
-def growth(number: int, tolerance: float) -> list[Grown]:
-    """Measures the arms of MODULES modules, each on `number` random goals."""
-    return [grown(modules, number, tolerance) for modules in MODULES]
-
-
-def grown(modules: int, number: int, tolerance: float) -> Grown:
-    """Measures one arm."""
+def grown(modules: int, number: int, tolerance: float) -> Figures:
+    """Returns times [ms], mean switches and share within the tolerance of each method, and figures of the bounds."""
     manipulator = paper_arm(modules)
     densities = map_densities(manipulator, manipulator.length / PIXELS_ALONG, LEVEL_PIXELS)
     arm = Arm(manipulator, densities, 0.0, tolerance)
     goals = random(manipulator, densities, tolerance, number)
-    result = Grown(modules, {}, {}, {}, {})
+    found: Figures = {}
     for method in METHODS:
         if method.name in NAMES:
             problem, *_ = prepared(method, arm)
             trace = traced(method, problem, arm, goals)
-            result.seconds[method.name] = float(np.median(trace.seconds))
-            result.seconds_99[method.name] = float(np.quantile(trace.seconds, 0.99))
-            result.switches[method.name] = float(trace.switches.mean())
-            result.within[method.name] = float(np.mean(trace.errors <= tolerance))
+            found[f"{method.name}, ms"] = 1e3 * float(np.median(trace.seconds))
+            found[f"{method.name}, 99 % ms"] = 1e3 * float(np.quantile(trace.seconds, 0.99))
+            found[f"{method.name}, switches"] = float(trace.switches.mean())
+            found[f"{method.name}, within"] = float(np.mean(trace.errors <= tolerance))
         if method.name == NAMES[0]:
-            result = bounded(result, problem, arm, goals)
-    return result
+            bounds = bounded(problem, arm, goals)
+    return found | bounds
 
 
-def bounded(result: Grown, problem: product.Problem, arm: Arm, goals: Goals) -> Grown:
-    """Adds the figures of the lower bounds; each goal starts from the previous goal's configuration."""
+def bounded(problem: product.Problem, arm: Arm, goals: Goals) -> Figures:
+    """Returns share of proven answers, least bound, and mean of (cost - bound) / bound; infinite if a bound is 0.
+
+    Each goal starts from the previous goal's configuration.
+    """
     own, found = arm.home, []
     for goal in goals:
         found.append(product.solution(problem, goal, own, arm.tolerance))
@@ -76,36 +61,11 @@ def bounded(result: Grown, problem: product.Problem, arm: Arm, goals: Goals) -> 
     reached = [f for f in found if f.within_tolerance and f.cost > 0]
     gaps = [f.cost / f.bound - 1 if f.bound > 0 else np.inf for f in reached]
     proven, least = np.mean([f.certificate == "optimal" for f in found]), min(f.bound for f in reached)
-    return replace(result, proven=float(proven), least_bound=float(least), gap=float(np.mean(gaps)))
-
-
-def growth_table(rows: list[Grown]) -> Table:
-    """Returns the table."""
-    table = Table("modules", title="growth with the number of modules: random goals, from contracted")
-    for name in NAMES:
-        short = name.removeprefix("hyperbit ")
-        for header in (f"{short}\nms", "99 %\nms", "switches", "within"):
-            table.add_column(header, justify="right")
-    for header in ("proven", "least\nbound", "mean\ngap"):
-        table.add_column(header, justify="right")
-    for r in rows:
-        cells = []
-        for name in NAMES:
-            cells += [f"{1e3 * r.seconds[name]:.3f}", f"{1e3 * r.seconds_99[name]:.3f}"]
-            cells += [f"{r.switches[name]:.2f}", f"{r.within[name]:.1%}"]
-        table.add_row(str(r.modules), *cells, f"{r.proven:.0%}", f"{r.least_bound:g}", f"{r.gap:.0%}")
-    return table
-
-
-def main() -> None:
-    """Prints the table."""
-    parser = CommandLine(__doc__, goals=100, busy=True)
-    parser.add_argument("--tolerance", type=float, default=0.002)
-    given = parser.parse()
-    rows = growth(given.goals, given.tolerance)
-    Console(width=170).print(growth_table(rows))
-    write_figures(given.json, rows)
+    return {"proven": float(proven), "least bound": float(least), "gap": float(np.mean(gaps))}
 
 
 if __name__ == "__main__":
-    main()
+    parser = CommandLine(__doc__, goals=100, busy=True)
+    parser.add_argument("--tolerance", type=float, default=0.002)
+    given = parser.parse()
+    write_figures(given.json, growth(given.goals, given.tolerance))

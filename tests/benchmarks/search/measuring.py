@@ -49,7 +49,6 @@ class Proofs:
     Attributes:
         previous: configurations, shape (n, B).
         fewest: switches from there to the goal, shape (n,); -1 where the time did not suffice for the proof.
-        trace: of the proof itself.
     """
 
     previous: NDArray[np.int64]
@@ -145,5 +144,4 @@ def memory(thing: Any, seen: set[int] | None = None) -> int:
 
 
 def exponent(modules: list[int], values: list[float]) -> float:
-    """Returns the slope of the logarithms: 1 where the values grow linearly."""
     return float(np.polyfit(np.log(modules), np.log(values), 1)[0])

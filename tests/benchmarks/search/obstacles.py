@@ -11,8 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.manipulator.frame_kernels import angle_between
@@ -24,7 +22,7 @@ from hyperbit.controller.search.solution import Solution
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, median_and_99, percentiles, write_figures
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, median_and_99, percentiles, show, write_figures
 from tests.benchmarks.solving import WARM, ready_solver
 
 METHODS: tuple[Method, ...] = ("minimum-switch", "ipop-fewest-switches", "pop")
@@ -58,7 +56,6 @@ class Trace:
 
 
 def drawn(clearance: BodyClearance, number: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], float]:
-    """Returns random clear configurations (n, B), and which share of all is clear."""
     arm, found, tried = clearance.manipulator, list[NDArray[np.int64]](), 0
     while sum(map(len, found)) < number:
         some = rng.integers(0, arm.states, (number, len(arm.states)))
@@ -96,28 +93,13 @@ def traced(
 
 
 def measured(
-    solver: Solver, clearance: BodyClearance, number: int, tolerance: float, turn: float, console: Console
+    solver: Solver, clearance: BodyClearance, number: int, tolerance: float, turn: float
 ) -> dict[str, dict[str, float]]:
-    """Measures all methods on one arm, with and without regions; returns shares and ratio of times by method."""
     arm = solver.manipulator
     chosen, share = drawn(clearance, number + 1, np.random.default_rng(1))
     tips, home = arm.tips(chosen[1:]), chosen[0]
     goals = tips if turn < math.inf else tips[:, : arm.dimension, 3]
-    table = Table(
-        "method",
-        title=f"{number} goals, tolerance {tolerance:g}, {turn:.3g} rad; {share:.0%} of configurations are clear",
-    )
-    for header in (
-        "within",
-        "without",
-        "switches",
-        "without",
-        "proven",
-        "median / 99 % [ms]",
-        "time, ratio of medians",
-    ):
-        table.add_column(header, justify="right")
-    figures = {}
+    figures, rows = {}, []
     for method in METHODS:
         among = traced(solver.avoiding(clearance), method, goals, tolerance, turn, [home])
         plain = traced(solver.avoiding(None), method, goals, tolerance, turn, among.before)
@@ -127,10 +109,12 @@ def measured(
         )
         ratio = float(np.median(among.seconds) / np.median(plain.seconds))
         times = median_and_99(among.seconds), f"{ratio:.2f}"
-        table.add_row(method, f"{among.within:.1%}", f"{plain.within:.1%}", *switches, proven, *times)
+        rows.append((method, f"{among.within:.1%}", f"{plain.within:.1%}", *switches, proven, *times))
         figures[method] = {"within": among.within, "without regions": plain.within, "ratio of times": ratio}
         figures[method] |= percentiles(among.seconds)
-    console.print(table)
+    title = f"{number} goals, tolerance {tolerance:g}, {turn:.3g} rad; {share:.0%} of configurations are clear"
+    headers = ("method", "within", "without", "switches", "without", "proven", "median / 99 % [ms]")
+    show(title, (*headers, "time, ratio of medians"), rows)
     return figures
 
 
@@ -145,7 +129,7 @@ def scene(arm: Manipulator, rng: np.random.Generator) -> Obstacles:
     )
 
 
-def held_to_brute_force(scenes: int, each: int, tolerance: float, turn: float, console: Console) -> None:
+def held_to_brute_force(scenes: int, each: int, tolerance: float, turn: float) -> None:
     """Counts what is found of goals that can be reached, by trying all configurations of 18 actuators."""
     arm, rng = paper_arm(6), np.random.default_rng(2)
     solver, every = Solver(arm, map_densities(arm, 0.02, 20_000)), every_configuration(arm)
@@ -174,26 +158,24 @@ def held_to_brute_force(scenes: int, each: int, tolerance: float, turn: float, c
             previous = clear[0] if len(clear) else previous
     title = f"18 actuators, {scenes} times a disc and a box, tolerance {tolerance:g}, {turn:.3g} rad:"
     title += f" {solvable} of {asked} goals can be reached clear of them"
-    table = Table("method", "found", "proven", "proven wrongly", title=title)
+    rows = []
     for method, (within, optimal, wrong) in counts.items():
-        proofs = (str(optimal), str(wrong)) if method == "minimum-switch" else ("", "")
-        table.add_row(method, f"{within / solvable:.1%}", *proofs)
-    console.print(table)
+        proofs = (optimal, wrong) if method == "minimum-switch" else ("", "")
+        rows.append((method, f"{within / solvable:.1%}", *proofs))
+    show(title, ("method", "found", "proven", "proven wrongly"), rows)
 
 
 def main() -> None:
-    """Prints the tables."""
     parser = CommandLine(__doc__, goals=500, busy=True)
     parser.add_argument("--scenes", type=int, default=100)
     given = parser.parse()
-    console = Console(width=130)
-    held_to_brute_force(given.scenes, 5, 0.005, math.inf, console)
-    held_to_brute_force(given.scenes, 5, *POSE, console)
+    held_to_brute_force(given.scenes, 5, 0.005, math.inf)
+    held_to_brute_force(given.scenes, 5, *POSE)
     arm = load(PAPER_ARM)
     solver = ready_solver(arm)
     clearance = BodyClearance(arm.manipulator, REGIONS, RADIUS)
-    positions = measured(solver, clearance, given.goals, arm.tolerance, math.inf, console)
-    poses = measured(solver, clearance, max(given.goals // 5, 1), *POSE, console)
+    positions = measured(solver, clearance, given.goals, arm.tolerance, math.inf)
+    poses = measured(solver, clearance, max(given.goals // 5, 1), *POSE)
     write_figures(given.json, {"positions": positions, "poses": poses})
 
 

@@ -10,21 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
-from hyperbit.controller.arm.arm import Arm, load
-from hyperbit.controller.manipulator.frames import inverse
+from hyperbit.controller.arm.arm import load
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.search.solution import Solution
 from hyperbit.controller.search.solver import Solver
-from hyperbit.controller.search.target import SearchTarget
-from tests.benchmarks.harness import DEPLOY, CommandLine, timed, write_figures
-from tests.benchmarks.search.methods import oriented_ipop
+from tests.benchmarks.harness import DEPLOY, CommandLine, show, write_figures
 from tests.benchmarks.solving import Solve, home, random_tips, ready_solver, solved_in_sequence
 
 PROVING = 2.0  # [s] for a proof
-ORIENTED_PIXELS = 20_000
 
 Figures = tuple[float, float, str, float]  # switches, error, certificate and time [s]
 
@@ -46,28 +40,12 @@ EXPERIMENTS = (
 )
 
 
-def oriented(arm: Arm, solver: Solver, tolerance: float, turn: float) -> Solve:
-    """Returns IPOP on densities with orientation; it runs in Python, so its time is not comparable."""
-    problem = oriented_ipop.prepare(arm.manipulator, solver.densities, ORIENTED_PIXELS, tolerance / turn)
-    to_base = inverse(arm.manipulator.base)
-
-    def solve(goal: NDArray[np.float64], previous: Configuration) -> Solution:
-        target = SearchTarget(to_base @ goal, goal, arm.manipulator, tolerance, turn, tolerance / turn)
-        return solver.described(
-            oriented_ipop.solve(problem, target, previous), solver.target(goal, tolerance, turn), previous
-        )
-
-    return solve
-
-
-def measured(experiment: Experiment, number: int, console: Console) -> dict[str, list[Figures]]:
-    """Measures one arm and prints the table; returns the figures of each goal, by method."""
+def measured(experiment: Experiment, number: int) -> dict[str, list[Figures]]:
     arm = load(DEPLOY / experiment.file)
     m = arm.manipulator
     tolerance, turn = experiment.tolerance * (m.length if experiment.relative else 1.0), experiment.turn
     solver, count = ready_solver(arm), min(number, experiment.goals)
     goals = random_tips(m, count)
-    by_orientation, mapping = timed(lambda: oriented(arm, solver, tolerance, turn))
     ways: dict[str, Solve] = {
         "minimum-switch": lambda goal, previous: solver.solve(solver.target(goal, tolerance, turn), previous),
         "minimum-switch, position only": lambda goal, previous: solver.solve(solver.target(goal, tolerance), previous),
@@ -75,11 +53,9 @@ def measured(experiment: Experiment, number: int, console: Console) -> dict[str,
             solver.target(goal, tolerance, turn), previous, "ipop-fewest-switches"
         ),
         "pop": lambda goal, previous: solver.solve(solver.target(goal, tolerance, turn), previous, "pop"),
-        f"IPOP, densities with orientation (mapped in {mapping:.1f} s)": by_orientation,
     }
     title = f"{experiment.file}: {count} poses, tolerance {tolerance:.3g} and {turn:.3g} rad"
-    table = Table("method", "within", "proven", "switches, mean / most", "median / 99 % / most [ms]", title=title)
-    proofs, figures = "", {}
+    proofs, figures, rows = "", {}, []
     for name, solve in ways.items():
         before, found = solved_in_sequence(solve, goals, home(m))
         if name == "minimum-switch":
@@ -90,10 +66,10 @@ def measured(experiment: Experiment, number: int, console: Console) -> dict[str,
             np.mean([getattr(f, name) is True for f in found]) for name in ("within_tolerance", "optimal")
         )
         numbers = f"{np.mean(switches):.2f} / {max(switches)}"
-        table.add_row(name, f"{within:.1%}", f"{optimal:.0%}", numbers, spent if times.any() else "")
+        rows.append((name, f"{within:.1%}", f"{optimal:.0%}", numbers, spent))
         figures[name] = [(f.switches, f.error, f.certificate, f.seconds) for f in found]
-    table.caption = proofs
-    console.print(table)
+    headers = ("method", "within", "proven", "switches, mean / most", "median / 99 % / most [ms]")
+    show(f"{title}; {proofs}", headers, rows)
     return figures
 
 
@@ -116,9 +92,8 @@ def proven(
 
 
 def main() -> None:
-    """Prints the tables."""
     given = CommandLine(__doc__, goals=500, busy=True).parse()
-    figures = {one.file: measured(one, given.goals, Console(width=120)) for one in EXPERIMENTS}
+    figures = {one.file: measured(one, given.goals) for one in EXPERIMENTS}
     write_figures(given.json, figures)
 
 

@@ -6,14 +6,12 @@ rows search each goal one after the other, so that they share the load of the ma
 """
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from hyperbit.controller.arm.arm import load
 from hyperbit.controller.armfile.settings import PlanningSettings
 from hyperbit.controller.search.solution import UNFOUND, SearchTime, Solution
 from hyperbit.controller.search.solver import TIMEOUT
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, no_collection, percentiles, write_figures
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, no_collection, percentiles, show, write_figures
 from tests.benchmarks.search.goals import boundary, random
 from tests.benchmarks.solving import WARM, home, ready_solver
 
@@ -37,7 +35,6 @@ def agree(found: list[Solution]) -> None:
 
 
 def measured(count: int, poses: bool) -> dict[str, list[Solution]]:
-    """Returns the solutions of all goals by row."""
     arm = load(PAPER_ARM)
     m, solver = arm.manipulator, ready_solver(arm)
     sparse, known = count // 4, (m, solver.densities, arm.tolerance)
@@ -64,20 +61,18 @@ def measured(count: int, poses: bool) -> dict[str, list[Solution]]:
 
 
 def main() -> None:
-    """Prints the tables."""
     given = CommandLine(__doc__, goals=2_000, busy=True).parse()
     figures = {}
     for kind, count in (("positions", given.goals), ("poses", max(given.goals // 5, 1))):
-        table = Table("time", title=f"{count} {kind}")
-        for header in ("reached", "proven", "switches,\nmean", "p50\nms", "p99\nms", "worst\nms"):
-            table.add_column(header, justify="right")
+        rows = []
         for name, found in measured(count, kind == "poses").items():
             reached, proven = (sum(getattr(f, x) is True for f in found) for x in ("within_tolerance", "optimal"))
             both = np.mean([f.switches for f in found if f.within_tolerance])
             times = percentiles([f.seconds for f in found], "p50", "p99", "worst")
-            table.add_row(name, str(reached), str(proven), f"{both:.3f}", *(f"{t:.4g}" for t in times.values()))
+            rows.append((name, reached, proven, f"{both:.3f}", *(f"{t:.4g}" for t in times.values())))
             figures[f"{kind}, {name}"] = {"reached": reached, "proven": proven, "switches": float(both)} | times
-        Console(width=110).print(table)
+        headers = ("time", "reached", "proven", "switches, mean", "p50 [ms]", "p99 [ms]", "worst [ms]")
+        show(f"{count} {kind}", headers, rows)
     write_figures(given.json, figures)
 
 

@@ -11,57 +11,32 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 import psutil
 
 import hyperbit as hb
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, show, write_figures
 
+HEADERS = ("goals", "workers", "command [MB]", "a worker [MB]", "results", "time [s]")
 LOOK = 0.2  # [s] between two looks at the processes
 
 
-class Row(NamedTuple):
-    """The processes of one command.
-
-    Attributes:
-        goals: number of goals.
-        workers: number of worker processes; 1: the command itself searches.
-        command: most memory of the command [MB].
-        worker: most memory of a worker, 0 if there is none [MB].
-        lines: number of results.
-        seconds: time of the command [s].
-    """
-
-    goals: int
-    workers: int
-    command: float
-    worker: float
-    lines: int
-    seconds: float
-
-
 def main() -> None:
-    """Prints the table."""
     line = CommandLine(__doc__)
     line.add_argument("--counts", default="10000,100000,1000000", help="numbers of goals (default: %(default)s)")
     line.add_argument("--workers", type=int, default=2, help="number of worker processes (default: 2)")
     given = line.parse()
-    rows = list[Row]()
-    print("| goals | workers | command [MB] | a worker [MB] | results | time [s] |\n|---|---|---|---|---|---|")
+    rows = list[tuple[float, ...]]()
     with tempfile.TemporaryDirectory() as folder:
         for goals in map(int, given.counts.split(",")):
             for workers in (1, given.workers):
-                row = measured(goals, workers, Path(folder))
-                worker = f"{row.worker:.0f}" if row.worker else ""
-                numbers = f"{row.goals:,} | {row.workers} | {row.command:.0f} | {worker} | {row.lines:,}"
-                print(f"| {numbers} | {row.seconds:.0f} |", flush=True)
-                rows.append(row)
-    write_figures(given.json, [row._asdict() for row in rows])
+                rows.append((goals, workers, *measured(goals, workers, Path(folder))))
+    show("", HEADERS, [[f"{it:,.0f}" for it in row] for row in rows])
+    write_figures(given.json, [dict(zip(HEADERS, row, strict=True)) for row in rows])
 
 
-def measured(goals: int, workers: int, folder: Path) -> Row:
-    """Runs the command, which writes its results to a file, and watches its processes."""
+def measured(goals: int, workers: int, folder: Path) -> tuple[float, float, int, float]:
+    """Returns most memory of the command and of a worker [MB], number of results, and time [s]."""
     arm = hb.load(PAPER_ARM)
     x, y = arm.position(arm.sample(1, seed=1)[0] * 0).tolist()
     file, output = folder / "goals.csv", folder / "results.jsonl"
@@ -83,11 +58,10 @@ def measured(goals: int, workers: int, folder: Path) -> Row:
         sys.exit(process.returncode)
     with output.open() as results:
         lines = sum(1 for _ in results) - 1  # without the first line, which says what they belong to
-    return Row(goals, workers, command, worker, lines, time.perf_counter() - began)
+    return command, worker, lines, time.perf_counter() - began
 
 
 def children(process: psutil.Process) -> list[psutil.Process]:
-    """Returns the processes that a process has started."""
     try:
         found: list[psutil.Process] = process.children(recursive=True)
         return found

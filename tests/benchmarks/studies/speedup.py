@@ -20,31 +20,13 @@ from statistics import median
 from typing import NamedTuple
 
 import hyperbit as hb
-from tests.benchmarks.harness import PAPER_ARM, CommandLine, write_figures
+from tests.benchmarks.harness import PAPER_ARM, CommandLine, show, write_figures
 
 PORT = 18787
-
-
-class Row(NamedTuple):
-    """One way to search the goals.
-
-    Attributes:
-        workers: who computed.
-        seconds: time of the whole command [s].
-        first: time until its first result [s].
-        rate: goals in a second, of the last nine tenths.
-        faster: the rate over that of one process.
-        whole_faster: time of the whole command with one process over this time.
-        same: whether the results are the same bytes.
-    """
-
-    workers: str
-    seconds: float
-    first: float
-    rate: float
-    faster: float
-    whole_faster: float
-    same: bool
+HEADERS = (
+    *("workers", "whole command [s]", "first result [s]", "goals/s"),
+    *("rate, times that of one process", "command, times", "same bytes"),
+)
 
 
 class Run(NamedTuple):
@@ -57,7 +39,6 @@ class Run(NamedTuple):
 
 
 def main() -> None:
-    """Prints the table."""
     line = CommandLine(__doc__, goals=10_000)
     line.add_argument("--effort", type=float, default=10.0, help="of each goal (default: 10)")
     line.add_argument("--workers", type=int, default=2, help="number of worker processes (default: 2)")
@@ -71,16 +52,11 @@ def main() -> None:
         options = "--apart", "--effort", str(given.effort), "--json"
         rounds = [ran(goals, options, given.workers) for _ in range(given.rounds)]
     rows = [medians(name, rounds, given.goals) for name in rounds[0]]
-    print("| workers | whole command [s] | first result [s] | goals/s | rate, times | command, times | same bytes |")
-    print("|---|---|---|---|---|---|---|")
-    for row in rows:
-        numbers = f"{row.seconds:.1f} | {row.first:.1f} | {row.rate:.0f} | {row.faster:.2f} | {row.whole_faster:.2f}"
-        print(f"| {row.workers} | {numbers} | {'yes' if row.same else 'NO'} |")
-    write_figures(given.json, [row._asdict() for row in rows])
+    show("", HEADERS, [[it if isinstance(it, str) else f"{it:.2f}" for it in row] for row in rows])
+    write_figures(given.json, [dict(zip(HEADERS, row, strict=True)) for row in rows])
 
 
 def ran(goals: Path, options: Sequence[str], workers: int) -> dict[str, Run]:
-    """Runs all rows once."""
     words = "--goals", str(goals), *options
     runs = {"this process": plan(words)}
     with ThreadPoolExecutor(workers) as pool:
@@ -92,23 +68,22 @@ def ran(goals: Path, options: Sequence[str], workers: int) -> dict[str, Run]:
     return runs
 
 
-def medians(name: str, rounds: Sequence[dict[str, Run]], goals: int) -> Row:
-    """Returns the medians over the rounds."""
+def medians(name: str, rounds: Sequence[dict[str, Run]], goals: int) -> tuple[str | float, ...]:
+    """Returns the medians over the rounds; the rate is that of the last nine tenths."""
     runs, ones = [one[name] for one in rounds], [one["this process"] for one in rounds]
     took = [run.seconds - run.tenth for run in runs]
-    return Row(
+    return (
         name,
         median(run.seconds for run in runs),
         median(run.first for run in runs),
         median(0.9 * goals / each for each in took),
         median((one.seconds - one.tenth) / each for one, each in zip(ones, took, strict=True)),
         median(one.seconds / run.seconds for one, run in zip(ones, runs, strict=True)),
-        all(run.output == one.output for one, run in zip(ones, runs, strict=True)),
+        "yes" if all(run.output == one.output for one, run in zip(ones, runs, strict=True)) else "NO",
     )
 
 
 def plan(words: Sequence[str]) -> Run:
-    """Runs the command; its results come through a pipe."""
     began, times, lines = time.perf_counter(), list[float](), list[bytes]()
     command = [sys.executable, "-m", "hyperbit", "plan", str(PAPER_ARM), *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
@@ -122,7 +97,6 @@ def plan(words: Sequence[str]) -> Run:
 
 
 def split(goals: Path, count: int) -> list[Path]:
-    """Writes the goals into files of nearly equal length; returns these."""
     head, *rows = goals.read_text().splitlines(keepends=True)
     parts = [goals.with_name(f"part{k}.csv") for k in range(count)]
     for k, part in enumerate(parts):
@@ -131,7 +105,6 @@ def split(goals: Path, count: int) -> list[Path]:
 
 
 def joined(runs: Sequence[Run]) -> Run:
-    """Returns commands that ran at once as one."""
     output = b"".join(run.output for run in runs)
     return Run(output, *(max(run[k] for run in runs) for k in (1, 2, 3)))
 

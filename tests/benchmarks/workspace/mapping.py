@@ -37,13 +37,8 @@ class Row:
     """Measurements of one arm; times in processor seconds, memory in MiB.
 
     Attributes:
-        modules: B.
         mapping: least time to map all densities.
-        densities: memory that they take.
         peak: most memory of the process while it mapped, less that before.
-        goal: mean time for one goal, by method.
-        error: median error, by method.
-        switches: mean number of switches, by method.
     """
 
     modules: int
@@ -61,7 +56,6 @@ def mapped(manipulator: Manipulator) -> tuple[Densities, float]:
 
 
 def measured(modules: int) -> Row:
-    """Measures an arm with a number of modules; a separate process gives the correct peak of memory."""
     manipulator = paper_arm(modules)
     map_densities(paper_arm(2), 0.1, 100)  # loads the kernels
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -84,7 +78,6 @@ def measured(modules: int) -> Row:
 
 
 def main() -> None:
-    """Measures, prints the table, and writes it as JSON if asked to."""
     parser = CommandLine(__doc__)
     parser.add_argument("--only", type=int, help="measure one number of modules here, and print JSON")
     arguments = parser.parse()

@@ -23,9 +23,7 @@ class World(Hardware):
     """A master and the boards of its wiring; the boards have power, and answer SDO after `latency` [s] or later.
 
     Attributes:
-        master: the present master, or a tool in its place.
         stalled: whether the master's loop stands still; events wait for it.
-        switched: switches that the masters have reported.
     """
 
     def __init__(
@@ -85,7 +83,6 @@ class World(Hardware):
         self.tick()
 
     def tick(self) -> None:
-        """Gives the master a tick, and the events that wait."""
         self.master.tick(self.now)
         waiting, self._waiting = self._waiting, []
         for event in waiting:
@@ -109,8 +106,11 @@ class World(Hardware):
     # --- what a test gives
 
     def say(self, cob_id: int, data: bytes = b"", bus: str = "can0") -> None:
-        """Sends a frame of another node."""
         self.buses[bus].from_other(Frame(cob_id, data))
+
+    def cycle_power(self, board: str) -> None:
+        self.fault("power_cut", board)
+        self.fault("power_on", board)
 
     def boot(self) -> World:
         self.run(0.05)  # the boards have long booted when the master comes
@@ -125,10 +125,12 @@ class World(Hardware):
         self.frames()
         return self
 
-    def commit(self, *states: int) -> None:
-        """Commits, and runs until the commit has ended."""
+    def commit(self, *states: int, then: float = 0.0) -> None:
+        """Commits, and runs until the commit has ended, and `then` [s] longer."""
         self.master.commit(bits(*states), self.now)
         self.until(lambda: not self.master.committing)
+        if then:
+            self.run(then)
 
     def commit_when_possible(self, *states: int) -> None:
         def taken() -> bool:
@@ -151,12 +153,16 @@ class World(Hardware):
 
     @property
     def faults(self) -> list[ArmFault]:
-        """Faults that the masters have reported."""
         self._collect()
         return self._faults
 
     def codes(self) -> list[str]:
         return [fault.code for fault in self.faults]
+
+    def next_codes(self) -> list[str]:
+        """Waits for a fault."""
+        self.until(self.codes)
+        return self.codes()
 
     def positions(self) -> list[float]:
         self._attached.step()

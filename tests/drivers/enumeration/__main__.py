@@ -20,7 +20,6 @@ Rows = dict[tuple[str, str], Counter[str]]
 
 
 def main() -> int:
-    """Runs the trials; returns 1 if an invariant is broken."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--every", type=int, default=1, help="run only each N-th trial of a board")
     parser.add_argument("--board", help="run only boards whose name has this text")
@@ -51,7 +50,6 @@ def main() -> int:
 
 
 def results_of(number: int, every: int, kind: str) -> tuple[Rows, list[tuple[str, str]]]:
-    """Runs the trials of one of `BOARDS`; returns the rows of the table, and sentences on broken invariants."""
     case, rows = BOARDS[number], Rows()
     broken: list[tuple[str, str]] = []
     for trial in trials(case, every, kind):
@@ -62,18 +60,15 @@ def results_of(number: int, every: int, kind: str) -> tuple[Rows, list[tuple[str
 
 
 def counts(verdict: Verdict) -> dict[str, int]:
-    """Returns the columns of one trial."""
     columns = (1, verdict.started, verdict.energised, verdict.moved, not verdict.ready, verdict.ready)
     return dict(zip(COLUMNS, columns, strict=True))
 
 
 def line(name: str, kind: str, counter: Counter[str]) -> str:
-    """Returns one line of the table."""
     return f"{name:<36} {kind:<26}" + "".join(f"{counter[column]:>18}" for column in COLUMNS)
 
 
 def alike(broken: list[tuple[str, str]]) -> dict[str, list[str]]:
-    """Returns trials and sentences by the broken invariant."""
     groups: dict[str, list[str]] = {}
     for trial, sentence in broken:
         invariant, _, what = sentence.partition(": ")

@@ -19,7 +19,6 @@ class Failure(NamedTuple):
     Attributes:
         kind: a key of `SDO_KINDS`, of `WIRE_KINDS` or of `FRAME_KINDS`.
         at: ordinal of the SDO request, or of the frame after which it happens, from 1.
-        text: the object, or the frame.
     """
 
     kind: str
@@ -128,7 +127,6 @@ class Injection:
         return self._delays
 
     def delivered(self, rig: Rig) -> None:
-        """Counts a frame; lets the event happen after the given number of frames."""
         self._frames += 1
         if self._between is not None and self._frames == self._failure.at:
             self.struck, self.event = True, self._between
@@ -136,7 +134,6 @@ class Injection:
 
 
 def is_request(sender: str, frame: Frame) -> bool:
-    """Returns whether a frame is an SDO request of the master."""
     return sender == MASTER and frame.id & 0x780 == cia301.SDO_REQUEST
 
 
@@ -145,7 +142,6 @@ def _is_answer(sender: str, frame: Frame) -> bool:
 
 
 def _is_segment(frame: Frame) -> bool:
-    """Returns whether a request is the second step of a write in two steps."""
     return frame.data[0] & 0xE0 == 0
 
 

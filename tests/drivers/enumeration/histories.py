@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,7 +22,6 @@ class Before(NamedTuple):
     """A history.
 
     Attributes:
-        name: for the table.
         happens: takes a rig whose arm is extended and whose executor has ended.
         other_loss: whether the executor before had the other `on_loss`.
     """
@@ -77,15 +76,15 @@ HISTORIES = (
 FIRST_START = Before("first start", lambda rig: None)  # of a board that is refused
 
 
-def histories(case: Case) -> Iterator[tuple[Before, Rig]]:
-    """Yields a rig for each possible history of a board, at the moment before a boot; no executor runs."""
+def histories(case: Case, chosen: Iterable[Before] = HISTORIES) -> Iterator[tuple[Before, Rig]]:
+    """Yields a rig for each chosen history of a board, at the moment before a boot; no executor runs."""
     name = case.variant
     far = 64 if name == "many-outputs" else 1
     two = (Channel("5.left", BUS, NODE, 0, 0, input_contracted=1), Channel("5.right", BUS, NODE, far, None))
     buses = (BusWiring(BUS, "none", BUS, BITRATE),)
     wiring = Wiring(buses, case.channels or two, **case.options)
     timing = Timing(boot_timeout=8.0 if name == "late-boot" else 2.0)
-    for before in (FIRST_START,) if case.refused else HISTORIES:
+    for before in (FIRST_START,) if case.refused else chosen:
         rig = Rig(with_other_loss(wiring) if before.other_loss else wiring, timing, VARIANTS[name])
         rig.run(0.05)
         if case.foreign_holds:

@@ -25,7 +25,6 @@ KINDS: Mapping[str, Mapping[str, Any]] = {  # "2": with two coils; the fields of
 
 
 def channels(kinds: Iterable[str]) -> tuple[Channel, ...]:
-    """Returns actuators of some kinds, on successive output bits."""
     found, bit = [], 0
     for i, kind in enumerate(kinds, 1):
         two = kind.startswith("2")
@@ -36,7 +35,6 @@ def channels(kinds: Iterable[str]) -> tuple[Channel, ...]:
 
 
 def mixed(number: int, kinds: tuple[str, ...], foreign: int, variant: str = "standard", **more: Any) -> Case:
-    """Returns a board with actuators of some kinds; `foreign` bits of the first byte are on."""
     return Case(variant, label=f"mixed-{number}", channels=channels(kinds), foreign=foreign, **more)
 
 

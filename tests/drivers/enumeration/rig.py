@@ -37,8 +37,6 @@ class PinChange(NamedTuple):
 
 
 class Interception(Protocol):
-    """Sees each frame on the bus."""
-
     def delays(self, sender: str, frame: Frame) -> tuple[float, ...]:
         """Returns the delay of each delivery of a frame [s]; none: the frame is lost."""
 
@@ -51,19 +49,12 @@ class Rig:
 
     Attributes:
         now: time [s].
-        board: the board.
         master: the present master; None: no executor runs.
-        wiring: of the next master.
         stalled: whether the executor stands still; frames and echoes wait for it.
         off: whether the controller of the master is bus-off.
         log: frames on the bus since the last boot began, with their senders.
         changes: changes of the pins since the last boot began.
         interception: sees each frame; None: none does.
-
-    Args:
-        wiring: of one board.
-        timing: times of board and actuators.
-        variant: of the board.
     """
 
     def __init__(self, wiring: Wiring, timing: Timing, variant: Variant) -> None:
@@ -115,13 +106,11 @@ class Rig:
     # --- the executor
 
     def start_master(self) -> Master:
-        """Replaces the master by a new one."""
         self.master = Master(self.wiring, self.timing, self._from_master)
         self.master.receive_event(BusChanged(BUS, "bus-off" if self.off else "active", "", None), self.now)
         return self.master
 
     def go_on(self) -> None:
-        """Ends a stall: the master takes a tick, then the frames that have come."""
         self.stalled = False
         if self.master is not None:
             self.master.tick(self.now)
@@ -130,7 +119,6 @@ class Rig:
             self._tell(sender, frame)
 
     def boot(self) -> None:
-        """Begins a boot."""
         assert self.master is not None
         self.master.boot(self.now)
 
@@ -163,15 +151,12 @@ class Rig:
         return sum((pins >> line.bit & 1 ^ line.inverted) << k for k, line in enumerate(self.wiring.output_lines))
 
     def write(self, index: int, sub: int, value: int) -> None:
-        """Writes a byte by SDO of another program."""
         self._put(TOOL, Frame(cia301.SDO_REQUEST + NODE, struct.pack("<BHBI", 0x2F, index, sub, value)), 0.0)
 
     def command(self, command: Command) -> None:
-        """Sends an NMT command of another program to all boards."""
         self._put(TOOL, Frame(cia301.NMT, bytes([command, 0])), 0.0)
 
     def power_cycle(self) -> None:
-        """Cuts the supply of the board, and restores it."""
         self.board.power_cut(self.now)
         self._look("supply", "")
         self.board.power_on(self.now)
@@ -242,8 +227,6 @@ def _words(frame: Frame) -> str:
 
 
 class Copies:
-    """Makes copies of a rig without a master."""
-
     def __init__(self, rig: Rig) -> None:
         assert rig.master is None
         self._shared = [rig.variant, rig.variant.objects, rig.wiring, rig.timing]  # they never change
@@ -255,7 +238,6 @@ class Copies:
         self._bytes = buffer.getvalue()
 
     def copy(self) -> Rig:
-        """Returns a copy."""
         unpickler = _Unpickler(io.BytesIO(self._bytes))
         unpickler.shared = self._shared
         rig: Rig = unpickler.load()

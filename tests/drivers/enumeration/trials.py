@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from hyperbit.drivers.canopen.run.master import Master
 from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.simulation.objects import Objects
 from tests.drivers.enumeration.failures import SDO_KINDS, Failure, Injection, failures
-from tests.drivers.enumeration.histories import LONGEST_BOOT, Before, histories
+from tests.drivers.enumeration.histories import HISTORIES, LONGEST_BOOT, Before, histories
 from tests.drivers.enumeration.rig import BUS, MASTER, NODE, TICK, TOOL, Copies, PinChange, Rig
 from tests.drivers.variants.cases import Case
 
@@ -27,9 +27,6 @@ class Trial(NamedTuple):
     """One failure of one boot.
 
     Attributes:
-        case: the board.
-        before: history of the board.
-        failure: the failure.
         copies: of the rig before the boot.
     """
 
@@ -40,7 +37,6 @@ class Trial(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name for messages."""
         return f"{self.case.name}; {self.before.name}; {self.failure.kind}, {self.failure.at}: {self.failure.text}"
 
 
@@ -53,7 +49,6 @@ class Verdict(NamedTuple):
             program, by the supply, or as `on_loss` says.
         moved: number of changes by the master of pins that hold on loss.
         ready: whether the board is ready at the end.
-        boots: number of boots.
         broken: sentences on broken invariants, also those of `started` and `energised`.
     """
 
@@ -65,16 +60,10 @@ class Verdict(NamedTuple):
     broken: tuple[str, ...]
 
 
-def trials(case: Case, every: int = 1, kind: str = "") -> Iterator[Trial]:
-    """Yields each `every`-th trial of a board, in an order that is always the same.
-
-    Args:
-        case: the board.
-        every: see above.
-        kind: text in the kinds of failures.
-    """
+def trials(case: Case, every: int = 1, kind: str = "", chosen: Iterable[Before] = HISTORIES) -> Iterator[Trial]:
+    """Yields each `every`-th trial of a board, in an order that is always the same."""
     number = 0
-    for before, rig in histories(case):
+    for before, rig in histories(case, chosen):
         copies = Copies(rig)
         for failure in failures(frames_of_a_boot(copies)):
             number += kind in failure.kind
@@ -83,7 +72,6 @@ def trials(case: Case, every: int = 1, kind: str = "") -> Iterator[Trial]:
 
 
 def frames_of_a_boot(copies: Copies) -> list[tuple[str, Frame]]:
-    """Returns the frames of a boot without a failure."""
     rig = copies.copy()
     master = rig.start_master()
     rig.log.clear()
@@ -93,7 +81,6 @@ def frames_of_a_boot(copies: Copies) -> list[tuple[str, Frame]]:
 
 
 def run(trial: Trial) -> Verdict:
-    """Runs a trial."""
     rig = trial.copies.copy()
     rig.changes.clear()
     holding = _holding(rig)

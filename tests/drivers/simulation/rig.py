@@ -7,7 +7,7 @@ import struct
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.simulation.actuator import Actuator
 from hyperbit.drivers.simulation.firmware import SimulatedBoard, Wired
-from hyperbit.drivers.simulation.variants import STANDARD, Variant
+from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS, Variant
 
 Sent = list[tuple[int, str]]  # COB-ID and data in hexadecimal
 
@@ -28,7 +28,6 @@ class Rig:
         return sent
 
     def say(self, cob_id: int, data: bytes | str = b"") -> Sent:
-        """Sends a frame of another node, with data as bytes or in hexadecimal."""
         self.board.receive(cob_id, bytes.fromhex(data) if isinstance(data, str) else data, self.now)
         return self.answers()
 
@@ -47,14 +46,22 @@ class Rig:
         return answer
 
     def write(self, index: int, sub: int, value: int, size: int = 1) -> int:
-        """Returns 0 or the abort code."""
         data = value.to_bytes(size, "little").ljust(4, b"\0")
         raw = bytes.fromhex(self.sdo((struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + data).hex()))
         return int.from_bytes(raw[4:], "little") if raw[0] == 0x80 else 0
 
     def driven(self) -> list[int]:
-        """Whether each actuator's coil is on."""
         return [actuator.coils[0] for actuator in self.actuators]
 
     def outputs(self) -> int:
         return self.board.objects.number(0x6200, 1)
+
+
+EXTEND = "03" + 7 * " 00"  # data of an RPDO
+
+
+def booted(variant: str = "standard") -> Rig:
+    """A board that has booted, with actuators on outputs 0 and 1 and their end-stops on inputs 0 and 1."""
+    rig = Rig((0, 0), (1, 1), variant=VARIANTS[variant])
+    rig.answers()
+    return rig

@@ -21,12 +21,6 @@ def on_sync(rig: Rig) -> None:
     assert rig.write(0x1400, 2, 1) == 0
 
 
-def test_boots_into_pre_operational_and_is_deaf_to_rpdos_there(rig):
-    rig.say(0x205, bytes(8))
-    assert rig.say(0x205, b"\x01" + bytes(7)) == []
-    assert rig.outputs() == 0
-
-
 def test_resets_boot_again(rig):
     rig.nmt(cia301.Command.START)
     rig.say(0x205, b"\x01" + bytes(7))
@@ -35,18 +29,6 @@ def test_resets_boot_again(rig):
     assert rig.nmt(cia301.Command.RESET_NODE, 0) == [(0x705, "00")]
     assert rig.outputs() == 0
     assert rig.nmt(cia301.Command.RESET_NODE, 6) == []
-
-
-def test_latches_until_sync_or_acts_at_once_by_transmission_type(rig):
-    rig.nmt(cia301.Command.START)
-    rig.say(0x205, b"\x01" + bytes(7))
-    assert rig.outputs() == 1
-    on_sync(rig)
-    rig.say(0x205, b"\x02" + bytes(7))
-    assert rig.outputs() == 1
-    rig.say(0x205, b"\x03" + bytes(7))
-    rig.say(0x080)
-    assert rig.outputs() == 3
 
 
 def test_leaving_operational_forgets_what_was_latched(rig):
@@ -68,24 +50,6 @@ def test_tells_a_wrong_pdo_length_and_its_end(rig):
     assert rig.board.objects.number(0x1003, 0) == 1
     assert rig.write(0x1003, 0, 0) == 0
     assert rig.board.objects.number(0x1003, 1) == 0
-
-
-def test_a_mapping_with_dummies_takes_its_own_byte(rig):
-    for index, sub, value, size in (
-        (0x1400, 1, 0x80000201, 4),
-        (0x1600, 0, 0, 1),
-        (0x1600, 1, 0x00050008, 4),
-        (0x1600, 2, 0x62000108, 4),
-        (0x1600, 3, 0x00070020, 4),
-        (0x1600, 0, 3, 1),
-        (0x1400, 1, 0x00000201, 4),
-    ):
-        assert rig.write(index, sub, value, size) == 0
-    rig.nmt(cia301.Command.START)
-    rig.say(0x201, b"\xff\x02\xff\xff\xff\xff")
-    assert rig.outputs() == 2
-    rig.say(0x205, bytes(8))
-    assert rig.outputs() == 2
 
 
 @pytest.mark.parametrize(
@@ -156,14 +120,6 @@ def test_loss_of_the_master(rig, mode, value, behaviour, outputs, state):
     assert rig.say(0x77F, b"\x05") == recovery
 
 
-def test_stopping_takes_the_error_values_and_ends_sdo(rig):
-    rig.nmt(cia301.Command.START)
-    rig.say(0x205, b"\x03" + bytes(7))
-    rig.nmt(cia301.Command.STOP)
-    assert (rig.board.pins, rig.outputs()) == (0, 3)
-    assert rig.say(0x605, b"\x40\x00\x10\x00\0\0\0\0") == []
-
-
 def test_tpdo_on_start_and_on_arrival_if_allowed(rig):
     assert rig.nmt(cia301.Command.START) == [(0x185, "00" + 7 * " 00")]
     assert rig.say(0x205, b"\x03" + bytes(7)) == []
@@ -175,35 +131,11 @@ def test_tpdo_on_start_and_on_arrival_if_allowed(rig):
     assert rig.board.objects.number(0x6000, 1) == 0
 
 
-def test_polarity_inverts_the_drives(rig):
-    assert rig.write(0x6202, 1, 0x01) == 0
-    rig.wait(1)
-    assert [a.position for a in rig.actuators] == [1, 0]
-
-
-def test_power_cut_silences_the_board_and_springs_the_actuators_back(rig):
-    rig.nmt(cia301.Command.START)
-    rig.say(0x205, b"\x03" + bytes(7))
-    rig.wait(1)
-    rig.board.power_cut(rig.now)
-    assert rig.wait(1) == []
-    assert [a.position for a in rig.actuators] == [0, 0]
-    assert rig.say(0x605, b"\x40\x00\x10\x00\0\0\0\0") == []
-    rig.board.power_on(rig.now)
-    assert rig.answers() == [(0x705, "00")]
-    assert [a.switches for a in rig.actuators] == [2, 2]
-
-
 def test_nonsense_is_counted(rig):
     rig.say(0x605, b"\x40")
     rig.say(0x605, b"\x60" + bytes(7))  # a segment of nothing
     rig.say(0, b"\x63\x05")
     assert rig.board.ignored == 3
-
-
-def test_a_long_value_is_read_in_segments(rig):
-    assert rig.say(0x605, b"\x40\x08\x10\x00\0\0\0\0") == [(0x585, "41 08 10 00 13 00 00 00")]
-    assert rig.say(0x605, b"\x60" + bytes(7)) == [(0x585, "00 " + b"simulat".hex(" "))]
 
 
 def test_eds_is_complete(caplog):

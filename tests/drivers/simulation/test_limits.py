@@ -5,28 +5,18 @@ from __future__ import annotations
 import pytest
 
 from hyperbit.drivers.canopen.wire import cia301
-from hyperbit.drivers.canopen.wire.cia301 import Command, State
+from hyperbit.drivers.canopen.wire.cia301 import Command
 from hyperbit.drivers.canopen.wiring import BusWiring, Timing, Wiring
 from hyperbit.drivers.simulation.buses import SimulatedBuses
 from hyperbit.drivers.simulation.fault_commands import perform
-from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS, Variant
 from tests.drivers.canopen.world import one_board
-from tests.drivers.simulation.rig import Rig
+from tests.drivers.simulation.rig import EXTEND, booted
 
-GUARD = cia301.REMOTE | 0x705
-EXTEND = "03" + 7 * " 00"
 OFF, ON = (0x185, "00" + 7 * " 00"), (0x185, EXTEND)
 
 
-def rig(variant: Variant = STANDARD) -> Rig:
-    """A board that has booted, with actuators on outputs 0 and 1 and their end-stops on inputs 0 and 1."""
-    rig = Rig((0, 0), (1, 1), variant=variant)
-    rig.answers()
-    return rig
-
-
 def test_synchronous_rpdos_after_the_window_are_dropped():
-    it = rig(VARIANTS["sync-window"])
+    it = booted("sync-window")
     assert it.sdo("40 07 10 00") == "43 07 10 00 10 27 00 00"
     assert it.write(0x1400, 2, 1) == 0
     it.nmt(Command.START)
@@ -57,20 +47,13 @@ def test_synchronous_rpdos_after_the_window_are_dropped():
     ],
 )
 def test_times_are_rounded_down(name, index, sub, value, size, kept):
-    it = rig(VARIANTS[name])
+    it = booted(name)
     assert it.write(index, sub, value, size) == 0
     assert it.board.objects.number(index, sub) == kept
 
 
-def test_a_rounded_heartbeat_comes_at_the_rounded_time():
-    it = rig(VARIANTS["rounded-heartbeats"])
-    assert it.write(0x1017, 0, 88, 2) == 0
-    assert it.wait(0.079) == []
-    assert it.wait(0.002) == [(0x705, "7f")]
-
-
 def test_one_node_is_watched_by_one_entry_only():
-    it = rig(VARIANTS["watched-already"])
+    it = booted("watched-already")
     assert it.write(0x1016, 1, 127 << 16 | 300, 4) == 0x0604_0043
     assert it.write(0x1016, 1, 126 << 16 | 300, 4) == 0
     assert it.write(0x1016, 2, 127 << 16 | 300, 4) == 0, "the entry itself may change"
@@ -78,26 +61,9 @@ def test_one_node_is_watched_by_one_entry_only():
     assert [cob_id for cob_id, _ in it.wait(0.31)] == [0x085]
 
 
-def test_a_mapping_may_have_fewer_entries():
-    it = rig(VARIANTS["short-mapping"])
-    assert it.sdo("40 00 16 00") == "4f 00 16 00 04 00 00 00"
-    assert it.sdo("40 00 16 05") == "80 00 16 05 11 00 09 06"
-    assert it.write(0x1400, 1, 0x8000_0205, 4) == 0
-    assert it.write(0x1600, 0, 0) == 0
-    assert it.write(0x1600, 5, 0x6200_0508, 4) == 0x0609_0011
-    assert it.write(0x1600, 0, 5) == 0x0604_0042
-
-
-@pytest.mark.parametrize(("name", "kind"), [("no-device-type", "00 00 00 00"), ("many-profiles", "ff ff 00 00")])
-def test_device_types_that_name_no_profile(name, kind):
-    it = rig(VARIANTS[name])
-    assert it.sdo("40 00 10 00") == "43 00 10 00 " + kind
-    assert it.sdo("40 00 62 00") == "4f 00 62 00 08 00 00 00"
-
-
 @pytest.mark.parametrize(("name", "heard"), [("standard", 1), ("no-emergencies", 0)])
 def test_emergencies_come_only_if_1014h_enables_them(name, heard):
-    it = rig(VARIANTS[name])
+    it = booted(name)
     it.board.emergencies.report(0x2320)
     assert len(it.answers()) == heard
     assert it.board.objects.number(0x1001) == 0x03
@@ -108,33 +74,8 @@ def test_emergencies_come_only_if_1014h_enables_them(name, heard):
         assert it.answers() == [(0x085, "00 00 00 00 00 00 00 00")]
 
 
-def test_a_kept_loss_of_the_master_stands_until_a_reset():
-    it = rig(VARIANTS["kept-loss"])
-    assert it.write(0x1016, 1, 127 << 16 | 300, 4) == 0
-    it.say(0x77F, "05")
-    assert [cob_id for cob_id, _ in it.wait(0.31)] == [0x085]
-    assert it.say(0x77F, "05") == []
-    assert it.sdo("40 01 10 00") == "4f 01 10 00 11 00 00 00"
-    it.nmt(Command.START)
-    assert it.board.state is State.OPERATIONAL
-    it.nmt(Command.RESET_COMMUNICATION)
-    assert it.board.objects.number(0x1001) == 0
-
-
-def test_a_stopped_guarded_board_only_answers_remote_frames():
-    it = rig(VARIANTS["guarding-with-1029h"])
-    assert it.write(0x1029, 1, 2) == it.write(0x100C, 0, 100, 2) == it.write(0x100D, 0, 3) == 0
-    it.nmt(Command.START)
-    it.say(0x205, EXTEND)
-    it.say(GUARD)
-    it.wait(0.31)
-    assert (it.board.state, it.board.pins) == (State.STOPPED, 0)
-    assert it.wait(10.0) == it.say(0x605, "40 00 10 00 00 00 00 00") == []
-    assert [data[-1] for _, data in it.say(GUARD)] == ["4"]
-
-
 def test_the_event_timer_repeats_a_tpdo_while_the_board_is_operational():
-    it = rig()
+    it = booted()
     assert it.write(0x1800, 5, 100, 2) == 0
     assert it.wait(1.0) == []
     assert it.nmt(Command.START) == [OFF]
@@ -150,7 +91,7 @@ def test_the_event_timer_repeats_a_tpdo_while_the_board_is_operational():
 
 @pytest.mark.parametrize(("timer", "after"), [(0, []), (150, [ON])])
 def test_a_lost_tpdo_comes_again_only_by_the_event_timer(timer, after):
-    it = rig()
+    it = booted()
     assert it.write(0x1800, 5, timer, 2) == 0
     it.nmt(Command.START)
     it.board.lose_tpdo()

@@ -14,7 +14,6 @@ GUARD = cia301.REMOTE | 0x705
 
 
 def extended(variant: Variant = STANDARD) -> Rig:
-    """An operational board whose two outputs are on."""
     rig = Rig((0, 0), (1, 1), variant=variant)
     rig.nmt(Command.START)
     rig.say(0x205, "03" + 7 * " 00")
@@ -23,7 +22,6 @@ def extended(variant: Variant = STANDARD) -> Rig:
 
 
 def lose_master(rig: Rig) -> None:
-    """The supervision of the board runs out."""
     if rig.board.objects.has(0x100C):
         assert rig.write(0x100C, 0, 100, 2) == rig.write(0x100D, 0, 3) == 0
         rig.say(GUARD)
@@ -34,7 +32,6 @@ def lose_master(rig: Rig) -> None:
 
 
 def leave_by(cause: str, rig: Rig) -> None:
-    """Makes an operational board enter its error state."""
     if cause == "stop":
         rig.nmt(Command.STOP)
         return
@@ -55,15 +52,6 @@ def test_a_start_applies_the_last_command(cause, variant):
     rig.nmt(Command.START)
     assert (rig.board.pins, rig.driven()) == (3, [1, 1])
     assert rig.board.started == [(0, 0), (0, 3)]
-
-
-def test_a_reset_of_communication_does_not_end_the_error_state():
-    rig = extended()
-    rig.nmt(Command.STOP)
-    rig.nmt(Command.RESET_COMMUNICATION)
-    assert (rig.board.pins, rig.board.state) == (0, State.PRE_OPERATIONAL)
-    rig.nmt(Command.START)
-    assert rig.board.pins == 3
 
 
 def test_a_written_error_mode_or_value_acts_at_once_in_the_error_state():
@@ -104,12 +92,3 @@ def test_with_1029h_at_1_the_error_state_of_an_operational_board_ends_with_its_n
     assert rig.board.pins == 0
     rig.say(0x205, "02" + 7 * " 00")
     assert rig.board.pins == 2
-
-
-def test_pins_are_off_without_supply_and_after_it_returns():
-    rig = extended()
-    rig.board.power_cut(rig.now)
-    assert rig.board.pins == 0
-    rig.board.power_on(rig.now)
-    rig.nmt(Command.START)
-    assert (rig.board.pins, rig.board.started[-1]) == (0, (0, 0))

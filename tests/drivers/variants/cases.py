@@ -17,12 +17,7 @@ class Case(NamedTuple):
     """A board of one variant, and its settings in the arm's file.
 
     Attributes:
-        variant: its name.
         refused: words of the refusal's sentence; empty: the board boots and switches.
-        warned: what the warnings hold, one each.
-        options: of the wiring.
-        label: of these options.
-        timing: heartbeat times.
         channels: its actuators in boots with one failure; empty: two, of which one has both end-stops.
         foreign: output bits that no actuator uses, and that another program has switched on.
         foreign_holds: whether they hold in the error state (6206h).
@@ -40,7 +35,6 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name for files and messages."""
         return f"{self.variant}-{self.label}" if self.label else self.variant
 
     def world(self) -> World:

@@ -83,8 +83,7 @@ def test_a_board_that_saves_writes_is_written_only_once():
     boot(world)
     world.commit(1, 1)
     assert objects.flash_writes == first
-    world.fault("power_cut", "can0/5")
-    world.fault("power_on", "can0/5")
+    world.cycle_power("can0/5")
     world.new_master()
     boot(world)
     assert world.master.outputs_known
@@ -92,9 +91,7 @@ def test_a_board_that_saves_writes_is_written_only_once():
 
 
 def lose_master(world: World) -> None:
-    """Both actuators are extended; then no heartbeats are sent for a second."""
-    world.commit(1, 1)
-    world.run(1.0)
+    world.commit(1, 1, then=1.0)
     assert world.positions() == [1.0, 1.0]
     world.stalled = True
     world.run(2.0)
@@ -144,16 +141,14 @@ def test_after_the_loss_of_the_master_outputs_are_known_and_a_start_moves_nothin
     assert (world.positions(), world.switches()) == (left, before)
     assert all(pins == after for pins, after in world.boards.board("can0/5").started)
     assert world.master.outputs == sum(state << k for k, state in enumerate(left))
-    world.commit(0, 1)
-    world.run(1.0)
+    world.commit(0, 1, then=1.0)
     assert world.positions() == [0, 1]
 
 
 @pytest.mark.parametrize("name", ["standard", "resets-outputs"])
 def test_outputs_after_a_reset_of_communication_are_read(name):
     world = booted(case_of(name))
-    world.commit(1, 1)
-    world.run(1.0)
+    world.commit(1, 1, then=1.0)
     world.say(0, bytes([Command.RESET_COMMUNICATION, 5]))
     world.run(1.0)
     left = [0, 0] if name == "resets-outputs" else [1, 1]

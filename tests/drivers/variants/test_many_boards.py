@@ -14,7 +14,6 @@ SLOW = ("slow-answers", "late-boot")
 
 
 def mixed(*left_out: str, each: int = 50) -> World:
-    """`each` boards on each of two buses, of all variants that boot, slow ones first, without the excluded ones."""
     names = [name for name in (*SLOW, *(name for name in BOOTING if name not in SLOW)) if name not in left_out]
     named = [*names, "no-error-mode", "canopennode", "maker-object"]
     random = Random(1)
@@ -52,8 +51,7 @@ def test_a_hundred_boards_boot_in_parallel_and_switch_together():
     assert took < 3.0
     assert not any(world.switches())
     ones = [1] * len(world.wiring.channels)
-    world.commit(*ones)
-    world.run(1.0)
+    world.commit(*ones, then=1.0)
     assert world.positions() == ones
     assert world.measured() == ones
     assert world.faults == []

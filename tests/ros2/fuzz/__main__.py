@@ -15,7 +15,6 @@ from tests.ros2.fuzz.world import World
 
 
 def main() -> None:
-    """Prints what followed from the messages, and the rate."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--messages", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=0)

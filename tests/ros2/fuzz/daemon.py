@@ -16,16 +16,7 @@ CODES = {"succeeded": 0, "canceled": -1, "replaced": -1}
 
 
 class Daemon:
-    """Answers requests.
-
-    Attributes:
-        goal: id of the running goal.
-
-    Args:
-        chance: decides.
-        clock: of the world.
-        tell: publishes a message.
-    """
+    """Answers requests."""
 
     def __init__(self, chance: random.Random, clock: Clock, tell: Callable[[str, bytes], None]) -> None:
         self._chance, self._clock, self._tell = chance, clock, tell
@@ -35,7 +26,6 @@ class Daemon:
         self._late: list[tuple[float, bool, Mapping[str, Any]]] = []  # when it begins [s], whether it has arrived
 
     def request(self, key: str, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns the answer to a request."""
         name = payload.get("id")
         if key in ("stop", "cancel"):
             self._late = [it for it in self._late if not it[1] or name not in (None, it[2]["id"])]

@@ -58,13 +58,7 @@ JUNK = (
 
 
 class Input(NamedTuple):
-    """A message of ROS 2.
-
-    Attributes:
-        name: of the topic or service.
-        payload: CDR, perhaps damaged.
-        attachment: perhaps none, or damaged.
-    """
+    """A message of ROS 2."""
 
     name: str
     payload: bytes
@@ -243,7 +237,6 @@ class Inputs:
 
 @functools.cache
 def payloads() -> dict[str, dict[str, Any]]:
-    """Messages of the daemon by key."""
     fault = {"code": "board-lost", "source": "can0/5", "message": "board can0/5 is silent"}
     return {
         "arm": {**told(), "travel_time": 0.5},

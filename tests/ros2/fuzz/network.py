@@ -64,11 +64,7 @@ class Declared:
 
 
 class Network:
-    """The session of the wire and that of Zenoh in one: everything that is declared, by name below the namespace.
-
-    Args:
-        judge: sees what is published, and the node's end.
-    """
+    """The session of the wire and that of Zenoh in one: everything that is declared, by name below the namespace."""
 
     zid = "f00d"
 
@@ -92,7 +88,6 @@ class Network:
         return str(next(self._numbers))
 
     def kill(self) -> None:
-        """Forgets what a killed bridge has declared."""
         self.life += 1
         self.handlers.clear()
         self.tokens.clear()
@@ -132,12 +127,10 @@ class Network:
         return Declared(lambda: None, put)
 
     def receive_words(self, data: bytes) -> None:
-        """Counts a sentence."""
         self.words += 1
 
 
 def below(key: str) -> str:
-    """Returns the name below domain and namespace in a key."""
     return "/".join(key.split("/")[2:-2]) or key.split("/")[1]
 
 

@@ -34,11 +34,7 @@ def in_place(
     """Lets the bridge run in one thread; logged exceptions are failures.
 
     Args:
-        chance: draws the bridge's ids.
-        clock: for the module `time`.
-        pool: for ThreadPoolExecutor.
         let_run: runs the jobs of the threads that nothing holds up.
-        on_words: called with each sentence on /rosout.
     """
     say = ArmNode.say
 

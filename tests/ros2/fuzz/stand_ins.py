@@ -8,8 +8,6 @@ from tests.ros2.fuzz.inputs import Input
 
 
 class Clock:
-    """Stands in for the module `time`."""
-
     def __init__(self) -> None:
         self.now, self._epoch = 1_000.0, 1.7e9
 
@@ -65,13 +63,7 @@ class Trial:
 
 
 class Pool:
-    """Stands in for ThreadPoolExecutor: jobs run when the world says so.
-
-    Args:
-        name: of the threads.
-        pools: all that are open.
-        present: returns the input that is being delivered.
-    """
+    """Stands in for ThreadPoolExecutor: jobs run when the world says so."""
 
     def __init__(self, name: str, pools: "list[Pool]", present: Callable[[], Trial | None]) -> None:
         self.name, self._pools, self._present = name, pools, present

@@ -47,10 +47,6 @@ class World:
     Attributes:
         counts: of inputs by what followed first, and of sentences and nodes.
         largest: greatest number of entries in all tables of the bridge.
-
-    Args:
-        inputs: makes the inputs.
-        folder: of the file of goals.
     """
 
     def __init__(self, inputs: Inputs, folder: Path) -> None:
@@ -73,13 +69,11 @@ class World:
         self._begin()
 
     def _begin(self) -> None:
-        """Starts a bridge."""
         session, client, listener = cast("Session", self.network), cast("Client", self), cast("Listener", self)
         self.book = GoalBook(self._folder / "goals.json")
         self.bridge = Bridge(listener, client, session, self.book, self._settings)
 
     def run(self, messages: int) -> None:
-        """Feeds the bridge this many messages of ROS 2, and others of the daemon; raises Wrong."""
         with self.in_place():
             self._left, self.faulty = messages, True
             while self._left > 0:
@@ -95,7 +89,6 @@ class World:
             raise Wrong(f"tokens of an ended bridge are there: {self.network.tokens}")
 
     def rest(self) -> None:
-        """Lets everything come to its end."""
         self.faulty = False
         self._rests_until = self.clock.now + REST
         self.hear("alive", b"")
@@ -109,7 +102,6 @@ class World:
         return places.in_place(self.chance, self.clock, pool, run_others, lambda _: self._note("said"))
 
     def kill(self) -> None:
-        """Kills the bridge: nothing that it does from now on has an effect."""
         self.kills += 1
         self.book._path = self._folder / "dead.json"
         self.network.kill()
@@ -117,7 +109,6 @@ class World:
         self.judge.receive_kill()
 
     def restart(self) -> None:
-        """Starts the bridge again after a kill."""
         self.trial = None
         self._begin()
         self._waiting.clear()
@@ -130,12 +121,10 @@ class World:
             self.hear(*self._waiting.popleft()[:2])
 
     def hear(self, key: str, data: bytes) -> None:
-        """Hands the bridge a message of the daemon, and lets it publish."""
         self._heard.append((key, data))
         self.bridge.run(lambda: not self._heard, lambda: None)
 
     def ask(self) -> None:
-        """Lets the daemon describe the arm."""
         self._waiting.append(("arm", json.dumps(payloads()["arm"]).encode(), True))
 
     def receive_messages(self, timeout: float) -> list[ReceivedMessage]:
@@ -192,7 +181,6 @@ class World:
             self.ask()
 
     def request(self, key: str, payload: Mapping[str, Any] | None, timeout: float, sending: Sending) -> Any:
-        """Answers a request to the daemon; answers and requests may get lost, others come meanwhile."""
         payload, chance = payload or {}, self.chance
         strict_json(payload)
         self._interrupt()
@@ -219,7 +207,6 @@ class World:
         return answer
 
     def put(self, key: str, payload: bytes) -> None:
-        """Accepts a set-point."""
         self._note(key)
         self.judge.receive_setpoint(json.loads(payload, parse_constant=lambda text: math.nan))
 
@@ -274,7 +261,6 @@ class World:
             raise Killed
 
     def run_jobs(self, but: str = "") -> None:
-        """Runs the jobs that wait, but for those of the threads of this name."""
         while any(pool.jobs for pool in self.pools if pool.name != but):
             self._run_job(but)
 
@@ -289,7 +275,6 @@ class World:
             self._judge(trial)
 
     def _judge(self, trial: Trial) -> None:
-        """Checks that a message that has no effect is told."""
         if trial.jobs:
             return
         if not trial.outcomes:

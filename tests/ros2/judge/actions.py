@@ -26,8 +26,6 @@ class Wrong(BaseException):
 
 
 class Result(NamedTuple):
-    """Answer to get_result."""
-
     status: int
     code: int
     text: str
@@ -38,7 +36,6 @@ class Goal:
     """A goal of the action.
 
     Attributes:
-        uuid: of the goal.
         joints: of its trajectory; none: not known.
         status: last one on the wire; 0: none yet.
         canceled: whether a cancel was accepted.
@@ -77,8 +74,6 @@ class Actions:
 
     Args:
         clock: returns the time [s].
-        on_end: called with a goal that ends.
-        on_cancel: called with a goal whose cancel is accepted.
     """
 
     def __init__(
@@ -92,7 +87,6 @@ class Actions:
         self.accepted = self.ended = 0
 
     def receive_request(self) -> None:
-        """Accepts that a client sends a goal, which the bridge may reject."""
         for goal in self.goals.values():
             goal.later += 1
 
@@ -107,7 +101,6 @@ class Actions:
         self.accepted += 1
 
     def receive_status(self, data: bytes) -> None:
-        """Accepts an array of states."""
         reading, states = Reading(data), {}
         for _ in range(reading.get("I")):
             uuid = reading.raw(16)

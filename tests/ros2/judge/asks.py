@@ -19,9 +19,7 @@ class Ask:
     Attributes:
         number: in the order of arrival.
         at: when it came [s].
-        name: of its topic or service.
         key: of the daemon, to which it may lead; "": it leads to none.
-        payload: CDR.
         points: positions of a goal, by the independent reader; None: it is no goal.
         service: whether a reply is due.
         sent: whether it was sent to the daemon.
@@ -62,7 +60,6 @@ class Asks:
         self._number = 0
 
     def receive(self, name: str, key: str, payload: bytes, points: list[Any] | None, service: bool) -> Ask:
-        """Accepts a message."""
         self._number += 1
         self._before = {it: replace(ending) for it, ending in self.endings.items()}
         ask = Ask(self._number, self._clock(), name, key, payload, points, service)
@@ -110,18 +107,15 @@ class Asks:
         return ""
 
     def receive_ending(self, key: str) -> None:
-        """Accepts that a stop or cancel is sent."""
         ending = self.endings[key]
         if not any(it.key == key and not it.replied for it in self.open) and ending.asked <= ending.sent:
             raise Wrong(f"{key} is sent, and nobody asked for it")
         ending.sent, ending.since = self._number, math.inf
 
     def receive_ending_answer(self, key: str, accepted: bool | None) -> None:
-        """Accepts the daemon's answer to a stop or cancel."""
         self.endings[key].accepted = self.endings[key].sent if accepted else 0
 
     def receive_reply(self, ask: Ask, success: bool) -> None:
-        """Accepts a reply; `success` is what it tells."""
         if ask.replied:
             raise Wrong(f"a request on {ask.name} has two replies")
         ask.replied = True
@@ -143,7 +137,6 @@ class Asks:
 
 
 def same(points: list[Any], wanted: list[Any] | None) -> bool:
-    """Returns whether a request has the positions of a message; None stands for a point that has none."""
     return (
         wanted is not None
         and len(points) == len(wanted)

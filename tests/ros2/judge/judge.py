@@ -38,7 +38,6 @@ class Judge:
     """The account of all.
 
     Args:
-        arm: what the rules of goals depend on.
         kinds: kind of a message by name of its topic or service.
         clock: returns the time [s]; any, but it never goes back.
         epoch: returns the UNIX time [s].
@@ -64,7 +63,6 @@ class Judge:
         self._fed = True
 
     def receive(self, name: str, payload: bytes, attachment: bytes | None) -> Ask:
-        """Accepts a message of a ROS client that is on its way to the bridge."""
         kind = self._kinds[name]
         key, points = KEYS.get(kind, kind), None
         if key == "reset":
@@ -92,7 +90,6 @@ class Judge:
             raise Wrong(f"a {ask.key} is dropped: {ask.payload.hex()}")
 
     def receive_request(self, key: str, payload: Mapping[str, Any]) -> Ask | None:
-        """Accepts that the bridge sends a request to the daemon; returns what a goal, reset or plan is for."""
         now, name = self._clock(), str(payload.get("id", ""))
         if key in ("goal", "plan"):
             points = [it.get("position") for it in payload["waypoints"]]
@@ -121,7 +118,6 @@ class Judge:
         return None
 
     def receive_setpoint(self, payload: Mapping[str, Any]) -> None:
-        """Accepts that the bridge sends a set-point."""
         self.asks.receive_motion("setpoint", [payload["position"]])
 
     def receive_answer(self, key: str, payload: Mapping[str, Any], ask: Ask | None, answer: Any, *, sure: bool) -> None:
@@ -145,7 +141,6 @@ class Judge:
                     self._pay(name)
 
     def receive_reply(self, ask: Ask, data: bytes) -> None:
-        """Accepts a reply to a ROS client."""
         server, _, service = ask.name.rpartition("/")
         self.asks.receive_reply(ask, success=len(data) > 4 and data[4] == 1)
         uuid = ask.payload[4:20]
@@ -157,7 +152,6 @@ class Judge:
             self._check_result(*found)
 
     def receive_message(self, name: str, data: bytes) -> None:
-        """Accepts a message that the bridge publishes for ROS clients."""
         server, _, topic = name.rpartition("/")
         if topic == "status":
             self.actions[server].receive_status(data)
@@ -334,7 +328,6 @@ def accepts(answer: Any) -> bool | None:
 
 
 def joints_of(message: bytes) -> list[str]:
-    """Returns the names of the joints of a send_goal."""
     reader = Reader(message)
     reader.get("B", 16)
     reader.header()

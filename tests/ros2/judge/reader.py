@@ -19,8 +19,6 @@ class Arm(NamedTuple):
 
     Attributes:
         frames: allowed names of frames; the base of the arm is the world's origin.
-        axes: names of the tip's joints without tip_yaw.
-        actuators: labels of the actuators.
         oriented: whether the orientation of topics counts.
     """
 
@@ -87,7 +85,6 @@ def check_attachment(data: bytes | None) -> None:
 
 
 def check_frame(name: str, arm: Arm) -> None:
-    """Raises Invalid if the frame is unknown."""
     if name not in ("", *arm.frames):
         raise Invalid("frame")
 
@@ -115,8 +112,6 @@ def goal_of(kind: str, message: bytes, arm: Arm, now: float) -> Goal:
 
     Args:
         kind: goal_pose, goal_path, setpoint, plan, tip or actuators.
-        message: CDR.
-        arm: the arm.
         now: UNIX time [s].
 
     Raises:
@@ -144,7 +139,6 @@ def goal_of(kind: str, message: bytes, arm: Arm, now: float) -> Goal:
 
 
 def trajectory(reader: Reader, arm: Arm, *, tip: bool) -> Goal:
-    """Returns the positions of a goal of FollowJointTrajectory."""
     reader.get("B", 16)
     _, frame = reader.header()
     joints = [reader.text() for _ in range(reader.count())]

@@ -53,7 +53,6 @@ def distribution(request: pytest.FixtureRequest) -> str:
 
 
 def asked(distribution: str, job: str, text: str = "") -> Any:
-    """Returns what the oracle prints."""
     python = ENVIRONMENTS / f"ros2-{distribution}" / "bin" / "python"
     settings = {**os.environ, "ROS_DOMAIN_ID": str(os.getpid() % 90 + 10), "ROS_LOCALHOST_ONLY": "1"}
     for name in ("PYTHONPATH", "ZENOH_CONFIG_OVERRIDE"):

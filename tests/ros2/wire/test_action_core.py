@@ -329,4 +329,4 @@ class RandomEvents(RuleBasedStateMachine):
 
 
 TestRandomEvents = RandomEvents.TestCase
-TestRandomEvents.settings = settings(max_examples=150, stateful_step_count=50, derandomize=True, deadline=None)
+TestRandomEvents.settings = settings(max_examples=60, stateful_step_count=50, derandomize=True, deadline=None)

@@ -22,7 +22,6 @@ MESSAGES = sorted(
     for name in JAZZY.store.fielddefs
     if name in JAZZY.hashes or name.rsplit("_", 1)[0] in JAZZY.hashes or name.startswith(FOLLOW)
 )
-NUMBERS = [b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", bytes(4), b"\x80\x80\x80\x80"]
 POINTS = [{"positions": [1.0, 2.0], "time_from_start": {"sec": 1}}, {"positions": [3.0]}]
 TRAJECTORY = {"joint_names": ["a", "bc"], "points": POINTS}
 FILLED = {
@@ -34,11 +33,6 @@ FILLED = {
     "nav_msgs/srv/GetPlan_Response": {"plan": {"poses": [{}] * 3}},
     "action_msgs/msg/GoalStatusArray": {"status_list": [{"status": 2}] * 3},
 }
-
-
-def test_there_are_types_of_each_kind() -> None:
-    assert len(MESSAGES) > 95
-    assert set(FILLED) < set(MESSAGES)
 
 
 @pytest.mark.parametrize("name", MESSAGES)
@@ -59,12 +53,6 @@ def test_joint_states_are_written_by_the_rules_of_cdr() -> None:
 def test_an_empty_request_is_one_zero_byte() -> None:
     assert serialize({}, "std_srvs/srv/Trigger_Request", JAZZY) == b"\x00\x01\x00\x00\x00"
     deserialize(b"\x00\x01\x00\x00\x00", "std_srvs/srv/Trigger_Request", JAZZY)
-
-
-def test_numbers_are_not_judged() -> None:
-    read = deserialize(serialize(FILLED[JOINTS], JOINTS, JAZZY), JOINTS, JAZZY)
-    assert math.isnan(read.position[1])
-    assert math.isinf(read.effort[0])
 
 
 def test_a_quaternion_turns_nothing_unless_it_is_given() -> None:
@@ -158,11 +146,6 @@ def test_big_endian_is_read() -> None:
 def test_values_that_do_not_fit_are_refused(fields: dict[str, object], why: str) -> None:
     with pytest.raises(BadMessage, match=why):
         serialize(fields, JOINTS, JAZZY)
-
-
-def test_arrays_have_their_length() -> None:
-    with pytest.raises(BadMessage):
-        serialize({"uuid": bytes(15)}, "unique_identifier_msgs/msg/UUID", JAZZY)
 
 
 def test_a_message_of_another_type_is_refused() -> None:

@@ -133,11 +133,6 @@ def test_a_token_is_reversible(token: Token) -> None:
     assert len(token.text.split("/")) == (9 if token.kind is Kind.NODE else 13)
 
 
-@given(endpoint_tokens, st.lists(part, min_size=1, max_size=3))
-def test_further_parts_of_a_token_are_ignored(token: Token, further: list[str]) -> None:
-    assert tokens.parse("/".join([token.text, *further])) == token
-
-
 @given(st.one_of(st.text(), st.lists(st.text(max_size=4), max_size=14).map(lambda it: "@ros2_lv/" + "/".join(it))))
 def test_any_key_is_a_token_or_refused(text: str) -> None:
     with contextlib.suppress(BadToken):

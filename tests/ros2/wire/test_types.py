@@ -42,7 +42,6 @@ KNOWN = {
 
 
 def described(desc: FieldDesc) -> dict[str, object]:
-    """The description of one field's type, as in type_description_interfaces."""
     offset = capacity = 0
     if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
         element, capacity = desc[1]

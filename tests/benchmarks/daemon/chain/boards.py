@@ -31,8 +31,6 @@ class Bus:
     """The one bus: each frame of the executor comes back as its echo and goes to all boards.
 
     Args:
-        channel: folder of the interface.
-        arm: its file.
         syncs: keeps when each SYNC was handed over [s].
         beats: keeps the same of each heartbeat of the master [s].
     """
@@ -50,7 +48,6 @@ class Bus:
         self.ending = False
 
     def run(self) -> None:
-        """Runs until `ending`."""
         while not self.ending:
             wait = min(max(self._boards.next_due() - time.monotonic(), 0.0), 0.1)
             readable = select.select([self._client or self._server], [], [], wait)[0]

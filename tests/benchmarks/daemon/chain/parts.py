@@ -31,17 +31,9 @@ ENDING = 20.0  # [s] for a process to end in order
 class Parts:
     """The arm of the paper, running; the parts end with the context, and then their records can be read.
 
-    Attributes:
-        folder: of everything that is written.
-        file: of the arm.
-        name: of the arm.
-        endpoint: of the planner.
-        processes: the parts by their module's name.
-
     Args:
         real_time: whether the arm's file asks for it.
         simulate: the boards are simulated in the executor's process, else in one of their own on an emulated bus.
-        fields: replace fields of the arm's file.
     """
 
     def __init__(self, *, real_time: bool = False, simulate: bool = False, **fields: Any) -> None:
@@ -108,13 +100,10 @@ class Parts:
         return process.stdout.readline().strip() if process.stdout else ""
 
     def _check(self) -> None:
-        """Checks that all processes run."""
         for process in self.processes.values():
             assert process.poll() is None, f"process {process.args} has ended with {process.returncode}"
 
     def session(self) -> zenoh.Session:
-        """A client's session, until the end of the context."""
-
         def connect() -> zenoh.Session | None:
             self._check()
             try:
@@ -125,13 +114,11 @@ class Parts:
         return self._closing.enter_context(eventually(connect))
 
     def client(self) -> Observer:
-        """A client that has heard a state."""
         observer = Observer(Client(self.session(), self.name))
         eventually(lambda: observer.heard["state"])
         return observer
 
     def record(self, name: str) -> dict[str, NDArray[np.float64]]:
-        """Returns a record by its name, once all has ended."""
         return self._kept[name]
 
 

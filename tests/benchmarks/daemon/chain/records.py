@@ -14,7 +14,6 @@ class Record:
 
     Args:
         path: path of the file; None: nothing is recorded.
-        columns: names of the numbers of each row.
     """
 
     def __init__(self, path: Path | None, *columns: str) -> None:
@@ -23,7 +22,6 @@ class Record:
         self._count = 0
 
     def note(self, *row: float) -> None:
-        """Records a row."""
         if self._count < len(self._rows):
             self._rows[self._count] = row
             self._count += 1

@@ -17,9 +17,6 @@ class Method:
     """One method.
 
     Attributes:
-        name: in tables and plots.
-        prepare: builds the tables.
-        solve: solves a goal.
         mapped: whether the densities are among its tables.
     """
 

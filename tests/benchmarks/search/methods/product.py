@@ -29,6 +29,5 @@ def solve(problem: Problem, goal: Array, previous: Configuration, tolerance: flo
 
 
 def solution(problem: Problem, goal: Array, previous: Configuration, tolerance: float) -> Solution:
-    """Returns the solver's whole solution, with its certificate."""
     target, most = problem.solver.target(goal, tolerance), problem.deadline
     return problem.solver.solve(target, previous, problem.method, SearchTime(most, unfound=most))

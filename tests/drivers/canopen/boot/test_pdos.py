@@ -13,7 +13,6 @@ from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World
 
 FIVE = [Channel("5.left", "can0", 5, 0, 0), Channel("5.right", "can0", 5, 1, 1)]
-WIDE = [Channel("5.left", "can0", 5, 0, 0), Channel("5.right", "can0", 5, 100, 70)]
 
 
 def writes(world: World) -> list[str]:
@@ -24,34 +23,6 @@ def writes(world: World) -> list[str]:
         for d in requests
         if d[0] in ("23", "2b", "27", "2f")
     ]
-
-
-def test_the_order_of_a_change_is_disable_unmap_map_type_enable():
-    world = World([Channel("5.left", "can0", 5, 9, None)]).boot()
-    changes = [line for line in writes(world) if line[:4] in ("1400", "1600")]
-    assert changes == [
-        "1400:1=80000205",
-        "1600:0=00000000",
-        "1600:1=62000208",
-        "1600:0=00000001",
-        "1400:2=00000001",
-        "1400:1=00000205",
-    ]
-
-
-def test_nothing_is_written_to_a_board_that_holds_it_already():
-    """Some boards save each write to flash."""
-    world = World(FIVE, variants={"can0/5": VARIANTS["saves-writes"]}).up()
-    board = world.boards.board("can0/5")
-    world.fault("power_cut", "can0/5")
-    world.fault("power_on", "can0/5")
-    world.run(0.5)
-    world.frames(sdo=True)
-    before = board.objects.flash_writes
-    world.boot()
-    assert world.master.boot_faults == []
-    assert writes(world) == []
-    assert board.objects.flash_writes == before
 
 
 def test_a_fixed_mapping_is_used_as_it_is_and_other_outputs_keep_their_values():
@@ -65,29 +36,9 @@ def test_a_fixed_mapping_is_used_as_it_is_and_other_outputs_keep_their_values():
     assert world.measured() == [1, 0]
 
 
-def test_a_fixed_mapping_without_the_outputs_is_refused():
-    world = World(FIVE, variants={"can0/5": VARIANTS["fixed-mapping"]})
-    objects = world.boards.board("can0/5").objects
-    for sub in range(1, 9):
-        objects.set_number(0x1600, sub, 0x62000808)
-    world.boot()
-    [fault] = world.master.boot_faults
-    assert fault.code == "sdo-refused"
-    assert "1600h maps 62000808h, " in fault.message
-    assert "to RPDO1; 62000108h is needed; it refuses 00h in 1600h sub 0" in fault.message
-
-
 def many(count: int) -> list[Channel]:
     """One actuator on each byte of outputs, the first two with end-stops."""
     return [Channel(f"{k}", "can0", 5, 8 * k, 64 * k if k < 2 else None) for k in range(count)]
-
-
-def test_a_few_outputs_of_many_bytes_are_mapped_to_one_rpdo():
-    world = World(WIDE, variants={"can0/5": VARIANTS["many-outputs"]}).up()
-    world.commit(1, 1)
-    assert world.frames()[:2] == [(0x205, "01 10"), (0x080, "")]
-    world.run(0.2)
-    assert world.measured() == [1, 1]
 
 
 @pytest.mark.parametrize("read_only", [(), (0x1600, 0x1604, 0x1A00, 0x1A04)])
@@ -117,42 +68,6 @@ def test_outputs_beyond_the_first_64_switch_with_the_same_sync(count, read_only)
     world.boot()
     assert world.master.boot_faults == []
     assert world.positions() == [1.0] * (count - 1) + [0.0]
-
-
-def test_a_board_without_rpdo_for_its_outputs_is_refused():
-    world = World(WIDE)
-    world.boot()
-    [fault] = world.master.boot_faults
-    assert fault.code == "wrong-device"
-    assert "has 8 bytes of outputs in 6200h; sub 13 is needed" in fault.message
-
-
-def test_a_board_that_refuses_sync_switches_at_once_and_says_so():
-    world = World(
-        [Channel("5.left", "can0", 5, 0, 0), Channel("9.left", "can0", 9, 0, 0)],
-        variants={"can0/5": VARIANTS["no-sync"]},
-    ).up()
-    [warning] = world.master.warnings()
-    assert warning.source == "can0/5"
-    assert "RPDO1 refuses to wait for SYNC (1400h sub 2): its outputs switch at once" in warning.message
-    world.commit(1, 1)
-    world.run(0.2)
-    assert world.measured() == [1, 1]
-    assert world.switches() == [1, 1]
-    assert sum(mask for mask, _ in world.switched) == 0b11
-
-
-def test_outputs_of_a_makers_object():
-    world = World(
-        FIVE,
-        variants={"can0/5": VARIANTS["maker-object"]},
-        nodes=(NodeWiring("can0", 5, object=0x2201),),
-        error_state="off",
-    ).up()
-    world.commit(1, 0)
-    world.run(0.2)
-    assert world.boards.board("can0/5").objects.number(0x2201, 1) == 1
-    assert world.measured() == [1, 0]
 
 
 @pytest.mark.parametrize(

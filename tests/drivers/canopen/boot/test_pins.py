@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import pytest
 
-from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Command, Frame, State
 from hyperbit.drivers.simulation import dictionary
 from hyperbit.drivers.simulation.variants import VARIANTS
@@ -17,10 +16,8 @@ BOARD = {"can0/5": VARIANTS["standard"]}
 
 
 def extended(**options: object) -> World:
-    """An arm whose two actuators are extended; its boards then lose the master."""
     world = World(one_board(), **{"variants": BOARD, **options}).up()
-    world.commit(1, 1)
-    world.run(0.3)
+    world.commit(1, 1, then=0.3)
     lose_master(world)
     return world
 
@@ -36,17 +33,6 @@ def boot(world: World) -> list[str]:
     world.master.boot(world.now)
     world.until(lambda: not world.master.booting)
     return [fault.message for fault in world.master.boot_faults]
-
-
-def lose_answers(world: World, state: State) -> None:
-    """Boots until the board is in a state; then its SDO answers are lost, and the boot fails."""
-    board = world.boards.board("can0/5")
-    world.master.boot(world.now)
-    world.until(lambda: board.state is state)
-    world.lost = lambda bus, frame: frame.id & 0x780 == cia301.SDO_ANSWER
-    world.until(lambda: not world.master.booting)
-    assert world.master.boot_faults
-    world.lost = lambda bus, frame: False
 
 
 def outputs(world: World) -> int:
@@ -65,54 +51,10 @@ def test_outputs_that_the_error_state_switched_off_are_written_off_and_told():
     assert world.master.warnings() == ()
 
 
-def test_outputs_that_held_keep_their_values():
-    world = extended(on_loss="hold")
-    assert world.boards.board("can0/5").state is State.PRE_OPERATIONAL
-    assert boot(world) == []
-    assert (outputs(world), world.measured(), world.master.warnings()) == (0b11, [1, 1], ())
-
-
-def test_a_boot_that_is_tried_again_still_writes_them_off():
-    world = extended(on_loss="contract")
-    lose_answers(world, State.PRE_OPERATIONAL)
-    assert boot(world) == []
-    world.run(0.5)
-    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
-    assert [fault.code for fault in world.master.warnings()] == ["outputs-off"]
-
-
-def test_another_process_writes_them_off_after_an_interrupted_boot():
-    world = extended(on_loss="contract")
-    lose_answers(world, State.PRE_OPERATIONAL)
-    world.new_master()
-    assert boot(world) == []
-    world.run(0.5)
-    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
-
-
-def test_another_program_may_have_made_a_stopped_board_pre_operational():
-    world = extended(on_loss="contract")
-    world.say(0, bytes([Command.PRE_OPERATIONAL, 5]))
-    world.run(0.2)
-    assert boot(world) == []
-    world.run(0.5)
-    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
-
-
-def test_the_error_mode_is_read_before_another_one_is_written():
-    world = extended(on_loss="contract")
-    world.wiring = replace(world.wiring, on_loss="hold")
-    world.new_master()
-    assert boot(world) == []
-    world.run(0.5)
-    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
-
-
 def held(*frames: tuple[int, bytes], after: float = 0.2, **options: object) -> World:
     """An arm whose two actuators are extended; then another program sends frames, and the same master boots again."""
     world = World(one_board(), **{"variants": BOARD, "on_loss": "contract", **options}).up()
-    world.commit(1, 1)
-    world.run(0.3)
+    world.commit(1, 1, then=0.3)
     for cob_id, data in frames:
         world.say(cob_id, data)
         world.run(0.02)
@@ -128,29 +70,29 @@ def test_what_a_running_master_has_commanded_stays_on_after_a_command_of_another
     assert world.master.warnings() == ()
 
 
-@pytest.mark.parametrize("board", [0, 5])
-@pytest.mark.parametrize("commands", [[Command.STOP], [Command.STOP, Command.START]])
-def test_a_board_that_was_stopped_meanwhile_is_written_off(board, commands):
-    world = held(*((0, bytes([command, board])) for command in [*commands, Command.PRE_OPERATIONAL]), after=0.0)
-    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
+LEAVE = (0, bytes([Command.PRE_OPERATIONAL, 5]))
 
 
-def test_outputs_that_another_program_has_written_meanwhile_are_written_off():
-    written = bytes.fromhex("2f00620101000000")
-    world = held((0, bytes([Command.PRE_OPERATIONAL, 5])), (0x605, written))
-    assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
-
-
-def test_outputs_that_are_off_outside_operational_are_written_off():
-    variants = {"can0/5": VARIANTS["off-in-preoperational"]}
-    world = held((0, bytes([Command.PRE_OPERATIONAL, 5])), variants=variants, error_state="off")
+@pytest.mark.parametrize(
+    ("frames", "options"),
+    [
+        *(
+            ([(0, bytes([command, board])) for command in (*commands, Command.PRE_OPERATIONAL)], {"after": 0.0})
+            for board in (0, 5)
+            for commands in ([Command.STOP], [Command.STOP, Command.START])
+        ),
+        ([LEAVE, (0x605, bytes.fromhex("2f00620101000000"))], {}),  # another program has written
+        ([LEAVE], {"variants": {"can0/5": VARIANTS["off-in-preoperational"]}, "error_state": "off"}),
+    ],
+)
+def test_what_may_have_gone_off_or_was_written_meanwhile_is_written_off(frames, options):
+    world = held(*frames, **options)
     assert (outputs(world), world.positions()) == (0, [0.0, 0.0])
 
 
 def test_a_master_that_stood_still_meanwhile_writes_off():
     world = World(one_board(), variants=BOARD, on_loss="contract").up()
-    world.commit(1, 1)
-    world.run(0.3)
+    world.commit(1, 1, then=0.3)
     world.say(0, bytes([Command.PRE_OPERATIONAL, 5]))
     world.run(0.2)
     world.stall(1.0)
@@ -164,8 +106,7 @@ def test_a_board_that_takes_no_write_in_two_steps_gets_one():
     channels = [Channel("5.left", "can0", 5, 0, None, on_loss="contract"), Channel("5.right", "can0", 5, 1, None)]
     for abort in ("", "01000405"):  # no answer, or abort 05040001h
         world = World(channels, variants=BOARD).up()
-        world.commit(1, 1)
-        world.run(0.3)
+        world.commit(1, 1, then=0.3)
         lose_master(world)
         world.lost = refusing(world, bytes.fromhex(abort))
         assert boot(world) == []
@@ -190,15 +131,6 @@ def refusing(world: World, abort: bytes) -> Callable[[str, Frame], bool]:
     return lost
 
 
-@pytest.mark.parametrize(("error_state", "left"), [("off", 0), ("device", 0), ("hold", 0b11)])
-def test_without_an_error_mode_the_arms_file_tells(error_state, left):
-    name = "no-error-mode" if error_state == "hold" else "no-error-mode-off"
-    variant = VARIANTS[name]
-    world = extended(variants={"can0/5": variant}, error_state=error_state)
-    assert boot(world) == []
-    assert outputs(world) == left
-
-
 def test_no_entry_of_the_history_keeps_outputs_on():
     variant = VARIANTS["no-error-mode-off"]
     world = extended(variants={"can0/5": variant}, error_state="device")
@@ -209,21 +141,9 @@ def test_no_entry_of_the_history_keeps_outputs_on():
     assert outputs(world) == 0
 
 
-def test_the_coil_that_contracts_on_loss_stays_on():
-    channels = [Channel("5.left", "can0", 5, 0, None, output_off=1)]
-    world = World(channels, variants=BOARD, on_loss="contract").up()
-    world.commit(1, 0)
-    world.run(0.3)
-    lose_master(world)
-    assert world.boards.board("can0/5").state is State.STOPPED
-    assert boot(world) == []
-    assert (outputs(world), world.positions()) == (0b10, [0.0])
-
-
 def test_outputs_are_not_written_while_the_board_is_operational():
     world = World(one_board(), on_loss="contract").up()
-    world.commit(1, 1)
-    world.run(0.3)
+    world.commit(1, 1, then=0.3)
     world.wiring = replace(world.wiring, on_loss="hold")
     world.new_master()
     world.frames(sdo=True)
@@ -238,8 +158,7 @@ def stays_operational(world: World, behaviour: int = 1) -> list[int]:
 
     The coil that contracts is on in the error state, and the coil that extends is on in 6200h.
     """
-    world.commit(1, 0)
-    world.run(0.3)
+    world.commit(1, 0, then=0.3)
     board = world.boards.board("can0/5")
     board.objects.set_number(0x1029, 1, behaviour)
     lose_master(world)
@@ -263,15 +182,6 @@ def watched(world: World) -> list[int]:
 COILS = [Channel("5.left", "can0", 5, 0, None, output_off=1, on_loss="contract")]
 
 
-@pytest.mark.parametrize("behaviour", [1, 3])
-def test_an_operational_board_in_its_error_state_switches_no_output_on(behaviour):
-    world = World(COILS, variants=BOARD).up()
-    pins = stays_operational(world, behaviour)
-    assert boot(world) == []
-    assert (pins, outputs(world)) == ([0b10, 0], 0)
-    assert [fault.code for fault in world.master.warnings()] == ["outputs-off"]
-
-
 def test_a_refused_board_in_its_error_state_switches_no_output_on():
     world = World(COILS, variants=BOARD).up()
     pins = stays_operational(world)
@@ -284,8 +194,7 @@ def test_a_refused_board_in_its_error_state_switches_no_output_on():
 
 def test_a_running_master_knows_that_an_operational_board_holds():
     world = World(one_board(), variants=BOARD, on_loss="contract").up()
-    world.commit(1, 1)
-    world.run(0.3)
+    world.commit(1, 1, then=0.3)
     world.boards.board("can0/5").objects.set_number(0x1029, 1, 1)
     pins = watched(world)
     assert boot(world) == []

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from hyperbit.drivers.canopen.wire.cia301 import Command, State
 from hyperbit.drivers.canopen.wiring import Timing
-from hyperbit.drivers.simulation.dictionary import Changes, array, number
+from hyperbit.drivers.simulation.dictionary import Changes, array
 from hyperbit.drivers.simulation.variants import STANDARD, VARIANTS
 from tests.drivers.canopen.world import TICK, World, one_board
 
@@ -21,14 +20,8 @@ def changed(changes: Changes, **more: object) -> World:
 
 
 def refusal(world: World) -> tuple[str, str]:
-    """Boots the board in vain; returns code and message."""
     [fault] = world.boot().master.boot_faults
     return fault.code, fault.message
-
-
-def test_a_device_type_of_two_bytes_is_refused():
-    text = "board can0/5 answers 2 bytes to 1000h sub 0; 4 are needed"
-    assert refusal(changed({(0x1000, 0): number(2, 0x0191)})) == ("wrong-device", text)
 
 
 def test_another_cob_id_that_cannot_be_written_is_refused():
@@ -73,19 +66,6 @@ def test_outputs_that_go_off_without_the_master_are_set_to_it_after_the_start_on
     written = [k for k, data in enumerate(sent) if data.startswith("2f 06 62 01")]
     assert (written[-1] < sent.index("01 05")) is early
     assert len(written) == 1
-
-
-def test_a_board_that_is_stopped_after_its_start_is_configured_again():
-    world = World()
-    board = world.boards.board("can0/5")
-    world.run(0.05)
-    world.master.boot(world.now)
-    world.until(lambda: board.state is State.OPERATIONAL)
-    board._obey(Command.STOP)
-    world.until(lambda: not world.master.booting)
-    assert (world.master.boot_faults, board.state) == ([], State.OPERATIONAL)
-    first, *others, last = [data for cob_id, data in world.frames() if cob_id == 0]
-    assert (first, set(others), last) == ("01 05", {"80 05"}, "01 05")
 
 
 def test_the_boot_goes_on_with_the_echo_of_an_order():

@@ -21,20 +21,6 @@ def values(world: World) -> dict[tuple[int, int], bytes]:
     return {place: board.objects._value(*place) for place in places}
 
 
-@pytest.mark.parametrize(
-    ("deaf", "on_loss"), [(0x1016, "contract"), (0x1029, "contract"), (0x6206, "hold"), (0x1006, "hold")]
-)
-def test_a_board_that_ignores_a_write_gets_its_objects_back(deaf, on_loss):
-    variant = replace(VARIANTS["sync-period"], deaf=frozenset({deaf}))
-    world = World(one_board(), variants={"can0/5": variant}, on_loss=on_loss)
-    world.run(0.05)
-    before = values(world)
-    [sentence] = boot(world)
-    assert f"{deaf:04X}h" in sentence
-    assert values(world) == before
-    assert world.boards.board("can0/5").state is State.PRE_OPERATIONAL
-
-
 def test_a_board_with_an_error_is_pre_operational_again():
     variant = replace(VARIANTS["standard"], errors=(StandingError(0xFF00, 0x80),))
     world = World(one_board(), variants={"can0/5": variant}, on_loss="contract")
@@ -59,8 +45,7 @@ def test_a_stopped_board_is_stopped_again_and_its_outputs_stay_off():
 
 def test_an_operational_board_is_operational_again_and_its_outputs_hold():
     world = World(one_board(), variants=BOARD, on_loss="hold").up()
-    world.commit(1, 1)
-    world.run(0.3)
+    world.commit(1, 1, then=0.3)
     world.wiring = replace(world.wiring, on_loss="contract")
     world.new_master()
     board = world.boards.board("can0/5")
@@ -88,13 +73,6 @@ def stop_after(world: World, answers: int) -> list[str]:
     sentences = boot(world)
     assert left <= 0
     return sentences
-
-
-@pytest.mark.parametrize("answers", [4, 20, 30, 36])
-def test_a_board_that_is_stopped_in_its_boot_is_booted_again(answers):
-    world = extended(on_loss="hold")
-    assert stop_after(world, answers) == []
-    assert (world.master.outputs_known, world.measured()) == (True, [1, 1])
 
 
 @pytest.mark.parametrize("answers", [40, 43, 46])

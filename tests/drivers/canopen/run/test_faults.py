@@ -8,7 +8,6 @@ from hyperbit.drivers.canopen.faults import Busy
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusChanged, FrameEchoed, FrameIgnored
 from hyperbit.drivers.canopen.wiring import Timing
-from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.world import World, two_boards, two_buses
 
 
@@ -25,8 +24,7 @@ def test_a_silent_board_is_lost_once_and_nothing_is_sent_until_boot():
     assert world.frames() == []
     world.boards.board("can0/5").silent = False
     world.up()
-    world.commit(1, 0)
-    world.run(0.1)
+    world.commit(1, 0, then=0.1)
     assert world.measured() == [1, 0]
 
 
@@ -59,8 +57,7 @@ def test_a_stall_of_the_loop_alone_loses_nobody(seconds):
 
 def test_a_master_that_was_halted_knows_no_states_until_boot():
     world = World().up()
-    world.commit(1, 0)
-    world.run(0.1)
+    world.commit(1, 0, then=0.1)
     world.stalled = True
     world.run(0.5)
     fault = world.master.find_pause(world.now)
@@ -82,40 +79,6 @@ def test_tick_reports_a_halt_as_well():
     world.stall(0.5)
     assert "halted" in world.codes()
     assert world.codes().count("halted") == 1
-
-
-def test_a_halt_while_booting_begins_the_boot_again():
-    world = World()
-    world.run(0.05)
-    world.master.boot(world.now)
-    world.run(0.03)
-    world.stall(0.5)
-    assert world.master.booting
-    world.until(lambda: not world.master.booting)
-    assert world.master.boot_faults == []
-    assert "halted" not in world.codes()
-
-
-def test_a_reboot_is_reported_and_boot_adopts_the_states():
-    world = World().up()
-    world.commit(1, 1)
-    world.run(0.1)
-    world.fault("power_cut", "can0/5")
-    world.fault("power_on", "can0/5")
-    world.run(0.1)
-    assert world.codes() == ["board-rebooted"]
-    assert world.positions() == [0, 0]
-    world.up()
-    assert world.measured() == [0, 0]
-    world.run(1)
-    assert world.codes() == ["board-rebooted"]
-
-
-def test_a_board_that_another_master_stops_is_reported():
-    world = World().up()
-    world.say(0, b"\x80\x05")
-    world.run(0.2)
-    assert set(world.codes()) == {"foreign-master", "board-stopped"}
 
 
 @pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x205, 0x77F])
@@ -193,13 +156,6 @@ def test_the_first_bytes_of_longer_inputs_count_with_one_warning():
     assert "8 bytes" in limits.message
 
 
-def test_a_board_that_pads_its_inputs_is_ready_and_measured():
-    world = World(variants={"can0/5": VARIANTS["padded-tpdo"]}).up()
-    world.run(1.5)
-    assert world.codes() == []
-    assert ["its inputs come in 8 bytes" in warning.message for warning in world.master.warnings()] == [True]
-
-
 def test_error_frames_change_the_state_of_the_bus():
     world = World().up()
     for state in ("warning", "passive", "active"):
@@ -237,8 +193,7 @@ def test_after_bus_off_nothing_is_sent_until_boot(told):
     world.run(0.2)
     assert world.master.back
     world.up()
-    world.commit(1, 0)
-    world.run(0.1)
+    world.commit(1, 0, then=0.1)
     assert world.measured() == [1, 0]
 
 
@@ -266,28 +221,10 @@ def test_a_fault_is_reported_again_after_boot():
     assert world.codes() == ["foreign-master"] * 2
 
 
-@pytest.mark.parametrize(("on_loss", "states"), [("hold", [1, 0]), ("contract", [0, 0])])
-def test_boards_without_their_master_hold_or_contract(on_loss, states):
-    world = World(on_loss=on_loss).up()
-    world.commit(1, 0)
-    world.run(0.2)
-    world.stalled = True
-    world.run(1)
-    assert world.positions() == states
-    world.say(0x205, b"\x03")
-    world.say(0x080)
-    world.run(0.1)
-    world.stalled = False
-    world.up()
-    assert world.positions() == states
-    assert world.measured() == states
-
-
 def test_a_question_reads_inputs_whose_tpdo_was_lost():
     world = World(two_boards()).up()
     world.lost = lambda bus, frame: frame.id == 0x185
-    world.commit(1, 0)
-    world.run(0.1)
+    world.commit(1, 0, then=0.1)
     assert world.measured() == [0, 0]
     world.frames()
     world.master.question(0, world.now)

@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import pytest
-
 from hyperbit.drivers.canopen.wiring import Timing
 from tests.drivers.canopen.world import World, two_boards, two_buses
-
-TRANSCRIPTS = Path(__file__).with_name("frames")
 
 
 def spoken(world: World) -> str:
@@ -24,30 +18,18 @@ def spoken(world: World) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
-@pytest.mark.parametrize("on_loss", ["hold", "contract"])
-def test_boot_and_first_commit_of_one_board(on_loss):
-    """Each line was compared with CiA 301 and 401: reads, what differs is written and read back, start, reads."""
-    world = World(on_loss=on_loss).boot()
-    assert world.master.boot_faults == []
-    world.commit(1, 0)
-    assert spoken(world) == (TRANSCRIPTS / f"{on_loss}.txt").read_text()
-
-
 def test_a_commit_sends_all_rpdos_then_one_sync(monkeypatch):
     world = World(two_boards()).up()
-    world.commit(1, 1)
-    world.run(0.1)
+    world.commit(1, 1, then=0.1)
     assert world.frames() == [(0x205, "01"), (0x209, "08"), (0x080, ""), (0x185, "01"), (0x189, "04")]
     assert world.measured() == [1, 1]
 
 
 def test_a_commit_sends_only_what_changes():
     world = World(two_boards()).up()
-    world.commit(1, 1)
-    world.run(0.1)
+    world.commit(1, 1, then=0.1)
     world.frames()
-    world.commit(1, 0)
-    world.run(0.1)
+    world.commit(1, 0, then=0.1)
     assert world.frames() == [(0x209, "00"), (0x080, ""), (0x189, "00")]
     assert [mask for mask, _ in world.switched] == [0b11, 0b10]
 
@@ -57,8 +39,7 @@ def test_the_first_sync_comes_after_frames_to_all_boards():
     world.say(0x209, b"\x08")  # an RPDO of a master that died before its SYNC
     world.run(0.01)
     world.frames()
-    world.commit(1, 0)
-    world.run(0.1)
+    world.commit(1, 0, then=0.1)
     assert world.frames() == [(0x205, "01"), (0x209, "00"), (0x080, ""), (0x185, "01")]
     assert world.switches() == [1, 0]
 
@@ -73,19 +54,16 @@ def test_commit_with_a_shared_rpdo():
     assert "23 00 16 01 08 00 05 00" in right  # the first byte is for another board
     assert "23 00 16 02 08 01 00 62" in right
     assert "23 00 14 01 05 02 00 00" in right  # both take 205h
-    world.commit(1, 1)
-    world.run(0.1)
+    world.commit(1, 1, then=0.1)
     assert world.frames() == [(0x205, "01 08"), (0x080, ""), (0x185, "01"), (0x189, "04")]
-    world.commit(0, 1)
-    world.run(0.1)
+    world.commit(0, 1, then=0.1)
     assert world.frames() == [(0x205, "00 08"), (0x080, ""), (0x185, "00")]
 
 
 def test_nothing_is_sent_if_nothing_changes():
     world = World().up()
     world.commit(0, 0)
-    world.commit(1, 0)
-    world.run(0.1)
+    world.commit(1, 0, then=0.1)
     world.frames()
     world.commit(1, 0)
     world.master.status()

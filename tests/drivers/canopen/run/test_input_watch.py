@@ -15,7 +15,6 @@ from tests.drivers.canopen.world import World
 
 
 def lose_one_tpdo(world: World, node: int) -> None:
-    """Changes input 0 of a board, whose TPDO is lost."""
     lost: list[int] = []
 
     def loses(bus: str, frame: cia301.Frame) -> bool:
@@ -32,7 +31,6 @@ def lose_one_tpdo(world: World, node: int) -> None:
 
 
 def guarded(nodes: int, bitrate: int) -> World:
-    """A world whose last board has a closed interlock in bit 8."""
     channels = [Channel(f"{node}.a", "can0", node, 0, 0) for node in range(1, nodes + 1)]
     world = World(channels, bitrate=bitrate, interlocks=(Interlock("gate", "can0", nodes, 8),))
     world.boards.board(f"can0/{nodes}").contacts[8] = 1

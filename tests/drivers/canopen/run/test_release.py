@@ -59,7 +59,6 @@ def test_a_release_of_one_board_leaves_the_other_alone() -> None:
 
 
 def bus_lost(channels: list[Channel] | None = None) -> World:
-    """A world in which both actuators have an output on, and the bus was off for a moment."""
     world = World(channels or pairs()).up()
     world.master.commit(0b1001, world.now)
     world.run(0.02)
@@ -150,8 +149,7 @@ def test_a_release_switches_nothing_on_at_a_board_that_has_restarted() -> None:
     world = World([*pairs(), Channel("plain", "can0", 1, 5, None)]).up()
     world.master.commit(0b00101, world.now)
     world.run(0.05)
-    world.fault("power_cut", "can0/1")
-    world.fault("power_on", "can0/1")
+    world.cycle_power("can0/1")
     world.run(0.1)
     assert world.codes() == ["board-rebooted"]
     world.frames()
@@ -203,7 +201,6 @@ def test_frames_that_are_neither_sent_nor_lost_hold_nothing_up_for_ever() -> Non
 
 
 def on_two_buses() -> World:
-    """A world in which an actuator of each bus has an output on."""
     world = World([Channel(bus, bus, 1, 0, None, 1, pulse=0.05) for bus in ("can0", "can1")]).up()
     world.master.commit(0b0011, world.now)
     world.run(0.02)

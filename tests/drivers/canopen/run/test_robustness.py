@@ -35,7 +35,7 @@ EVENTS = (
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(frames=st.lists(FRAMES, max_size=30))
 def test_no_frame_makes_a_ready_master_raise_or_move(frames):
     world = World(two_boards()).up()
@@ -47,8 +47,7 @@ def test_no_frame_makes_a_ready_master_raise_or_move(frames):
     assert world.switches() == [0, 0]
     world.run(0.3)
     world.up()
-    world.commit(1, 0)
-    world.run(0.1)
+    world.commit(1, 0, then=0.1)
     assert world.measured() == [1, 0]
 
 
@@ -57,7 +56,7 @@ SYSTEM = (
 )
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(steps=st.lists(SYSTEM, max_size=60), shared=st.booleans())
 def test_no_event_and_no_command_raises_and_no_sync_is_sent_unasked(steps, shared):
     sent: list[Frame] = []
@@ -103,7 +102,7 @@ ANSWER = st.one_of(
 RIGHT = {0x1000: 0x00030191, 0x6200: 8, 0x6000: 8, 0x1005: 0x80}
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(
     answers=st.lists(st.none() | ANSWER, max_size=60),
     on_loss=st.sampled_from(["hold", "contract"]),
@@ -162,7 +161,7 @@ STEPS = st.lists(
 )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(steps=STEPS, on_loss=st.sampled_from(["hold", "contract"]))
 def test_outputs_change_only_by_commits_whatever_fails(steps, on_loss):
     world = World(two_buses(), Timing(boot_timeout=0.5), on_loss=on_loss).up()

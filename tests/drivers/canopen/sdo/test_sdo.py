@@ -30,8 +30,6 @@ class Line:
         self.fault: ArmFault | None = None
 
     def run(self, steps) -> object:
-        """Runs a part of a procedure to its end; returns its value, or its fault."""
-
         def procedure():
             self.value = yield from steps
 
@@ -86,11 +84,6 @@ def test_a_refusal_of_another_object_is_no_refusal_and_a_confirmation_of_another
         "board can0/5 has 0000h in 1017h sub 0 (period of its heartbeat); 0258h is needed, which it refuses:"
         " value out of range (abort 06090030h)"
     )
-
-
-def test_an_answer_to_a_read_is_none_to_a_write():
-    fault = Line(*[[OTHER]] * 3).run(objects.write("can0/5", Need(0x6200, 1, 7), 7))
-    assert fault.code == "board-missing"
 
 
 def test_gives_up_after_three_attempts():

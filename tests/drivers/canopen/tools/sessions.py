@@ -13,8 +13,6 @@ from tests.drivers.canopen.world import World
 
 
 class WorldBus:
-    """A bus of a world in place of one of python-can."""
-
     def __init__(self, world: World, wiring: BusWiring) -> None:
         self.wiring, self.name = wiring, wiring.name
         self.events: deque[Event] = deque()
@@ -60,7 +58,6 @@ class SessionInWorld(Session):
         pass
 
     def lose(self, bus: str) -> None:
-        """The interface goes down."""
         self.buses[bus].events.append(BusChanged(bus, "down", "it is down", None))
 
 

@@ -24,8 +24,6 @@ Change = Callable[[str], str]
 
 
 def put(section: str, line: str) -> Change:
-    """Replaces the line of a key in a section, or adds it."""
-
     def change(text: str) -> str:
         start = text.index(f"[{section}]\n")
         end = text.find("\n[", start) % (len(text) + 1)
@@ -37,8 +35,6 @@ def put(section: str, line: str) -> Change:
 
 
 def drop(*sections: str) -> Change:
-    """Removes sections; "6200" removes its sub-indices, too."""
-
     def change(text: str) -> str:
         for section in sections:
             text = re.sub(rf"^\[{section}(sub\w+)?\]\n(?:(?!\[).*\n?)*", "", text, flags=re.MULTILINE)
@@ -48,8 +44,6 @@ def drop(*sections: str) -> Change:
 
 
 def swap(old: str, new: str, count: int = -1) -> Change:
-    """Replaces a text that the file has."""
-
     def change(text: str) -> str:
         assert old in text, old
         return text.replace(old, new, count)
@@ -58,13 +52,10 @@ def swap(old: str, new: str, count: int = -1) -> Change:
 
 
 def add(text: str) -> Change:
-    """Adds sections at the end."""
     return lambda before: f"{before.rstrip()}\n\n{text}\n"
 
 
 def both(*changes: Change) -> Change:
-    """Makes several changes in turn."""
-
     def change(text: str) -> str:
         for one in changes:
             text = one(text)
@@ -80,7 +71,6 @@ def compact(index: str, access: str, mapping: int, value: str = "", kind: int = 
 
 
 def without(key: str) -> Change:
-    """Removes a key everywhere."""
     return lambda text: re.sub(rf"^{key}=.*\n", "", text, flags=re.MULTILINE)
 
 
@@ -281,7 +271,7 @@ def test_what_is_no_number_is_none(text):
     assert parse_number(text, 5) is None
 
 
-@settings(max_examples=150)
+@settings(max_examples=50)
 @given(st.data())
 def test_no_text_raises_another_error(tmp_path_factory, data):
     lines = TEXT.splitlines()

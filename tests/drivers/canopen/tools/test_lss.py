@@ -17,8 +17,6 @@ ONE, TWO = LssIdentity(0x21, 337, 0x10000, 0xDEADBEEF), LssIdentity(0x21, 337, 0
 
 
 class Wire:
-    """A session with slaves that answer at once."""
-
     def __init__(self, *slaves: tuple[LssIdentity, int]) -> None:
         self.heard: list[Frame] = []
         self.requests: list[bytes] = []

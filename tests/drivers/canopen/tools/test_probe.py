@@ -6,12 +6,10 @@ import pytest
 
 from hyperbit.drivers.canopen.faults import BusError
 from hyperbit.drivers.canopen.tools.probe import ProbedNode, probe_bus
-from hyperbit.drivers.canopen.tools.session import Session
 from hyperbit.drivers.canopen.wire import cia301
-from hyperbit.drivers.canopen.wire.bus import CanBus
 from hyperbit.drivers.canopen.wire.cia301 import Frame, State
 from hyperbit.drivers.canopen.wire.events import FrameReceived
-from hyperbit.drivers.canopen.wiring import BusWiring, Channel
+from hyperbit.drivers.canopen.wiring import Channel
 from hyperbit.drivers.simulation.variants import VARIANTS
 from tests.drivers.canopen.tools.sessions import session
 from tests.drivers.canopen.world import World, two_boards
@@ -80,14 +78,6 @@ def test_a_stopped_board_without_heartbeats_answers_a_remote_frame() -> None:
     assert 5 not in polled, "a remote frame starts the node guarding of a board that answers"
 
 
-def test_a_boot_up_message_is_heard() -> None:
-    world = World()
-    with session(world) as asking:
-        world.say(cia301.HEARTBEAT + 0x40, b"\x00")
-        found = probe_bus(asking, "can0")
-    assert [(node.node, node.state) for node in found if not node.answers] == [(0x40, State.BOOT_UP)]
-
-
 def test_a_board_with_the_factory_default_127_is_no_master() -> None:
     world = World()
     with session(world) as asking:
@@ -127,9 +117,3 @@ def test_strange_frames_do_no_harm() -> None:
             asking.buses["can0"].events.append(FrameReceived("can0", frame))
         [five] = probe_bus(asking, "can0")
     assert (five.node, five.answers) == (5, True)
-
-
-def test_an_empty_bus() -> None:
-    bus = BusWiring("can0", "virtual", "test_probe")
-    with Session([CanBus(bus)]) as asking:
-        assert probe_bus(asking, "can0") == []
