@@ -259,7 +259,7 @@ MIXED = {
 SEEDS = [document(), SPATIAL, MIXED]
 
 
-@settings(max_examples=120)
+@settings(max_examples=60)
 @given(data=st.data(), seed=st.sampled_from(SEEDS), mutations=st.integers(1, 3))
 def test_however_a_document_is_changed_it_loads_or_says_why_not(read, data, seed, mutations):
     value = copy.deepcopy(seed)

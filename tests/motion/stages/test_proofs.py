@@ -111,7 +111,7 @@ def near_misses(chain: list[Part], rng: np.random.Generator, count: int) -> list
     return centres
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(chains, st.integers(0, 2**32))
 def test_a_flood_lists_exactly_what_switches_reach_that_the_swept_check_proves_clear(chain, seed):
     """Among discs that the arm misses narrowly."""
