@@ -247,6 +247,7 @@ FIRST = {  # seed that finds the defect soonest; other seeds follow if it no lon
     "late stamps are taken": 11,
     "lost connections are not noticed": 2,
     "payloads are never forgotten": 41,
+    "programs are not parked": 2,
 }
 
 
