@@ -245,9 +245,12 @@ FIRST = {  # seed that finds the defect soonest; other seeds follow if it no lon
     "the planner resets a stopped arm": 9,
     "the executor's answers are not awaited": 5,
     "late stamps are taken": 11,
-    "lost connections are not noticed": 2,
+    "lost connections are not noticed": 5,
     "payloads are never forgotten": 41,
     "programs are not parked": 2,
+    "publications are not marked": 46,
+    "results are sent at the end of a standstill": 2,
+    "goals are refused for no reason": 4,
 }
 
 
