@@ -26,10 +26,8 @@ def must_decline(a: Account, message: Program) -> set[str]:
         reasons.add("program-malformed")
     if a.switching:
         reasons.add("switch-not-confirmed")
-    if shown is not None and fits(a, message.start):
-        outputs = a.ground.states & ~a.homing | unpack(shown.outputs) & a.homing
-        if unpack(message.start) != outputs:
-            reasons.add("moved-since-planned")
+    if shown is not None and fits(a, message.start) and unpack(message.start) != a.believed:
+        reasons.add("moved-since-planned")
     return reasons
 
 
