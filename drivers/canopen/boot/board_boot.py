@@ -71,7 +71,8 @@ def boot_board(
             return
         except BoardError as error:
             missing, found = error.fault.code == "board-missing", boot.kind >= 0
-            if missing and found and board.state is None:  # perhaps it is stopped, and answers only node guarding
+            if missing and found:  # perhaps it is stopped since it told its state, and answers only node guarding
+                board.state = None
                 board.guard()
                 yield Wait(lambda: board.state is not None, 2 * timing.heartbeat)
             if missing:

@@ -267,7 +267,8 @@ class InterfaceJudge:
         self.account.note("switched")
         if self._running is not None:
             self._running.switches += mask.bit_count()
-        self.motion.switches(mask, self._running)
+        if mask:
+            self.motion.switches(mask, self._running)
 
     # --- what the planner's process gets
 
