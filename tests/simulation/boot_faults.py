@@ -83,12 +83,12 @@ class BootFaults:
             if not board.powered or board.state is None:
                 return
             self._configure_otherwise(board)
+            if random.random() < 0.3:
+                self._order(name)
             if refused:
                 expected.append(self._spoil(name, board))
             elif random.random() < 0.3:
                 board.variant = replace(variant, answer_delay=random.choice([0.01, 0.06]))
-            if random.random() < 0.3:
-                self._order(name)
             found.append(self._values(board))
 
         world.executor.at_next_start(change)
@@ -102,6 +102,8 @@ class BootFaults:
         objects._variant, objects._described, objects.refused = kept[0], kept[1], kept[2]
         board.variant = variant
         board.emergencies.recover(0xFF00)
+        if board.state is State.STOPPED and not self._tells(name):
+            self._command(name, Command.PRE_OPERATIONAL)  # nobody can find it: it answers no SDO
         self._invert(board, 0)
         planner = world.planner
         planner.patient = not expected  # type: ignore[union-attr]
@@ -144,14 +146,17 @@ class BootFaults:
         return any(objects.number(0x1016, k) >> 16 & 0x7F == MASTER for k in others)
 
     def _order(self, name: str) -> None:
-        """Another program stops a board, or takes it out of operational.
+        """Another program stops a board, or takes it out of operational."""
+        stop = Command.STOP if self._tells(name) else Command.PRE_OPERATIONAL
+        self._command(name, self._random.choice([Command.PRE_OPERATIONAL, stop]))
 
-        Nobody can find a stopped board without heartbeats and node guarding: it answers no SDO.
-        """
-        bus, node = name.split("/")
+    def _tells(self, name: str) -> bool:
+        """Returns whether a board tells its state by heartbeats or node guarding, also when it is stopped."""
         objects = self._world.boards.simulated.board(name).objects
-        tells = objects.has(0x100C) or objects.number(0x1017, 0)
-        command = self._random.choice([Command.PRE_OPERATIONAL, Command.STOP] if tells else [Command.PRE_OPERATIONAL])
+        return bool(objects.has(0x100C) or objects.number(0x1017, 0))
+
+    def _command(self, name: str, command: Command) -> None:
+        bus, node = name.split("/")
         self._world.boards.hear_tool(bus, Frame(cia301.NMT, bytes([command, int(node)])))
 
     def _spoil(self, name: str, board: Any) -> Refusal:

@@ -70,18 +70,18 @@ def boot_board(
             yield from undo.recorded(_steps(boot))
             return
         except BoardError as error:
-            missing, found = error.fault.code == "board-missing", boot.kind >= 0
-            if missing and found:  # perhaps it is stopped since it told its state, and answers only node guarding
+            if error.fault.code != "board-missing":  # node guarding goes on, so that its outputs stay as they are
+                yield from undo.restore()
+                raise
+            if boot.kind >= 0:  # perhaps it has stopped since it told its state, and answers only node guarding
                 board.state = None
                 board.guard()
                 yield Wait(lambda: board.state is not None, 2 * timing.heartbeat)
-            if missing:
-                board.guarded = False
-            else:  # node guarding goes on, so that its outputs stay as they are
-                yield from undo.restore()
-            if not (missing and found and board.stopped and stops_left):
-                raise
-            undo.begin_again()
+                if board.stopped and stops_left:  # polls go on: the first one has begun the life time of the board
+                    undo.begin_again()
+                    continue
+            board.guarded = False
+            raise
 
 
 def _steps(boot: Boot) -> Procedure:
