@@ -277,7 +277,9 @@ class Commands:
     def _judge_rest(self, states: int, sure: int) -> None:
         a = self._a
         for k in bits_of(sure):
-            pause, before = a.now - a.ground.synced_at[k], 1 - (states >> k & 1)
+            pause, state = a.now - a.ground.synced_at[k], states >> k & 1
+            before = a.ground.synced_to.get(k, 1 - state)  # the same state again, if its last pulse was missed
+            a.ground.synced_to[k] = state
             least = a.arm.travel[k][before] + a.arm.rest if a.arm.rest else 0.0
             require(pause >= least - EPSILON, f"actuator {k} switches {pause:g} s after it switched last")
             a.ground.synced_at[k] = a.now

@@ -54,6 +54,7 @@ class Ground:
         self.driven = deque([Driven(-1e12, 0)], maxlen=50)
         self.switched_at = [-1e12] * arm.count
         self.synced_at = [-1e12] * arm.count
+        self.synced_to = dict[int, int]()  # the state to which that SYNC has brought it
         self.on = 0
         self._came_at = [-1e12] * arm.count
 
