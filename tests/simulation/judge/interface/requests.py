@@ -69,8 +69,9 @@ class Requests:
         a.requests.append(request)
         if request.key in ("goal", "jog"):
             a.note("motion asked")
-        if request.key == "goal" and "*" not in request.name and well_formed(request, a.modules):
+        if request.key == "goal" and "*" not in request.name:
             self._find_original(request)
+            request.doubtful |= request.original is not None and not well_formed(request, a.modules)
 
     def _find_original(self, request: Request) -> None:
         """Finds the goal that a request repeats: same payload and attachment, or same payload with an id."""
