@@ -133,4 +133,5 @@ class Faults:
         if world.random.random() < 0.3:
             world.site.master, world.calm = None, False
             world.change()
+            world.pass_time(1.3 * world.drawn.timing.heartbeat_timeout)  # a board may wait less for heartbeats now
         world.boot(new=world.random.random() < 0.3)
