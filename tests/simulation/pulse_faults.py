@@ -14,6 +14,7 @@ from tests.simulation.single_fault import ASKED, AT_ONCE, NO_FAULT, READ_BACK, F
 if TYPE_CHECKING:
     from tests.simulation.world import World
 
+SHORT = 0.03  # [s]: a pulse that cannot be read twice is given again, unless an end-stop tells
 OVERDUE = 2.0  # [s] until a pulse that may be on, and cannot be ended, is told
 PULSING = 0.008  # [s] from the SYNC that begins a pulse until its bus goes down
 
@@ -101,7 +102,9 @@ class PulseFaults:
             "bus is down while a pulse is on": Fault(switch(bus.go_down, PULSING), restore, down),
             "bus is down as a pulse begins": Fault(switch(bus.go_down, 0.0), restore, doubtful),
         }
-        if frame == cia301.SYNC and not world.arm.continue_on_stuck and not world.judge.proofs.forgone >> k & 1:
+        told = world.judge.arm.sensed >> k & 1 or pulse > SHORT
+        judged = told and not world.judge.proofs.forgone >> k & 1
+        if frame == cia301.SYNC and not world.arm.continue_on_stuck and judged:
             made["a board loses the SYNC of a pulse"] = Fault(switch(lose, 0.0), disarm, begins)
         if others:
             names = tuple(name for name in (*world.buses, *boards.simulated.names) if not name.startswith(channel.bus))
