@@ -153,7 +153,7 @@ FOUND = {  # words of the violation, where another invariant could find the defe
     "marks settle again after a replacement": "is reported again|settled .* early|is told after",
     "stages are taken again after a replacement": "is reported after|comes after",
     "programs wait for stages for ever": "waits for stages for",
-    "programs do not wait for stages": "says 'the planner sent no further stages for 10 s' after",
+    "programs do not wait for stages": "says 'the planner sent no further stages for 10 s' after|are due",
 }
 
 

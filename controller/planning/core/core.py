@@ -7,12 +7,10 @@ import math
 import traceback
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from hyperbit.controller import program
-from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.host.process import Log, Quit
-from hyperbit.controller.motion.stages.pacing import Pace
 from hyperbit.controller.motion.tracking.tracking import tracking_of
 from hyperbit.controller.planning.core import events
 from hyperbit.controller.planning.core.arm import ExecutorView
@@ -30,6 +28,10 @@ from hyperbit.controller.planning.core.tasks import ImprovePlan, Planned, Tables
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search.method import MINIMUM_SWITCH
+
+if TYPE_CHECKING:
+    from hyperbit.controller.arm.arm import Arm
+    from hyperbit.controller.motion.stages.pacing import Pace
 
 # Fields that the core does not look inside: the flight recorder leaves them out.
 OPAQUE: dict[type, str] = {Tables: "solvers", VersionedScene: "keep_out", ImprovePlan: "plan", Planned: "plan"}

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 import numpy as np
 
-from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.notation import format_configuration, pose
 from hyperbit.controller.motion.stages.feed import PlanProof
 from hyperbit.controller.motion.targets import GoalTarget, measured_pose
@@ -16,6 +15,9 @@ from hyperbit.controller.motion.trajectory import Trajectory
 from hyperbit.controller.planning.core.arm import Measured
 from hyperbit.controller.planning.core.events import Payload
 from hyperbit.controller.program import Settled
+
+if TYPE_CHECKING:
+    from hyperbit.controller.manipulator.manipulator import Manipulator
 
 
 class Context(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -49,7 +49,15 @@ class TxPending:
         return waits and self.last_echo is not None
 
     def sent(self, frame: Frame, now: float) -> None:
-        self._pending.append((frame, now))
+        """Adds a frame. Of an equal one that waits, though a later frame was echoed, the echo was lost.
+
+        Otherwise each echo of the heartbeat would count as that of the heartbeat before, for ever.
+        """
+        last = -math.inf if self.last_echo is None else self.last_echo
+        kept = [(each, at) for each, at in self._pending if each != frame or at >= last]
+        if lost := len(self._pending) - len(kept):
+            self._given_up[frame] += lost
+        self._pending = [*kept, (frame, now)]
 
     def failed(self, frame: Frame) -> bool:
         """Removes a frame that could not be sent; returns whether it was pending."""

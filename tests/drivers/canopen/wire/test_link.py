@@ -96,3 +96,19 @@ def test_a_poll_of_node_guarding_does_not_wait_for_a_command():
     assert sent[1:] == [command, poll]
     link.echoed(command, 0.21)
     assert sent[3:] == [request]
+
+
+def test_transfers_go_on_after_the_echo_of_a_heartbeat_was_lost():
+    handed_out: list[Frame] = []
+    link = Link(BusWiring("can0", "virtual", "x"), lambda bus, frame: handed_out.append(frame), 0.4)
+    link.changed("active", "", None, 0.0)
+    for k in range(3):
+        link.send_frame(BEAT, 0.1 * k)
+        if k != 1:
+            link.echoed(BEAT, 0.1 * k + 0.001)
+    request = Outgoing(Frame(0x605, bytes(8)))
+    link.queue(request, 0.25)
+    link.send_frame(BEAT, 0.3)
+    link.echoed(BEAT, 0.301)
+    assert handed_out[-1] == request.frame
+    assert link.pending.came_back(BEAT, 0.4) == [BEAT]  # the echo that was late
