@@ -17,6 +17,7 @@ from hyperbit.controller.motion.stages.feed import Feed
 from hyperbit.controller.motion.tracking.tracking import GoalTracker
 from hyperbit.controller.planning.core import goals, parts, results
 from hyperbit.controller.planning.core.arm import ArmState, ExecutorView
+from hyperbit.controller.planning.core.core import Core
 from hyperbit.controller.planning.core.events import PublishResult, Reply, Request, ToExecutor
 from hyperbit.controller.planning.core.goals import Goals
 from hyperbit.controller.planning.core.obstacles import ObstacleOwner
@@ -26,9 +27,8 @@ from hyperbit.controller.planning.core.requests import ExecutorRequests, Queries
 from hyperbit.controller.planning.core.results import Results
 from hyperbit.controller.planning.core.stream import Stream
 from hyperbit.controller.planning.core.tasks import Planned
-from hyperbit.controller.program import Acknowledge, Alive, Clearance, Reset
+from hyperbit.controller.program import Acknowledge, Clearance, Reset
 from tests.simulation.judge.verdict import Violation
-from tests.simulation.network import SimulatedLink
 from tests.simulation.whole.planner_storage import Storage
 from tests.simulation.world import World
 
@@ -70,7 +70,6 @@ _receive_request = ExecutorRequests.receive_request
 _make_program = goals.make_program
 _publish_result = Outbox.publish_result
 _answered_job = Jobs.answered
-_send = SimulatedLink.send
 _advance = Goals.advance
 _status = Stream.status
 _outcome_of = results.outcome_of
@@ -146,11 +145,6 @@ def _keep_job(self: Jobs, number: int, answer: Any, last: bool) -> None:
     job.on_answer = None
 
 
-def _say_nothing_to_executor(self: SimulatedLink, message: Any) -> None:
-    if not isinstance(message, Alive):
-        _send(self, message)
-
-
 def _advance_with_snapshots(self: Goals) -> None:
     if self._moment.now == getattr(self._view.state, "snapshot", None) or int(self._moment.now * 1e3) % 60 < 5:
         _advance(self)
@@ -199,7 +193,7 @@ DEFECTS: dict[str, list[Patch]] = {
     "results are sent at the end of a standstill": [(Outbox, "_stood_still", lambda self: False)],
     "the description lacks obstacles": [(ObstacleOwner, "regions", [])],  # type: ignore[list-item]
     "tasks are never forgotten": [(Jobs, "answered", _keep_job)],
-    "the planner is silent": [(SimulatedLink, "send", _say_nothing_to_executor)],
+    "the planner is silent": [(Core, "_keep_alive", lambda self: None)],
     "goals wait for a snapshot": [(Goals, "advance", _advance_with_snapshots)],
     "refused set-points are not counted": [(Stream, "status", _count_no_refusal)],
     "two daemons serve an arm": [(Claim, "confirm", lambda self, timeout=0.0: None)],
@@ -237,7 +231,6 @@ FOUND = {  # words of the violation
 FIRST = {  # seed that finds the defect soonest; other seeds follow if it no longer does
     "states that are no configuration are not told": 12,
     "goals succeed wherever the tip is": 18,
-    "the planner is silent": 34,
     "queries are not answered": 4,
     "results are not published": 1,
     "each plan counts as optimal": 38,
