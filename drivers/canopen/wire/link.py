@@ -49,9 +49,9 @@ class TxPending:
         return waits and self.last_echo is not None
 
     def sent(self, frame: Frame, now: float) -> None:
-        """Adds a frame. Of an equal one that waits, though a later frame was echoed, the echo was lost.
+        """Adds a frame, and gives up equal frames that were handed out before the last echo: their echoes were lost.
 
-        Otherwise each echo of the heartbeat would count as that of the heartbeat before, for ever.
+        Otherwise each echo of a heartbeat would count as the lost echo of the heartbeat before it, for ever.
         """
         last = -math.inf if self.last_echo is None else self.last_echo
         kept = [(each, at) for each, at in self._pending if each != frame or at >= last]

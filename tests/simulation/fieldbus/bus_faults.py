@@ -8,10 +8,9 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import BusOverrun
 from tests.simulation.fieldbus.expected import Expected, Fault
 from tests.simulation.fieldbus.fault_maker import FaultMaker
-from tests.simulation.fieldbus.site import LATE
+from tests.simulation.fieldbus.site import LATE, READS_INPUTS
 from tests.simulation.judge.verdict import require
 
-READS_INPUTS = b"\x00\x60"  # index in an SDO answer
 AT_ONCE = 0.03  # [s] until a change of a bus is told
 
 

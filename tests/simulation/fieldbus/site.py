@@ -16,6 +16,7 @@ from tests.simulation.buses.bus_model import BusModel, OnItsWay
 from tests.simulation.fieldbus.arms import Drawn
 
 TICK = 0.01  # [s] between two calls of the master
+READS_INPUTS = b"\x00\x60"  # index of the inputs in an SDO frame
 LATE = 0.03  # [s], delay of a late answer
 
 

@@ -15,7 +15,7 @@ from tests.simulation.fieldbus.arms import draw
 from tests.simulation.fieldbus.faults import Faults
 from tests.simulation.fieldbus.found import found_of
 from tests.simulation.fieldbus.interruptions import Interruptions
-from tests.simulation.fieldbus.site import Site
+from tests.simulation.fieldbus.site import READS_INPUTS, Site
 from tests.simulation.fieldbus.use import Use
 from tests.simulation.judge.fieldbus.boots import Boots
 from tests.simulation.judge.fieldbus.outcomes import Found, Outcome
@@ -29,7 +29,6 @@ LONGEST_BOOT = 20.0  # [s]
 SPLIT = ("outputs in two RPDOs", "inputs in two TPDOs")  # each boot configures these anew, though nothing has changed
 IN_FLIGHT = 0.003  # [s] until the last frames of an executor that has ended have left
 TOLD = 0.012  # [s] until inputs have come
-READS_INPUTS = b"\x00\x60"  # index of an SDO request
 SILENT = 0.05  # [s] that a board needs to notice the loss of the master, after its time-out
 
 
