@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperbit.controller.manipulator.frame_kernels import angle_between
-from hyperbit.controller.motion.plans.label_setting import LabelSetting, least_remaining_cost
+from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.trajectory import Trajectory, through
 from hyperbit.controller.obstacles.clearance import BodyClearance
@@ -113,19 +113,6 @@ def brute_force_pair(solver, trajectory, start, every, clear) -> float:
     return min(float(solver.cost(a, start) + solver.cost(every[near[1]], a).min()) for a in every[near[0]])
 
 
-@given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
-def test_what_the_rest_costs_at_least_never_rises(seed):
-    rng = np.random.default_rng(seed)
-    trajectory = through(np.arange(9.0), rng.normal(size=(9, 2)) * 0.01, 0.005)
-    rest = least_remaining_cost(trajectory, 2.0)
-    assert rest[-1] == 0
-    assert (np.diff(rest) <= 0).all()
-    apart = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
-    assert rest[0] <= 2.0 * 8
-    assert rest[0] >= 2.0 * (apart.max() > 0.01)
-
-
 def test_without_time_nothing_wrong_is_claimed(arm, densities):
     solver = Solver(arm.manipulator, densities)
     points = np.array([[0.3, 2.6], [0.32, 2.6], [0.34, 2.6]])
@@ -133,4 +120,4 @@ def test_without_time_nothing_wrong_is_claimed(arm, densities):
         TrajectoryPoints(solver, through(np.arange(3.0), points, 0.002)), np.zeros(16, dtype=np.int64)
     ).run(0.0)
     assert found.configurations is None
-    assert found.bound == 2.0
+    assert found.bound == 3.0
