@@ -11,7 +11,7 @@ from numba import boolean, float32, float64, int64, njit, types
 from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.kernel_types import F1, F2, I1, UNCOUNTED, named
-from hyperbit.controller.search.changes import CHAIN, Chain, moved_back
+from hyperbit.controller.search.chain import CHAIN, Chain, moved_back
 from hyperbit.controller.search.segment import compose
 
 Array = NDArray[np.float64]

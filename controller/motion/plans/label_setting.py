@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.manipulator import Configuration
-from hyperbit.controller.motion.plans.cost_to_go import CostToGo, Neighbours, Pairs, cheapest, joined, scan
+from hyperbit.controller.motion.plans.cost_to_go import CostToGo
+from hyperbit.controller.motion.plans.labels import Neighbours, Pairs, cheapest, joined, scan
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
-from hyperbit.controller.search.changes import keys_of, states_of
+from hyperbit.controller.search.chain import keys_of, states_of
 from hyperbit.controller.search.solution import EPSILON, SearchTime, proves
 
 Array = NDArray[np.float64]
