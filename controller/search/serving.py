@@ -4,6 +4,7 @@ The tips of all configurations of the upper modules are sorted into cells once. 
 modules the position, as seen from their top, is looked up in these cells.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int64]
 
+LISTED = 1 << 14  # keys that are listed at once
 SPLIT = 2  # lowest modules whose states divide the configurations into parts, for threads
 
 
@@ -217,3 +219,15 @@ def list_serving(
                     count += 1
     walk.at[0] = d
     return count
+
+
+def serving(
+    chain: Chain, tips: UpperTips, walk: Walk, near: Array, limit: float, position: Array, radius: float
+) -> Iterator[Integers]:
+    """Yields the keys (n,) of a walk whose tips are near a position, see `list_serving`."""
+    found, reach = np.empty(LISTED, np.int64), reaches(chain)
+    while (count := list_serving(chain, tips, walk, reach, near, limit, position, radius, found)) != 0:
+        if count < 0:
+            found = np.empty(4 * len(found), np.int64)
+        else:
+            yield found[:count].copy()

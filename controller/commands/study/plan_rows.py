@@ -54,6 +54,7 @@ class PlanOptions(NamedTuple):
     deadline: float | None
     effort: float | None
     apart: bool
+    prove: bool
 
 
 class WantedGoal(NamedTuple):

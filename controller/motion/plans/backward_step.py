@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hyperbit.controller.motion.plans.labels import Late, Neighbours, cheapest
 from hyperbit.controller.search.chain import Chain, states_of
-from hyperbit.controller.search.serving import Walk, list_serving, reaches, walks
+from hyperbit.controller.search.serving import Walk, serving, walks
 from hyperbit.controller.search.solution import EPSILON
 
 if TYPE_CHECKING:
@@ -24,38 +24,43 @@ Integers = NDArray[np.int64]
 
 SHARE = 1 << 14  # configurations that a thread takes at once
 LABELS_OF_POINT = 1 << 21  # labels of one point, at most
-MOST_LEAVES = 1 << 28  # configurations of the lower modules that are tried for one point
 MOST_FOUND = 1 << 22  # labels found from SHARE configurations
 SHALLOWEST, DEEPEST_STEP = -8, 12  # least and greatest rise of a threshold in one step, in least weights
-SAMPLES = 512  # positions that show which exits are frequent
-# Prices [s]: a configuration of the lower modules; a configuration that serves a point; the neighbours of one, among n
+# Prices [s]: a configuration of the lower modules; one that serves a point, found and judged; its neighbours, among n
 # configurations: 2 us + 10 ns * n^0.75. A step that takes SLACK_OF_WORK times as long as expected is given up.
-LEAF, JUDGED, FIRST_PRICE, PRICE, POWER, SLACK_OF_WORK = 40e-9, 0.3e-6, 2e-6, 10e-9, 0.75, 4.0
+LEAF, COMPARED, JUDGED, FIRST_PRICE, PRICE, POWER, SLACK_OF_WORK = 40e-9, 15e-9, 0.6e-6, 2e-6, 10e-9, 0.75, 4.0
 PARTS, DEEPEST = 4, 40  # steps of prices in a least weight; greatest budget with a price of its own
 
 
-class Prices:
-    """About how long lists of neighbours take, by their budgets."""
+class Counts:
+    """About how many configurations of the lowest modules are within a cost of one, and how long lists of them take."""
 
-    def __init__(self, chain: Chain) -> None:
+    def __init__(self, chain: Chain, modules: int) -> None:
         self._unit = chain.least / PARTS
         counts = np.zeros(PARTS * DEEPEST)
         counts[0] = 1.0
-        for i, k in enumerate(chain.states.tolist()):
+        for i, k in enumerate(chain.states[:modules].tolist()):
             following = np.zeros_like(counts)
             for shift in np.floor(chain.costs[i, 0, :k] / self._unit + 1e-6).astype(int).tolist():
                 following[shift:] += counts[: len(counts) - shift] if shift < len(counts) else 0.0
             counts = following
-        self._prices = FIRST_PRICE + PRICE * np.cumsum(counts) ** POWER
+        self._counts = np.cumsum(counts)
+        self.all = float(np.prod(chain.states[:modules].astype(float)))
 
-    def of(self, budgets: Array) -> Array:
-        """Returns the times [s] for budgets (...)."""
-        at = np.clip(np.floor(budgets / self._unit + 1e-6), -1, len(self._prices) - 1).astype(int)
-        return np.where(at < PARTS, JUDGED, self._prices[at])
+    def within(self, budget: float) -> float:
+        """Returns the number within a budget."""
+        at = int(min(budget / self._unit + 1e-6, len(self._counts)))
+        return self.all if at == len(self._counts) else float(self._counts[at]) if at >= 0 else 0.0
+
+    def prices(self, budgets: Array) -> Array:
+        """Returns the times [s] of lists of neighbours within budgets (...)."""
+        at = np.clip(np.floor(budgets / self._unit + 1e-6), -1, len(self._counts) - 1).astype(int)
+        return np.where(at < PARTS, JUDGED, FIRST_PRICE + PRICE * self._counts[at] ** POWER)
 
     def affordable(self, price: float) -> float:
         """Returns the greatest budget whose list takes at most a time [s]."""
-        return self._unit * max(int(np.searchsorted(self._prices, price, side="right")) - 1, PARTS)
+        most = (max(price - FIRST_PRICE, 0.0) / PRICE) ** (1 / POWER)
+        return self._unit * max(int(np.searchsorted(self._counts, most, side="right")) - 1, PARTS)
 
 
 class Step:
@@ -66,14 +71,15 @@ class Step:
         self.spent = 0.0  # [s], see PRICE
         labels, self._far = to_go.labels, int(to_go.labels.last[k + 1])
         exits = range(k + 1, self._far + 1)
-        self._base = float(labels.thresholds[self._far])
+        self._base = float(labels.thresholds[k + 1 : self._far + 1].min())
         self._values = np.concatenate([labels.values[labels.begins[e] : labels.ends[e]] for e in exits])
-        self._least = float(to_go.least[k + 1 : self._far + 1].min())
+        least = float(to_go.least[k + 1 : self._far + 1].min())
+        self._limit = (incumbent - to_go.unit - least) * (1 + EPSILON)  # greatest cost from the start
         self._fixed = bool(to_go.places.fixed[k + 1])
 
-    def depth(self, limit: float) -> int | None:
-        """Returns how many least weights the threshold rises over that of the farthest exit within a time [s]."""
-        for depth in range(DEEPEST_STEP, SHALLOWEST - 1, -1):
+    def depth(self, limit: float, deepest: int) -> int | None:
+        """Returns how many least weights the threshold rises over the least of the next ones within a time [s]."""
+        for depth in range(deepest, SHALLOWEST - 1, -1):
             if self._expected(depth) <= limit:
                 return depth
         return None
@@ -83,7 +89,7 @@ class Step:
 
     def _most(self, depth: int) -> float:
         """Returns the most that a label to be found may have."""
-        return self._target(depth) - self._to_go._unit
+        return self._target(depth) - self._to_go.unit
 
     def _budget(self, depth: int) -> float:
         """Returns the greatest budget of a configuration without a label."""
@@ -91,31 +97,17 @@ class Step:
 
     def _expected(self, depth: int) -> float:
         to_go = self._to_go
-        time = float(to_go.prices.of(self._most(depth) - self._values).sum())
+        time = float(to_go.counts.prices(self._most(depth) - self._values).sum())
         if self._enumerates(depth):
             thresholds = to_go.labels.thresholds[self._k + 1 : self._far + 1]
-            shares = self._shares()
-            time += to_go.leaves * LEAF if to_go.leaves <= MOST_LEAVES else np.inf
-            count = to_go._counts[self._k + 1]
-            time += count * float((shares * to_go.prices.of(self._most(depth) - thresholds)).sum())
+            shares = to_go.shares(self._k + 1)
+            listing, count = to_go.expected(self._k + 1, self._limit)
+            time += listing + count * float((shares * to_go.counts.prices(self._most(depth) - thresholds)).sum())
         return time
 
     def _enumerates(self, depth: int) -> bool:
         """Returns whether configurations without labels must be listed."""
         return self._fixed or self._budget(depth) >= self._to_go.chain.least * (1 - EPSILON)
-
-    def _shares(self) -> Array:
-        """Returns which share of the configurations that serve the next point has which exit, about."""
-        k, places, far = self._k + 1, self._to_go.places, self._far
-        if far == k:
-            return np.ones(1)
-        size = 2 if self._to_go.chain.motions.shape[1] == 4 else 3
-        rng = np.random.default_rng(0)
-        points = rng.uniform(-1, 1, (SAMPLES, size))
-        points = points[(points**2).sum(axis=1) <= 1] * places.radii[k] + places.positions[k, :size]
-        away = np.linalg.norm(points[:, None] - places.positions[k : far + 1, :size], axis=2)
-        served = np.logical_and.accumulate(away <= places.radii[k : far + 1], axis=1).sum(axis=1)
-        return np.bincount(np.maximum(served, 1) - 1, minlength=far - k + 1) / len(points)
 
     def run(self, depth: int) -> bool:
         """Sets the labels and the threshold of point k; returns False if there is no time or room for this depth."""
@@ -151,12 +143,12 @@ class Step:
         values = np.concatenate([np.empty(0), *(values for _, values in listed)])
         chosen = cheapest(keys, values)
         keys, values, threshold = keys[chosen, 0], values[chosen], self._target(depth)
-        most = min(LABELS_OF_POINT, len(labels.keys) - to_go._used)
+        most = min(LABELS_OF_POINT, len(labels.keys) - to_go.used)
         if len(keys) > most:
             threshold = float(np.partition(values, most)[most])
             keys, values = keys[values < threshold], values[values < threshold]
-        begin = to_go._used
-        to_go._used = end = begin + len(keys)
+        begin = to_go.used
+        to_go.used = end = begin + len(keys)
         labels.keys[begin:end], labels.values[begin:end] = keys, values
         labels.begins[self._k], labels.ends[self._k], labels.thresholds[self._k] = begin, end, threshold
         to_go.least[self._k] = min(threshold, float(values.min(initial=np.inf)))
@@ -169,7 +161,7 @@ class Step:
             return [to_go.places.given[k : k + 1]]
         if self._enumerates(depth):
             assert to_go.tips is not None
-            self.spent += to_go.leaves * LEAF
+            self.spent += to_go.expected(k, self._limit)[0]
             return walks(to_go.chain, to_go.tips, self._near)
         keys = [labels.keys[labels.begins[e] : labels.ends[e]] for e in range(k, self._far + 1)]
         own = np.concatenate(keys)[self._most(depth) - self._values >= to_go.chain.least * (1 - EPSILON)]
@@ -177,18 +169,14 @@ class Step:
 
     def _keys(self, part: Walk | Integers) -> Iterator[Integers]:
         """Yields the keys (n, 1) of a part."""
-        tips = self._to_go.tips
-        if not isinstance(part, Walk) or tips is None:
-            yield part  # type: ignore[misc]
+        if not isinstance(part, Walk):
+            yield part
             return
-        to_go, k, found = self._to_go, self._k + 1, np.empty(SHARE, np.int64)
-        reach, limit = reaches(to_go.chain), (self._incumbent - self._to_go._unit - self._least) * (1 + EPSILON)
-        position, radius = to_go.places.positions[k], float(to_go.places.radii[k])
-        while (count := list_serving(to_go.chain, tips, part, reach, self._near, limit, position, radius, found)) != 0:
-            if count < 0:
-                found = np.empty(4 * len(found), np.int64)
-                continue
-            yield found[:count, None].copy()
+        to_go, k = self._to_go, self._k + 1
+        assert to_go.tips is not None
+        where = to_go.places.positions[k], float(to_go.places.radii[k])
+        for found in serving(to_go.chain, to_go.tips, part, self._near, self._limit, *where):
+            yield found[:, None]
 
     def _found(self, neighbours: Neighbours, keys: Integers, depth: int) -> tuple[Integers, Array] | None:
         """Returns keys and values of labels of point k that are near keys (n, 1) which serve point k + 1."""
@@ -196,7 +184,7 @@ class Step:
         rest, _ = neighbours.judged(to_go.labels, k + 1, keys)
         budgets = self._most(depth) - rest
         use = np.flatnonzero(budgets >= (0.0 if self._fixed else to_go.chain.least * (1 - EPSILON)))
-        self.spent += float(to_go.prices.of(budgets).sum())
+        self.spent += float(to_go.counts.prices(budgets).sum())
         if self.spent > self._allowed:
             return None
         found = neighbours.near(k, keys[use], budgets[use], MOST_FOUND, self._late)

@@ -30,14 +30,16 @@ WIDTHS = tuple(4**n for n in range(1, 11))  # of layers, one after the other whi
 GROWTH = 5.0  # expected factor of the time from one width, or one ceiling of a proof, to the next
 WIDER = 12  # most steps of one least weight by which the ceiling rises to fill a layer
 FIRST = SearchTime(0.01, unfound=0.5)  # to find one configuration that serves a point
-MOST = 1 << 20  # configurations of a complete layer
-BEAM, SWEEP, GUIDED = 0.1, 0.55, 0.25  # shares of the time: narrow layers, labels, narrow layers with labels
+MOST = 1 << 21  # configurations of a complete layer
+# Shares of the time: narrow layers, a proof, labels, narrow layers with labels; a proof with labels follows.
+BEAM, PROOF, SWEEP, GUIDED = 0.1, 0.2, 0.4, 0.15
 LEAST_SWEEP = 0.1  # [s] for labels; less is not worth the while
 SCANNED = 10e-9  # [s] to compare a configuration with a label
 DEEPER = 4  # most steps of one least weight by which neighbours are listed farther, so that fewer labels are compared
 PRICE_OF_PLACE = 400e-6  # [s] to list neighbours for one place in a narrow layer
 PRICE_OF_ONE = 5e-3  # [s] to list the neighbours of a configuration of a narrow layer, at most
 ENOUGH = 4  # neighbours that are listed for each place in a narrow layer
+PRICE_OF_LARGE, MOST_LARGE = 0.05, 256  # [s] from which on all that serves a point is tried; for so many configurations
 FEW_KEYS = 256  # that one thread lists
 
 
@@ -80,7 +82,8 @@ class LabelSetting:
         self._points, self._stop, self._solver, self._until = points, stop, points.solver, np.inf
         self._to_go = CostToGo(points, threads, memory, memory >> 1)
         key, nothing = keys_of(self._to_go.chain, start), np.zeros(1, dtype=np.int64)
-        self._most_budget = self._to_go.prices.affordable(PRICE_OF_ONE)
+        self._most_listed = self._to_go.counts.affordable(PRICE_OF_LARGE)
+        self._most_budget = self._to_go.counts.affordable(PRICE_OF_ONE)
         self._start = Layer(key, np.zeros(1), nothing, np.zeros(1), nothing)
         self.best = BestSequence(None, np.inf, 0.0)
         self._raise(self._first_bound())
@@ -104,13 +107,18 @@ class LabelSetting:
         began, sweep = time.perf_counter(), SWEEP * seconds >= LEAST_SWEEP
         self._widen(began + BEAM * seconds)
         if sweep and not self.optimal:
-            self._until = began + (BEAM + SWEEP) * seconds
-            seconds_left = self._until - time.perf_counter()
             with suppress(MemoryError):  # what is proven stays
-                self._to_go.sweep(self._start.keys, self.best.cost, seconds_left, self._late)
-            self._widen(began + (BEAM + SWEEP + GUIDED) * seconds)
+                self._to_go.list_tips(seconds)
+                self._until = began + (BEAM + PROOF) * seconds
+                self.prove()
+                self._until = began + (BEAM + PROOF + SWEEP) * seconds
+                left = self._until - time.perf_counter()
+                if not self.optimal:
+                    self._to_go.sweep(self._start.keys, self.best.cost, left, self._late)
+            self._widen(began + (BEAM + PROOF + SWEEP + GUIDED) * seconds)
         self._until = began + seconds
-        self.prove()
+        with suppress(MemoryError):
+            self.prove()
         return self.best
 
     def _widen(self, until: float) -> None:
@@ -199,7 +207,7 @@ class LabelSetting:
         ceiling = float((layer.costs + self._low(k)).min())
         for steps in range(WIDER + 1):
             budgets = np.minimum(ceiling + least * steps - self._low(k) - layer.costs, self._most_budget)
-            if found is not None and self._to_go.prices.of(budgets).sum() > PRICE_OF_PLACE * width:
+            if found is not None and self._to_go.counts.prices(budgets).sum() > PRICE_OF_PLACE * width:
                 break
             wider = self._next_layer(layer, k, ceiling + least * steps, ENOUGH * width + FEW_KEYS, True)
             if wider is None:
@@ -257,10 +265,10 @@ class LabelSetting:
         if part:
             order = np.random.default_rng(k).permutation(len(moving))
             moving, budgets = moving[order], np.minimum(budgets[order], self._most_budget)
-        price = float(to_go.prices.of(budgets).sum())
+        price = float(to_go.counts.prices(budgets).sum())
         while not part and deeper < DEEPER and len(values):
             compared = np.count_nonzero(values < low - deeper * least * (1 - EPSILON))
-            further = float(to_go.prices.of(budgets + (deeper + 1) * least).sum()) - price
+            further = float(to_go.counts.prices(budgets + (deeper + 1) * least).sum()) - price
             if compared * len(moving) * SCANNED < further:
                 break
             deeper += 1
@@ -303,6 +311,19 @@ class LabelSetting:
 
     def _neighbours(self, k: int, keys: Integers, budgets: Array, most: int, part: bool) -> Pairs | None:
         """Lists neighbours in all threads, see Neighbours.near."""
+        large = np.flatnonzero(budgets > self._most_listed)
+        if self._to_go.tips is None or self._to_go.places.fixed[k] or not len(large):
+            return self._listed(k, keys, budgets, most, part)
+        listed = self._listed(k, keys, np.where(budgets > self._most_listed, -1.0, budgets), most, part)
+        parts = [] if listed is None else [listed]
+        for n in large[:MOST_LARGE].tolist():
+            for found, costs in self._to_go.all_near(k, keys[n : n + 1], float(budgets[n])):
+                parts.append(Pairs(np.full(len(costs), n), found, costs))
+                if self._late() or sum(len(pairs.costs) for pairs in parts) > most:
+                    return None
+        return joined(parts) if listed is not None and len(large) <= MOST_LARGE else None
+
+    def _listed(self, k: int, keys: Integers, budgets: Array, most: int, part: bool) -> Pairs | None:
         threads = self._to_go.neighbours if len(keys) >= FEW_KEYS else self._to_go.neighbours[:1]
         shares = [np.arange(n, len(keys), len(threads)) for n in range(len(threads))]
 

@@ -17,7 +17,6 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 LISTED, ROWS = 1 << 16, 1 << 12  # configurations and changes for which there is room at first
-MOST_ROWS = 1 << 20  # changes of one configuration
 AT_ONCE, AT_ONCE_IN_PART = 512, 64  # those between two checks of the deadline, or of the number found
 
 
@@ -122,8 +121,8 @@ def scan(
 class Neighbours:
     """Lists configurations near others for one thread; holds the memory for it."""
 
-    def __init__(self, chain: Chain, places: Places, scene: Scene | None) -> None:
-        self.chain, self.places, self.scene = chain, places, scene
+    def __init__(self, chain: Chain, places: Places, scene: Scene | None, most_rows: int) -> None:
+        self.chain, self.places, self.scene, self._most_rows = chain, places, scene, most_rows
         self.changed, self._found = room_for_changes(chain, ROWS), self._room(LISTED)
 
     def _room(self, rows: int) -> Found:
@@ -153,7 +152,7 @@ class Neighbours:
             )
             rows, count = len(self.changed.links), int(self._found.written[0])
             if done < 0:
-                if rows >= MOST_ROWS:
+                if rows >= self._most_rows:
                     return None
                 self.changed = room_for_changes(self.chain, 4 * rows)
             elif count == 0 and done == 0:

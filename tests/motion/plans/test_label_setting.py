@@ -15,6 +15,7 @@ from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
+from tests.motion.plans.exact_trajectories import least_cost, random_case
 from tests.obstacles.dense import Disc, obstacles_of
 
 LONG = 3600.0  # [s], far more than small arms take on any machine; a proof ends the search before
@@ -121,3 +122,68 @@ def test_without_time_nothing_wrong_is_claimed(arm, densities):
     ).run(0.0)
     assert found.configurations is None
     assert found.bound == 3.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_bound_is_above_and_no_plan_below_the_truth(seed):
+    case = random_case(seed, 1 << 13)
+    least = least_cost(case)
+    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, threads=2)
+    found = search.run(LONG)
+    assert found.bound <= least * (1 + 1e-9)
+    assert found.cost >= least * (1 - 1e-9)
+    assert search.optimal
+
+
+def labels_only(search: LabelSetting, stop=lambda: False) -> None:
+    search._to_go.list_tips(1.0)
+    search._to_go.sweep(search._start.keys, np.inf, 0.5, stop)
+
+
+@pytest.mark.parametrize("seed", range(20, 28))
+def test_labels_alone_give_valid_bounds(seed):
+    case = random_case(seed, 1 << 13)
+    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, threads=2)
+    labels_only(search)
+    assert search._first_bound() <= least_cost(case) * (1 + 1e-9)
+
+
+def test_a_cancel_while_labels_are_computed_keeps_what_is_proven():
+    case = random_case(1, 1 << 13)
+    calls = iter(range(10**9))
+    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, lambda: next(calls) > 3)
+    labels_only(search, search._late)
+    assert 0 < search._first_bound() <= least_cost(case) * (1 + 1e-9)
+
+
+def test_what_a_cancel_raises_ends_all_threads():
+    case = random_case(1, 1 << 13)
+
+    def cancel() -> bool:
+        raise KeyboardInterrupt
+
+    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, cancel, 2)
+    with pytest.raises(KeyboardInterrupt):
+        search.run(LONG)
+
+
+def test_without_memory_for_labels_what_is_proven_stays(monkeypatch):
+    case = random_case(2, 1 << 13)
+    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start)
+
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(search._to_go, "sweep", fail)
+    found = search.run(1.0)
+    assert 0 < found.bound <= least_cost(case) * (1 + 1e-9)
+
+
+def test_ten_thousand_equal_points_need_no_switch_after_the_first(arm, densities):
+    solver = Solver(arm.manipulator, densities)
+    points = np.tile(arm.manipulator.tip(np.zeros(16, dtype=np.int64))[:2, 3], (10_000, 1))
+    search = LabelSetting(
+        TrajectoryPoints(solver, through(np.arange(10_000.0), points, 0.002)), np.zeros(16, dtype=np.int64)
+    )
+    assert search.best.bound == 0.0
+    assert search._to_go.labels.last[0] == 9_999
