@@ -27,8 +27,9 @@ LABELS_OF_POINT = 1 << 21  # labels of one point, at most
 MOST_FOUND = 1 << 22  # labels found from SHARE configurations
 SHALLOWEST, DEEPEST_STEP = -8, 12  # least and greatest rise of a threshold in one step, in least weights
 # Prices [s]: a configuration of the lower modules; one that serves a point, found and judged; its neighbours, among n
-# configurations: 2 us + 10 ns * n^0.75. A step that takes SLACK_OF_WORK times as long as expected is given up.
-LEAF, COMPARED, JUDGED, FIRST_PRICE, PRICE, POWER, SLACK_OF_WORK = 40e-9, 15e-9, 0.6e-6, 2e-6, 10e-9, 0.75, 4.0
+# configurations: 2 us + 10 ns * n^0.75, and 2 us for each of them that serves.
+LEAF, COMPARED, JUDGED, FOUND, FIRST_PRICE, PRICE, POWER = 40e-9, 15e-9, 0.6e-6, 2e-6, 2e-6, 10e-9, 0.75
+SLACK_OF_WORK = 4.0  # a step that takes so many times as long as expected is given up
 PARTS, DEEPEST = 4, 40  # steps of prices in a least weight; greatest budget with a price of its own
 
 
@@ -52,10 +53,11 @@ class Counts:
         at = int(min(budget / self._unit + 1e-6, len(self._counts)))
         return self.all if at == len(self._counts) else float(self._counts[at]) if at >= 0 else 0.0
 
-    def prices(self, budgets: Array) -> Array:
-        """Returns the times [s] of lists of neighbours within budgets (...)."""
+    def prices(self, budgets: Array, share: float = 0.0) -> Array:
+        """Returns the times [s] of lists of neighbours within budgets (...), a share of which serves a point."""
         at = np.clip(np.floor(budgets / self._unit + 1e-6), -1, len(self._counts) - 1).astype(int)
-        return np.where(at < PARTS, JUDGED, FIRST_PRICE + PRICE * self._counts[at] ** POWER)
+        counts = self._counts[at]
+        return np.where(at < PARTS, JUDGED, FIRST_PRICE + PRICE * counts**POWER + FOUND * share * counts)
 
     def affordable(self, price: float) -> float:
         """Returns the greatest budget whose list takes at most a time [s]."""
@@ -96,13 +98,13 @@ class Step:
         return self._most(depth) - self._base
 
     def _expected(self, depth: int) -> float:
-        to_go = self._to_go
-        time = float(to_go.counts.prices(self._most(depth) - self._values).sum())
+        to_go, share = self._to_go, self._to_go.share(self._k)
+        time = float(to_go.counts.prices(self._most(depth) - self._values, share).sum())
         if self._enumerates(depth):
             thresholds = to_go.labels.thresholds[self._k + 1 : self._far + 1]
             shares = to_go.shares(self._k + 1)
             listing, count = to_go.expected(self._k + 1, self._limit)
-            time += listing + count * float((shares * to_go.counts.prices(self._most(depth) - thresholds)).sum())
+            time += listing + count * float((shares * to_go.counts.prices(self._most(depth) - thresholds, share)).sum())
         return time
 
     def _enumerates(self, depth: int) -> bool:
@@ -184,7 +186,7 @@ class Step:
         rest, _ = neighbours.judged(to_go.labels, k + 1, keys)
         budgets = self._most(depth) - rest
         use = np.flatnonzero(budgets >= (0.0 if self._fixed else to_go.chain.least * (1 - EPSILON)))
-        self.spent += float(to_go.counts.prices(budgets).sum())
+        self.spent += float(to_go.counts.prices(budgets, to_go.share(k)).sum())
         if self.spent > self._allowed:
             return None
         found = neighbours.near(k, keys[use], budgets[use], MOST_FOUND, self._late)

@@ -150,9 +150,13 @@ class CostToGo:
                 keys = found[:, None]
                 yield keys, near[modules, states_of(self.chain, keys)].sum(axis=1)
 
+    def share(self, k: int) -> float:
+        """Returns about which share of all configurations serves point k."""
+        return float(self._serving[k] / self.counts.all)
+
     def expected(self, k: int, limit: float) -> tuple[float, float]:
         """Returns how long it takes to list what serves point k within a cost [s], and how many these are, about."""
-        share = max(self._serving[k] / self.counts.all, NEAR_START)
+        share = max(self.share(k), NEAR_START)
         time = LEAF * self._lower.within(limit) + COMPARED * self._serving[k]
         return time, min(self._serving[k], 1.0 + share * self.counts.within(limit))
 

@@ -33,7 +33,8 @@ FIRST = SearchTime(0.01, unfound=0.5)  # to find one configuration that serves a
 MOST = 1 << 21  # configurations of a complete layer
 # Shares of the time: narrow layers, a proof, labels, narrow layers with labels; a proof with labels follows.
 BEAM, PROOF, SWEEP, GUIDED = 0.1, 0.2, 0.4, 0.15
-LEAST_SWEEP = 0.1  # [s] for labels; less is not worth the while
+BEAM_ALONE = 0.6  # share of narrow layers if the time is too short for labels
+LEAST_SWEEP = 5.0  # [s] for labels; less is not worth the while
 SCANNED = 10e-9  # [s] to compare a configuration with a label
 DEEPER = 4  # most steps of one least weight by which neighbours are listed farther, so that fewer labels are compared
 PRICE_OF_PLACE = 400e-6  # [s] to list neighbours for one place in a narrow layer
@@ -82,6 +83,7 @@ class LabelSetting:
         self._points, self._stop, self._solver, self._until = points, stop, points.solver, np.inf
         self._to_go = CostToGo(points, threads, memory, memory >> 1)
         key, nothing = keys_of(self._to_go.chain, start), np.zeros(1, dtype=np.int64)
+        self._most = memory >> 1  # configurations of all layers together
         self._most_listed = self._to_go.counts.affordable(PRICE_OF_LARGE)
         self._most_budget = self._to_go.counts.affordable(PRICE_OF_ONE)
         self._start = Layer(key, np.zeros(1), nothing, np.zeros(1), nothing)
@@ -105,19 +107,19 @@ class LabelSetting:
     def run(self, seconds: float) -> BestSequence:
         """Searches for a time [s]; returns the best sequence and its bound."""
         began, sweep = time.perf_counter(), SWEEP * seconds >= LEAST_SWEEP
-        self._widen(began + BEAM * seconds)
-        if sweep and not self.optimal:
-            with suppress(MemoryError):  # what is proven stays
+        with suppress(MemoryError):  # what is proven stays
+            self._widen(began + (BEAM if sweep else BEAM_ALONE) * seconds)
+            if not self.optimal and seconds > 0:
                 self._to_go.list_tips(seconds)
+            if sweep and not self.optimal:
                 self._until = began + (BEAM + PROOF) * seconds
                 self.prove()
                 self._until = began + (BEAM + PROOF + SWEEP) * seconds
-                left = self._until - time.perf_counter()
                 if not self.optimal:
+                    left = self._until - time.perf_counter()
                     self._to_go.sweep(self._start.keys, self.best.cost, left, self._late)
-            self._widen(began + (BEAM + PROOF + SWEEP + GUIDED) * seconds)
-        self._until = began + seconds
-        with suppress(MemoryError):
+                self._widen(began + (BEAM + PROOF + SWEEP + GUIDED) * seconds)
+            self._until = began + seconds
             self.prove()
         return self.best
 
@@ -126,7 +128,9 @@ class LabelSetting:
         taken, self._until = 0.0, until
         for width in WIDTHS:
             now = time.perf_counter()
-            if self.optimal or now + GROWTH * taken > self._until or self._narrow(width) < width:
+            if self.optimal or now + GROWTH * taken > self._until or width * len(self._points) > self._most:
+                break
+            if self._narrow(width) < width:
                 break
             taken = time.perf_counter() - now
 
@@ -175,12 +179,13 @@ class LabelSetting:
 
     def _complete(self, ceiling: float) -> bool:
         """Proves that each sequence costs more than `ceiling`, or finds the cheapest; False without time or space."""
-        layers = [self._start]
+        layers, room = [self._start], self._most
         for k in range(len(self._points)):
-            following = self._next_layer(layers[-1], k, ceiling, MOST)
+            following = self._next_layer(layers[-1], k, ceiling, min(MOST, room))
             if following is None:
                 return False
             layers.append(following)
+            room -= len(following.costs)
             if not len(following.costs):
                 break
         unit = self._solver.least_weight if self._solver.whole_weights else 0.0
