@@ -81,8 +81,7 @@ def keys_of(chain: Chain, configurations: ArrayLike) -> Integers:
 
 def states_of(chain: Chain, keys: Integers) -> Integers:
     """Returns keys (n, words) as configurations (n, B)."""
-    states: Integers = (keys[:, chain.words] >> chain.shifts) & chain.masks
-    return states
+    return np.ascontiguousarray((keys[:, chain.words] >> chain.shifts) & chain.masks)
 
 
 @njit(int64(CHAIN, I2, int64, int64), **UNCOUNTED, inline="always")
