@@ -265,7 +265,7 @@ class LabelSetting:
         room = ceiling * (1 + EPSILON) - layer.costs
         serves, (labels, values) = np.isfinite(rest), self._labels(k)
         staying = np.flatnonzero(serves & (room >= rest))
-        moving = np.flatnonzero(~serves & (room >= self._low_of_all(k)))
+        moving = np.flatnonzero(~serves & (room >= float(to_go.least[k : to_go.labels.last[k] + 1].min())))
         budgets = room[moving] - low
         if part:
             order = np.random.default_rng(k).permutation(len(moving))
@@ -291,10 +291,6 @@ class LabelSetting:
             parts.append(targets[:, None])
             sums.append(layer.costs[moving][sources] + costs)
         return self._layer(k, np.concatenate(parts), np.concatenate(sums), np.concatenate(before), ceiling)
-
-    def _low_of_all(self, k: int) -> float:
-        """Returns the least cost to go of a configuration that serves point k."""
-        return float(self._to_go.least[k : self._to_go.labels.last[k] + 1].min())
 
     def _labels(self, k: int) -> tuple[Integers, Array]:
         """Returns keys (n,) and values (n,) of labels below the least threshold of a configuration for point k."""
