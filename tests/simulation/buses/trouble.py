@@ -41,6 +41,7 @@ DAEMON_KINDS = {
         "clients read slowly": 0.5,
         "planner stands still": 0.4,
         "network is lost": 0.4,
+        "executor's socket is full": 3.0,
         "searches err": 4.0,
     },
 }
@@ -208,6 +209,9 @@ class Trouble:
             case "network is lost":
                 daemon.lose_network(True)
                 self._later(3.0, lambda: daemon.lose_network(False))
+            case "executor's socket is full":
+                daemon.fill_socket(random.choice([0, 0, 1, 2, 5]))
+                self._later(random.choice([0.1, 0.5, 3.0]), daemon.drain_socket)
             case "clock is set":
                 daemon.set_clock()
 
