@@ -9,7 +9,19 @@ from random import Random
 
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
 from hyperbit.controller.planning.link import RETRY, Connection, ExecutorLink
-from hyperbit.controller.program import VERSION, Down, Goodbye, Hello, Stop, Up, decode_down, decode_up, encode
+from hyperbit.controller.program import (
+    VERSION,
+    Diagnostics,
+    Down,
+    Goodbye,
+    Hello,
+    Snapshot,
+    Stop,
+    Up,
+    decode_down,
+    decode_up,
+    encode,
+)
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 
@@ -121,6 +133,7 @@ class Network:
         self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
         self._sockets: dict[ClientId, Socket] = {}
         self._numbers = 0
+        self._unread = random.choice([3, 20, 200])  # packets that fit into the executor's end of a socket
         self._places: int | None = None  # packets that fit into the planner's socket; None: any number
 
     def fill(self, places: int) -> None:
@@ -159,6 +172,9 @@ class Network:
         """Sends a message of the executor; a `Goodbye` ends the connection."""
         socket = self._sockets.get(client)
         if socket is not None:
+            full = len(socket.arrived) >= self._unread
+            if full and isinstance(message, Snapshot | Diagnostics):
+                return  # the executor's server drops telemetry for a client that does not read
             socket.back(encode(message))
             if isinstance(message, Goodbye):
                 self._end(client)
