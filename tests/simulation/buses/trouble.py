@@ -26,7 +26,7 @@ KINDS = {
     **{"wires are cut": 0.3, "wires are shorted": 0.3, "door is opened": 4.0},
     **{"echoes are lost": 0.5, "foreign NMT": 0.5, "answers are lost": 0.5, "TPDO is lost": 0.5},
     **{"kill in mid boot": 0.4, "bus-off in mid boot": 0.4, "power-cycle in mid boot": 0.4},
-    **{"stop in mid commit": 0.8, "wires are loose": 20.0},
+    **{"stop in mid commit": 0.8, "wires are loose": 7.0},
 }
 
 
@@ -37,12 +37,12 @@ DAEMON_KINDS = {
         "searches fail": 0.8,
         "a search hangs": 0.02,
         "disk is full": 0.6,
-        "clock is set": 0.3,
+        "clock is set": 1.0,
         "clients read slowly": 0.5,
         "planner stands still": 0.4,
-        "network is lost": 0.4,
-        "executor's socket is full": 3.0,
-        "searches err": 4.0,
+        "network is lost": 0.8,
+        "executor's socket is full": 1.5,
+        "searches err": 2.0,
     },
 }
 
@@ -215,6 +215,14 @@ class Trouble:
             case "clock is set":
                 daemon.set_clock()
 
+    def _ask_to_reset(self) -> None:
+        """Asks for a reset, as an operator does who does not see that a door is open."""
+        world = self._world
+        if world.daemon is not None:
+            world.daemon.clients.ask("reset")
+        elif world.planner.snapshot is not None and world.planner.connection.client is not None:
+            world.planner.ask_to_reset()
+
     def _at_strict_stages(self, happen: Callable[[], None]) -> None:
         """Lets something happen soon after the begin of each second stage that must be clear, until the calm."""
         turn = self._round
@@ -301,3 +309,4 @@ class Trouble:
             case "door is opened" if world.arm.wiring.interlocks:
                 world.boards.door("door", is_open=True)
                 self._later(2.0, lambda: world.boards.door("door", is_open=False))
+                self._later(0.5, self._ask_to_reset)

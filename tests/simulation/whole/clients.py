@@ -37,6 +37,8 @@ BURSTS = (
     ("stop", "reset", "stop"),
     ("cancel", "reset", "cancel", "goal"),
     ("degrade", "goal"),
+    ("plan", "cancel goal"),
+    ("plan", "plan", "cancel goal"),
     ("obstacles", "goal", "obstacles"),
 )
 NAMES = {"stop": ("hyperbit/*/stop", "**/hyperbit/*/stop"), "cancel": ("hyperbit/*/cancel",), "arm": ("hyperbit/**",)}
