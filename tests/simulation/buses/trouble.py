@@ -32,6 +32,7 @@ KINDS = {
 
 DAEMON_KINDS = {
     **{"planner is restarted": 2.0, "both are killed": 1.0, "planner is slow": 0.8, "planner dies": 3.0},
+    **{"executor dies in motion": 2.0, "planner dies in motion": 2.0},
     **{
         "searches are late": 1.0,
         "searches fail": 0.8,
@@ -181,6 +182,10 @@ class Trouble:
         match kind:
             case "planner is restarted":
                 daemon.end_in_order()
+            case "executor dies in motion":
+                self._in_motion(self._world.executor.kill)
+            case "planner dies in motion":
+                self._in_motion(daemon.die)
             case "both are killed":
                 daemon.die()
                 self._world.executor.kill_after(random.randint(0, 20))
@@ -258,6 +263,18 @@ class Trouble:
         world.boards.fault("cut_wires", channel.actuator)
         self._later(1.0, lambda: world.boards.fault("restore_sensor", channel.actuator))
         self._later(1.0, bus.restore)
+
+    def _in_motion(self, happen: Callable[[], None]) -> None:
+        """Lets something happen once, soon after the next stage has begun."""
+        turn, delay = self._round, self._random.uniform(0.0, 0.2)
+        waits = [True]
+
+        def perform() -> None:
+            if self._active and turn == self._round and waits and waits.pop():
+                self._world.agenda.after(delay, happen)
+
+        for bus in self._world.buses.values():
+            bus.at_next_rpdo(perform)
 
     def _stop_in_mid_commit(self, bus: BusModel) -> None:
         """Keeps the frames of a commit in the controller for a while, and halts the arm."""
