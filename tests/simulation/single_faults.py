@@ -12,6 +12,7 @@ from tests.simulation.judge.expected import judge_locks, told
 from tests.simulation.judge.verdict import require
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.single_fault import Fault
+from tests.simulation.volleys import Volleys
 
 if TYPE_CHECKING:
     from tests.simulation.judge.expected import Expected
@@ -22,6 +23,7 @@ SUPERVISED = 0.6  # [s] until the last motion is supervised, and all outputs are
 KEPT = 1.2  # [s] for which a fault must wait for its reset; faults that clear are tried once a second
 LONG = 2.2  # [s] for which a fault may last, so that two attempts to leave it fail
 ANSWERED = 0.1  # [s] until a reset is answered
+VOLLEYS = 0.5  # share of the volleys, where neither executor nor planner ends
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
 
 
@@ -36,6 +38,7 @@ class SingleFaults:
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
         self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
+        self._volleys = Volleys(world, random)
         self._often = 0.35 if world.arm.contract_on_stop else 0.2 if world.kinds.pulse else 0.1  # the executor ends
 
     def happen(self) -> None:
@@ -58,6 +61,8 @@ class SingleFaults:
             self._interrupt(planner)
         elif drawn < self._often + 0.3:
             self._boots.happen()
+        elif self._random.random() < VOLLEYS:
+            self._volleys.happen()
         else:
             world.judge.disturb()
             name, fault = self._kinds.draw()

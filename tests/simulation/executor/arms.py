@@ -110,6 +110,9 @@ def draw_kind(random: Random, channel: Channel, pulses: bool) -> Channel:
     inverted = {name for name in ("input", "input_contracted") if random.random() < 0.2}
     if paired:
         fields["output_off"] = second
+        if not pulses and random.random() < 0.3:  # after a restart of the board nobody can know its state
+            fields["input"] = None
+            fields.pop("input_contracted", None)
         if pulses and random.random() < 0.7:
             fields["pulse"] = random.choice([0.02, 0.05, 0.2])
             if random.random() < 0.25:  # after a kill nobody can know its state

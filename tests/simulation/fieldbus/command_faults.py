@@ -8,6 +8,7 @@ from hyperbit.drivers.canopen.faults import Busy
 from tests.simulation.fieldbus.expected import Expected, Fault
 from tests.simulation.fieldbus.fault_maker import FaultMaker
 from tests.simulation.fieldbus.use import moves
+from tests.simulation.judge.fieldbus.wires import bits_in
 from tests.simulation.judge.verdict import require
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ AT_ONCE = 0.05  # [s] until a failure is told
 COMMITTED = 0.6  # [s] until a command must be over
 READ_BACK = 1.3  # [s] from a switch until outputs are read
 SHORT_PULSES = 3
+TPDOS = range(0x180, 0x580, 0x100)
 
 
 class CommandFaults(FaultMaker):
@@ -82,6 +84,82 @@ class CommandFaults(FaultMaker):
             switched = sum(mask for mask, _ in master.drain_switched())
             require(switched == self._changed, f"{switched:b} is told as switched, {self._changed:b} has")
 
+        return Fault(cause, lambda: world.use.release_quietly(), Expected((), within=AT_ONCE), check)
+
+    def command_is_given_up_that_waits_for_no_SYNC(self) -> Fault | None:
+        """Boards without SYNC still switch when their frames leave, all others hold."""
+        if not self._fit or self._waits():
+            return None
+        master, world = self._world.master, self._world
+        parts = [part for name in world.wiring.boards for part in world.switching.parts_of(name) if not part.waits]
+        at_once = sum(
+            wire.line
+            for name, board in world.wiring.boards.items()
+            for wire in board.outputs
+            if any(bits_in(p.mapping, board.base) >> wire.bit & 1 for p in parts if p.board.name == name)
+        )
+        leaving = at_once & self._changed
+        both = [p.board.name for p in parts]
+        if len(set(both)) < len(both) or world.drawn.wiring.shared_rpdo:
+            return None  # frames that wait and frames that do not may carry one board
+
+        def cause() -> None:
+            self._commit(self._states)
+            if not master.committing:
+                return
+            master.give_up("the test says so")
+            told = master.leaving
+            require(told == leaving, f"{told:b} are leaving, {leaving:b} are commanded to boards without SYNC")
+            world.wait(lambda: not master.committing, 0.6 + world.watching.slack, "over")
+            wanted = self._before ^ leaving
+            driven = world.switching.driven()
+            require(driven == wanted, f"the pins are {driven:b} after a command was given up; {wanted:b} may leave")
+            require(master.outputs == wanted, f"outputs {master.outputs:b} are told; {wanted:b} are driven")
+
+        def check() -> None:
+            master.drain_switched()
+            world.switching.forget(world.switching.driven())
+
+        return Fault(cause, lambda: world.use.release_quietly(), Expected((), within=AT_ONCE), check)
+
+    def command_while_an_older_frame_waits(self) -> Fault | None:
+        """No command begins before a frame with its COB-ID has left, of a command that was given up."""
+        if not (self._fit and self._waits()):
+            return None
+        world, master = self._world, self._world.master
+        held = [bus for bus in self._site.buses.values() if world.switching.lines_on(bus.name) & self._changed]
+        other = world.use.possible(self._before ^ (self._changed & -self._changed))
+
+        def cause() -> None:
+            for bus in held:
+                bus.stuck = True
+            self._commit(self._states)
+            master.give_up("the test says so")
+            try:
+                self._commit(other)
+                begun = master.committing
+            except Busy:
+                begun = False
+            for bus in held:
+                bus.stuck = False
+                bus.begin()
+            world.wait(lambda: not master.committing, 0.6 + world.watching.slack, "over")
+            require(not begun, "a command begins while an older frame with its COB-ID waits")
+
+        def check() -> None:
+            driven = world.switching.driven()
+            still = driven == master.outputs == self._before
+            require(still, f"the pins are {driven:b} after commands that were given up")
+            master.drain_switched()
+            self._commit(other)
+            world.wait(lambda: not master.committing, 0.6 + world.watching.slack, "committed")
+            driven = world.switching.driven()
+            require(driven == other, f"the pins are {driven:b} after a command of {other:b}")
+            world.switching.forget(other)
+            master.drain_switched()
+
+        if other == self._before or self._timing.heartbeat_timeout < 0.1:
+            return None
         return Fault(cause, lambda: world.use.release_quietly(), Expected((), within=AT_ONCE), check)
 
     def command_is_given_up_after_its_SYNC(self) -> Fault | None:
@@ -251,6 +329,40 @@ class CommandFaults(FaultMaker):
             lost,
             check,
         )
+
+    def release_beside_a_board_that_only_hears(self) -> Fault | None:
+        """A board that is not heard has latched a command that was given up: no SYNC of a release switches it."""
+        world, name = self._world, self._name
+        others = [b for n, b in world.wiring.boards.items() if n != name and b.bus == self._judged.bus and b.lines]
+        latched = self._judged.lines & self._changed
+        if not (self._fit and self._waits() and latched and others) or world.drawn.wiring.shared_rpdo:
+            return None
+        on = [b for b in others if b.lines & self._before]
+        if not on:
+            return None
+        off = on[0].lines & self._before
+
+        def lose(bus: str, frame: Any) -> str:
+            sends = frame.id & 0x7F == self._judged.node and (frame.id & 0x780) in (0x580, 0x700, 0x80, *TPDOS)
+            return "lose" if bus == self._judged.bus and sends and not frame.id >> 11 else ""
+
+        def cause() -> None:
+            self._commit(self._states)
+            world.master.give_up("the test says so")
+            world.pass_time(AT_ONCE)
+            self._site.intercept = lose
+
+        def check() -> None:
+            before = world.looks[name].pins()
+            self._site.call(lambda m: m.commit(~off & world.wiring.lines, world.agenda.now, release=True))
+            world.wait(lambda: not moves(world.master), COMMITTED + world.watching.slack, "released")
+            pins, driven = world.looks[name].pins(), world.switching.driven()
+            require(pins == before, f"{name}: pins {before:b} become {pins:b} by a release of {off:b}")
+            require(not driven & off, f"{off:b} are switched off beside {name}, the pins are {driven:b}")
+
+        timeout = AT_ONCE + self._timing.heartbeat_timeout + AT_ONCE
+        expected = Expected(("board-lost",), name, (), timeout, (name,))
+        return Fault(cause, self._intercept_nothing, expected, check)
 
     def pulses_are_too_short(self) -> Fault | None:
         """Pulses end before their outputs are read: each is missed, and the third in a row is a fault."""

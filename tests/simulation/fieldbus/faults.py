@@ -19,7 +19,7 @@ PROBES = 0.5  # [s] between two questions to lost boards
 BACK = 3.0  # [s] until a mended board is heard
 
 
-MAKERS = SupervisionFaults, BusFaults, ObjectFaults, CommandFaults
+MAKERS = SupervisionFaults, BusFaults, ObjectFaults, CommandFaults, CommandFaults
 
 
 class Faults:
