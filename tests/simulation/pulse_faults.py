@@ -107,7 +107,6 @@ class PulseFaults:
         down = Expected(codes("bus-down"), (bus.name,), world.arm.rest + ASKED, also=also, cleared=True)
         made = {
             "a board loses the end of a pulse": Fault(switch(lose, pulse / 2), disarm, NO_FAULT),
-            "nobody answers during a pulse": Fault(switch(mute, 0.0), disarm, NO_FAULT),
             "an echo is lost while a pulse ends": Fault(switch(bus.lose_echo, pulse / 2), disarm, NO_FAULT),
             "a board is unplugged while it gets a pulse": Fault(switch(unplug, 0.0), plug, lost),
             "a board restarts in a pulse": Fault(switch(restart, pulse / 2), disarm, restarted),
@@ -116,6 +115,8 @@ class PulseFaults:
         }
         told = world.judge.arm.sensed >> k & 1 or pulse > SHORT
         judged = told and not world.judge.proofs.forgone >> k & 1
+        if told:  # answers that were lost may still come, so a short pulse is not surely read
+            made["nobody answers during a pulse"] = Fault(switch(mute, 0.0), disarm, NO_FAULT)
         if frame == cia301.SYNC and not world.arm.continue_on_stuck and judged:
             made["a board loses the SYNC of a pulse"] = Fault(switch(lose, 0.0), disarm, begins)
         if others:

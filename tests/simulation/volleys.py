@@ -19,7 +19,6 @@ LONGEST_HOLD = 0.015  # [s] for which frames stay in the controller, far below e
 LATE = 0.03  # [s] of late answers
 ECHO_LOST = 0.05  # [s] after which the executor knows that an echo was lost
 DISTURBED = 0.12  # [s] of a round
-HOMED = 5.0  # [s] until a program has homed the arm
 
 
 class Volleys:
@@ -37,10 +36,6 @@ class Volleys:
         """Switches a few actuators, each with another disturbance; nothing may be told of these."""
         world, random, planner = self._world, self._random, self._world.planner
         assert isinstance(planner, ScriptedPlanner)
-        if world.judge.account.homing:
-            planner.ask_for_motion()
-            self._pass(DISTURBED)
-            world.wait(world.settled, "at rest", HOMED + world.ready_within)
         free = [k for k in range(len(world.arm.actuators)) if not world.judge.account.locked >> k & 1]
         if not free or world.judge.account.homing:
             return

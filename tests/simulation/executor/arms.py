@@ -63,8 +63,8 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
         for output in outputs:
             end_stop = output if random.random() < 0.8 else None
             channels.append(Channel(f"{node}.{output}", bus, node, output, end_stop))
-    if random.random() < 0.8:
-        pulses = random.random() < 0.8
+    if random.random() < 0.9:
+        pulses = random.random() < 0.9
         channels = [draw_kind(random, channel, pulses) for channel in channels]
     interlocks = draw_interlocks(random, [bus.name for bus in buses])
     used = {channel.bus for channel in channels} | {lock.bus for lock in interlocks}
