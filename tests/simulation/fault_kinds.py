@@ -45,7 +45,7 @@ class FaultKinds:
     def draw(self) -> tuple[str, Fault]:
         """Returns the name of a fault, and the fault."""
         makers = [self._of_bus, self._of_board, self._of_frames, self._of_actuator, self._of_motion, self._of_executor]
-        makers += [self._of_running_boards] * 2 + [self._of_motion] * 2 + [self._pulses.draw] * 9
+        makers += [self._of_running_boards] * 2 + [self._of_motion] * 2 + [self._pulses.draw] * 20
         while True:
             made = self._random.choice(makers)()
             if made:

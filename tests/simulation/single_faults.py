@@ -24,7 +24,7 @@ KEPT = 1.2  # [s] for which a fault must wait for its reset; faults that clear a
 LONG = 2.2  # [s] for which a fault may last, so that two attempts to leave it fail
 ANSWERED = 0.1  # [s] until a reset is answered
 HOMED = 0.7  # share of the faults before which a program homes the arm
-VOLLEYS = 0.5  # share of the volleys, where neither executor nor planner ends
+VOLLEYS = 0.45  # share of the volleys, where neither executor nor planner ends
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
 
 
@@ -40,7 +40,8 @@ class SingleFaults:
         self._world, self._random = world, random
         self._kinds, self._boots = FaultKinds(world, random), BootFaults(world, random)
         self._volleys = Volleys(world, random)
-        self._often = 0.35 if world.arm.contract_on_stop else 0.2 if world.kinds.pulse else 0.1  # the executor ends
+        self._often = 0.3 if world.arm.contract_on_stop else 0.1  # the executor ends
+        self._rare = 0.5 if world.kinds.pulse else 1.0  # so that there is time for faults of pulses
 
     def happen(self) -> None:
         """Causes one fault, mends it, and brings the arm back.
@@ -58,11 +59,11 @@ class SingleFaults:
         drawn = self._random.random()
         if drawn < self._often:
             self._end_executor(planner)
-        elif drawn < self._often + 0.1:
+        elif drawn < self._often + 0.1 * self._rare:
             self._lose_planner(planner)
-        elif drawn < self._often + 0.15:
+        elif drawn < self._often + 0.15 * self._rare:
             self._interrupt(planner)
-        elif drawn < self._often + 0.2:
+        elif drawn < self._often + 0.2 * self._rare:
             self._boots.happen()
         elif self._random.random() < VOLLEYS:
             self._volleys.happen()

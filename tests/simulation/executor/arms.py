@@ -55,9 +55,9 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
     """
     rates = [125_000, 500_000, 1_000_000]  # [bit/s]
     buses = [BusWiring(name, "simulated", name, random.choice(rates)) for name in ("can0", "can1")]
-    del buses[random.choice([1, 1, 2]) :]
+    del buses[random.choice([1, 1, 2] if whole else [1, 2]) :]
     channels = []
-    for node in range(1, random.randint(1, 4) + 1):
+    for node in range(1, random.choice([1, 2, 3, 4] if whole else [1, 2, 2, 2, 3, 4]) + 1):
         bus = buses[node % len(buses)].name
         outputs = random.sample(range(12), random.randint(1, 3) + (node == 1))
         for output in outputs:
