@@ -141,6 +141,10 @@ class BusModel:
         """Calls a function once, when the executor hands out an RPDO."""
         self._at_rpdo.append(happen)
 
+    def await_no_rpdo(self) -> None:
+        """Calls no function at the next RPDO."""
+        self._at_rpdo.clear()
+
     def at_next_sync(self, happen: Callable[[], None]) -> None:
         """Calls a function once, when the executor hands out a SYNC."""
         self._at_sync = happen
