@@ -51,13 +51,9 @@ def transforms(scene: FoxgloveScene, state: Message, world: str) -> list[Fields]
 class Markers:
     """The markers of an arm, its goal and its obstacles.
 
-    Attributes:
-        scene: draws the arm; another one has other obstacles.
-
     Args:
-        scene: draws the arm.
         arm: name of the arm, and namespace of its markers.
-        length: of the arm.
+        length: of the arm, in its unit of length.
         world: name of the world's frame.
     """
 
@@ -66,7 +62,7 @@ class Markers:
         self._shown: set[tuple[str, int]] = set()
 
     def array(self, state: Message) -> Fields:
-        """Returns the visualization_msgs/msg/MarkerArray of a `state`; markers that are gone are deleted."""
+        """Returns the visualization_msgs/msg/MarkerArray of a `state`, with DELETE for each marker that is gone."""
         markers: list[Fields] = []
         for entity in self.scene.update(state, state["stamp"])["entities"]:
             frame = self._world if entity["frame_id"] == "world" else entity["frame_id"]
@@ -95,10 +91,9 @@ def diagnostics(arm: str, state: Message, told: Message | None, *, alive: bool =
     """Returns the diagnostic_msgs/msg/DiagnosticArray of an arm.
 
     Args:
-        arm: name of the arm.
         state: payload of `state`.
-        told: payload of `diagnostics`; None if none came.
-        alive: whether the daemon is there; else its last messages are stale.
+        told: payload of `diagnostics`, if one came.
+        alive: whether the daemon is there; otherwise its last messages are stale.
     """
     words, level = f"{state['mode']}: {state['reason']}", LEVELS.get(state["mode"], STALE)
     entries = [
@@ -128,7 +123,6 @@ def diagnostics(arm: str, state: Message, told: Message | None, *, alive: bool =
 
 
 def status(name: str, level: int, message: str, values: Message) -> Fields:
-    """Returns a diagnostic_msgs/msg/DiagnosticStatus."""
     pairs = [{"key": str(key), "value": str(value)} for key, value in values.items() if key not in ("name", "state")]
     return {"level": level, "name": name, "message": message, "hardware_id": name.partition(":")[0], "values": pairs}
 

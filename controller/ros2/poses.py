@@ -18,12 +18,7 @@ SECOND = 1_000_000_000  # [ns]
 
 
 class BadGoal(ValueError):
-    """A message of ROS 2 is no goal of this arm.
-
-    Args:
-        message: what was given, where, and what would have been right.
-        code: of FollowJointTrajectory.
-    """
+    """A ROS 2 message is no goal of this arm. `code` is of FollowJointTrajectory."""
 
     def __init__(self, message: str, code: int = -1) -> None:
         super().__init__(message)
@@ -31,22 +26,15 @@ class BadGoal(ValueError):
 
 
 class Place(NamedTuple):
-    """Where an arm stands.
+    """Where an arm stands."""
 
-    Attributes:
-        world: name of the world's frame.
-        arm: name of the arm; its base has the frame "<arm>/0".
-        base: frame of the base in the world, shape (4, 4).
-        dimension: 2 or 3.
-    """
-
-    world: str
-    arm: str
-    base: Frame
+    world: str  # name of the world's frame
+    arm: str  # its base has the frame "<arm>/0"
+    base: Frame  # in the world, shape (4, 4)
     dimension: int
 
     def frame(self, name: str, where: str) -> Frame:
-        """Returns the frame (4, 4) of a name in the world; a message without a name means the world.
+        """Returns a named frame in the world, shape (4, 4); "" is the world.
 
         Raises:
             BadGoal: the name is neither that of the world nor of the arm's base.
@@ -58,7 +46,7 @@ class Place(NamedTuple):
         raise BadGoal(f"{where}.header.frame_id: {name[:100]!r}, expected {self.world!r} or '{self.arm}/0'")
 
     def position(self, frame: Frame, point: Sequence[float], where: str) -> list[float]:
-        """Returns the coordinates in the world of a point (3,) in a frame (4, 4).
+        """Returns the world coordinates of a point (3,) in a frame (4, 4).
 
         Raises:
             BadGoal: a coordinate is farther than the daemon accepts.
@@ -81,10 +69,10 @@ def time_of(stamp: float) -> Fields:
 
 
 def check_stamp(stamp: float, where: str) -> None:
-    """Checks the stamp of a pose that is to be reached now; 0 is always right.
+    """Checks the stamp of a pose to reach now; 0 is always valid.
 
     Raises:
-        BadGoal: it is too old, or in the future.
+        BadGoal: the stamp is too old, or in the future.
     """
     age = time.time() - stamp
     if stamp != 0 and abs(age) > OLDEST:
@@ -93,11 +81,9 @@ def check_stamp(stamp: float, where: str) -> None:
 
 
 def waypoint(message: Any, place: Place, where: str, *, oriented: bool) -> Fields:
-    """Returns the waypoint of a PoseStamped.
+    """Returns the waypoint of a geometry_msgs/msg/PoseStamped.
 
     Args:
-        message: geometry_msgs/msg/PoseStamped.
-        place: where the arm stands.
         where: name of the message, for errors.
         oriented: whether its orientation counts.
 
@@ -157,7 +143,7 @@ def orientation(turned: Frame, dimension: int) -> Any:
 
 
 def pose(told: Mapping[str, Any]) -> Fields:
-    """Returns the pose of ROS 2 of a pose of the daemon, with `position` and perhaps `orientation`."""
+    """Converts a pose of the daemon, with `position` and optional `orientation`."""
     x, y, z = (*told["position"], 0.0)[:3]
     turned = told.get("orientation")
     if turned is None:
@@ -168,7 +154,7 @@ def pose(told: Mapping[str, Any]) -> Fields:
 
 
 def yaw(told: Mapping[str, Any]) -> float:
-    """Returns the angle about z of a pose of the daemon [rad]; NaN if it has no orientation."""
+    """Returns the angle about z of a pose of the daemon [rad]; NaN without orientation."""
     turned = told.get("orientation")
     if turned is None:
         return math.nan

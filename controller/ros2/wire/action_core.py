@@ -47,30 +47,18 @@ BEFORE: dict[Status, tuple[Status, ...]] = {
 
 
 class IllegalTransition(RuntimeError):
-    """The server's program asked for a transition that a goal in its state does not have."""
+    """The program asked for a transition that the goal's state does not allow."""
 
 
 @dataclass
 class Goal:
-    """What is known of a goal.
-
-    Attributes:
-        request: of the goal, which is answered when it is decided.
-        goal: as it came with the event.
-        status: UNKNOWN until it is decided.
-        stamp: time of acceptance [ns since 1970].
-        ended: when it ended [s], on the clock of `now`.
-        result: of an ended goal.
-        waiting: requests for the result.
-    """
-
-    request: int
+    request: int  # number of the goal's request, which the decision answers
     goal: Any
     status: Status = Status.UNKNOWN
-    stamp: int = 0
-    ended: float = 0.0
+    stamp: int = 0  # time of acceptance [ns since 1970]
+    ended: float = 0.0  # on the clock of `now` [s]
     result: Any = None
-    waiting: list[int] = field(default_factory=list)
+    waiting: list[int] = field(default_factory=list)  # requests for the result
 
 
 class ActionCore:
@@ -90,11 +78,11 @@ class ActionCore:
         self._closed = False
 
     def step(self, event: Event, now: float) -> list[Action]:
-        """Returns what follows from an event.
+        """Returns the actions that follow from an event.
 
         Args:
             event: what happened.
-            now: time on a clock that never goes back [s].
+            now: time on a monotonic clock [s].
 
         Raises:
             IllegalTransition: an event of the program does not suit the goal's state. No goal has changed.
@@ -126,11 +114,10 @@ class ActionCore:
                 return list(self._close(event, now))
 
     def status(self, uuid: bytes) -> Status:
-        """Returns the state of a goal."""
         return self.goals[uuid].status if uuid in self.goals else Status.UNKNOWN
 
     def infos(self, chosen: Callable[[Goal], bool] = lambda goal: True) -> tuple[GoalInfo, ...]:
-        """Returns all accepted goals, or the chosen ones of them."""
+        """Returns all accepted goals that `chosen` selects."""
         accepted = ((uuid, goal) for uuid, goal in self.goals.items() if goal.status is not Status.UNKNOWN)
         return tuple(GoalInfo(uuid, goal.stamp, goal.status) for uuid, goal in accepted if chosen(goal))
 
@@ -181,7 +168,7 @@ class ActionCore:
             yield AnswerResult(request, status, result)
 
     def _cancel(self, event: CancelRequested) -> Action:
-        """Returns the question which goals may be canceled, or the answer if there are none."""
+        """Asks the program which goals may be canceled, or answers if there are none."""
         status = self.status(event.uuid)
         if event.uuid != NO_UUID and event.stamp == 0:
             if status is Status.UNKNOWN:

@@ -1,4 +1,4 @@
-"""Names of ROS 2, and how rmw_zenoh writes them in keys."""
+"""Names of ROS 2, and their form in keys of rmw_zenoh."""
 
 import re
 
@@ -13,7 +13,7 @@ RULE = "letters, digits and single underscores, no digit first, parts separated 
 
 
 class BadName(ValueError):
-    """A name is none of ROS 2."""
+    """A name is not valid in ROS 2."""
 
 
 def resolve(name: str, namespace: str, node: str) -> str:
@@ -36,11 +36,7 @@ def resolve(name: str, namespace: str, node: str) -> str:
 
 
 def check_node(name: str, namespace: str) -> None:
-    """Checks a node's name and its namespace.
-
-    Raises:
-        BadName: one of them is not allowed.
-    """
+    """Raises BadName if a node's name or its namespace is not allowed."""
     if not NODE.fullmatch(name) or len(name) > MOST_LETTERS:
         raise BadName(f"{name!r} is no name of a node: letters, digits and single underscores, no digit first")
     if not NAMESPACE.fullmatch(namespace) or len(namespace) > MOST_LETTERS:
@@ -53,7 +49,6 @@ def mangle(name: str) -> str:
 
 
 def demangle(field: str) -> str:
-    """Returns the name that `mangle` was given."""
     return field.replace(SLASH, "/")
 
 
@@ -73,9 +68,8 @@ def data_key(domain: int, name: str, type_name: str, type_hash: str) -> str:
     """Returns the key of a topic's samples or of a service's queries.
 
     Args:
-        domain: ROS_DOMAIN_ID.
-        name: absolute name.
+        name: absolute.
         type_name: such as std_msgs/msg/String.
-        type_hash: RIHS01 hash of the type.
+        type_hash: RIHS01.
     """
     return f"{domain}/{name.strip('/')}/{dds_type(type_name)}/{type_hash}"

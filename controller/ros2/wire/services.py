@@ -1,5 +1,3 @@
-"""Services and their clients."""
-
 import contextlib
 import itertools
 import logging
@@ -26,10 +24,10 @@ class NoReply(TimeoutError):
 
 
 class Request:
-    """One request of a service's client. It is replied to once, now or later, from any thread.
+    """One request of a service's client. Any thread replies to it once, now or later.
 
     Attributes:
-        received: the request's message, and whose it is.
+        received: the request's message and its sender.
     """
 
     def __init__(self, received: Received, reply: Callable[[Any], None]) -> None:
@@ -38,7 +36,7 @@ class Request:
         self._reply = reply
 
     def reply(self, value: Any) -> None:
-        """Sends the response, or the response that has these fields by name. Further replies are ignored.
+        """Sends the response, or the response with these fields by name. Further replies are ignored.
 
         Raises:
             BadMessage: a field is missing, or its value does not fit; the request stays open.
@@ -50,16 +48,8 @@ class Service:
     """Hands the requests of one service to a handler, one after another, in a thread of Zenoh's.
 
     Attributes:
-        dropped: number of requests that were dropped, by reason: attachment, size, content, open if too many were open,
-            or callback if the handler raised before it replied. A dropped request has no reply.
-
-    Args:
-        session: Zenoh session.
-        token: the service's.
-        key: of the queries.
-        name: type of the service.
-        handler: called with each request; replies then or later.
-        types: all types.
+        dropped: number of requests dropped without reply, by reason: attachment, size, content, open (too many were
+            open) or callback (the handler raised before it replied).
     """
 
     def __init__(
@@ -82,7 +72,6 @@ class Service:
 
     @property
     def open(self) -> int:
-        """Number of requests that wait for their reply."""
         return len(self._open)
 
     def close(self) -> None:
@@ -125,15 +114,7 @@ class Service:
 
 
 class Client:
-    """Calls one service. Threads may share it; not for a callback, since it waits.
-
-    Args:
-        session: Zenoh session.
-        token: the client's.
-        key: of the queries.
-        name: type of the service.
-        types: all types.
-    """
+    """Calls one service. Thread-safe, but not for a callback, since it waits."""
 
     def __init__(self, session: zenoh.Session, token: Token, key: str, name: str, types: Types) -> None:
         self.token = token
@@ -168,6 +149,5 @@ class Client:
         raise NoReply(f"no service answered on {self._key} within {timeout:g} s")
 
     def close(self) -> None:
-        """Ends the client."""
         with contextlib.suppress(zenoh.ZError):
             self._token.undeclare()  # type: ignore[no-untyped-call]

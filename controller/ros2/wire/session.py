@@ -1,6 +1,6 @@
 """The Zenoh session of ROS 2's network: a client of the router that `ros2 run rmw_zenoh_cpp rmw_zenohd` starts.
 
-Peers behind the router would exchange no data with rmw_zenoh's sessions before they link up, so a client it is.
+The session is a client, because a peer behind the router exchanges no data with rmw_zenoh's sessions until they link.
 """
 
 import itertools
@@ -22,15 +22,14 @@ class NoRouter(ConnectionError):
 
 
 class Session:
-    """An open session. After a loss of the router it connects by itself, and Zenoh declares everything again.
+    """An open session. After a loss of the router it connects again, and Zenoh repeats all declarations.
 
     Attributes:
-        zenoh: the session of eclipse-zenoh.
-        zid: its id, as tokens have it.
+        zid: the session's id in tokens.
 
     Args:
-        router: Zenoh endpoint of the router.
-        timeout: longest time to wait for the router [s]; a client of Zenoh cannot begin without one.
+        router: Zenoh endpoint.
+        timeout: longest time to wait for the router [s]. A client of Zenoh cannot begin without a router.
 
     Raises:
         NoRouter: no router answered in time, or the endpoint has the wrong form.
@@ -53,7 +52,6 @@ class Session:
         self.close()
 
     def close(self) -> None:
-        """Closes the session, with everything that was declared in it."""
         self.zenoh.close()  # type: ignore[no-untyped-call]
 
     def next_number(self) -> str:
@@ -66,7 +64,7 @@ class Session:
         return bool(self.zenoh.info.routers_zid())
 
     def tokens(self, domain: int = 0, timeout: float = 2.0) -> list[Token]:
-        """Returns the tokens of all nodes and endpoints in a domain; keys that are none are left out.
+        """Returns the tokens of all nodes and endpoints in a domain. Keys of another form are left out.
 
         Args:
             domain: ROS_DOMAIN_ID.
@@ -83,7 +81,7 @@ class Session:
 
 
 def configuration(router: str, timeout: float) -> zenoh.Config:
-    """Returns the configuration of a client of a router, with the timestamps that caches of publishers need."""
+    """Returns the configuration of a client, with the timestamps that publishers' caches need."""
     settings: dict[str, object] = {
         "mode": "client",
         "connect": {

@@ -27,8 +27,8 @@ class Types:
     """The types of one distribution.
 
     Attributes:
-        store: rosbags' store, with services and actions as the messages that they consist of.
-        hashes: RIHS01 hash by name of a message, or of a service, or by name of an action's part.
+        store: rosbags' store; a service or action is stored as its messages.
+        hashes: RIHS01 hash by name of a message, of a service, or of an action's part.
 
     Args:
         distribution: jazzy, kilted or lyrical.
@@ -93,7 +93,6 @@ class Types:
         return self.store.types[name]
 
     def _define(self, name: str, text: str) -> None:
-        """Adds the messages that a definition consists of."""
         kind = name.split("/")[1]
         parts = [part.strip() + "\n" for part in ("\n" + text).split("\n---")]
         expected = {"msg": 1, "srv": 2, "action": 3}[kind]
