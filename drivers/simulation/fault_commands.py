@@ -1,6 +1,6 @@
-"""Commands that cause faults of simulated boards, typed by a person, sent by a page, or by a test.
+"""Commands that cause faults of simulated boards; a person, a page or a test sends them.
 
-A command is a verb, what it applies to, and for some verbs a number, such as "silence can0/5" or "stick 5.left 1".
+A command is a verb, its target, and for some verbs a number, such as "silence can0/5" or "stick 5.left 1".
 """
 
 from __future__ import annotations
@@ -14,17 +14,11 @@ if TYPE_CHECKING:
 
 
 class Verb(NamedTuple):
-    """What a verb does.
-
-    Attributes:
-        target: what it applies to.
-        argument: name of its number; in brackets if the number may be left out, "" if there is none.
-        text: one line for people.
-    """
+    """What a verb does."""
 
     target: Literal["actuator", "board", "bus", "interlock"]
-    argument: str
-    text: str
+    argument: str  # name of its number; in brackets if it is optional, "" if there is none
+    text: str  # one line for people
 
 
 VERBS = {
@@ -107,7 +101,6 @@ def perform(boards: SimulatedBuses, *words: str | float) -> None:
 
 
 def names(boards: SimulatedBuses, target: str) -> list[str]:
-    """Returns the names of all boards, buses, actuators or interlocks."""
     known = {"board": boards.names, "bus": boards.buses, "actuator": boards.labels, "interlock": boards.interlocks}
     return known[target]
 
@@ -141,7 +134,7 @@ def nearest(word: str, choices: Iterable[str]) -> str:
 
 
 def named(choices: list[str]) -> str:
-    """Returns all choices, or the first and the last of many."""
+    """Joins all choices, or the first and the last of many."""
     return ", ".join(choices) if len(choices) <= MOST_NAMED else f"{choices[0]} to {choices[-1]}"
 
 

@@ -24,14 +24,14 @@ class LssSlave:
     """Node id and bit rate of a board, which an LSS master can change.
 
     Args:
-        identity: vendor, product, revision and serial number.
-        node: node id; `UNCONFIGURED` if it has none.
-        send: takes COB-ID and data of an answer.
+        identity: vendor, product, revision and serial number
+        node: in use; `UNCONFIGURED` if there is none
+        send: takes COB-ID and data of an answer
 
     Attributes:
-        node: node id that the board uses.
-        stored: node id and index of the bit rate after the next power-on.
-        state: LSS state, `WAITING` or `CONFIGURATION`.
+        node: in use; `UNCONFIGURED` if there is none
+        stored: node id and index of the bit rate after the next power-on
+        state: `WAITING` or `CONFIGURATION`
     """
 
     def __init__(self, identity: Sequence[int], node: int, send: Callable[[int, bytes], None]) -> None:
@@ -49,7 +49,6 @@ class LssSlave:
         self._pending = self.stored
 
     def receive(self, data: bytes) -> None:
-        """Takes a request of the LSS master."""
         if len(data) != 8:
             return
         command, number = data[0], int.from_bytes(data[1:5], "little")

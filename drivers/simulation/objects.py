@@ -28,18 +28,17 @@ logging.getLogger("canopen.sdo").setLevel(logging.CRITICAL)
 
 
 class Objects:
-    """The values by index and sub-index. The SDO server of the package canopen uses this in place of a LocalNode.
+    """Values by index and sub-index. canopen's SDO server uses this class in place of a LocalNode.
 
     Args:
-        node: node id, which is part of the COB-IDs.
-        variant: variant of the board.
-        on_write: called with index and sub-index after an SDO write.
+        node: node id, which is part of COB-IDs
+        on_write: called with index and sub-index after an SDO write
 
     Attributes:
-        refused: abort codes of objects that refuse every SDO, by index and sub-index.
-        shown: functions whose number an SDO upload returns in place of the value, by index and sub-index.
-        node: node id.
-        flash_writes: number of writes to the flash memory.
+        refused: abort codes of objects that refuse every SDO, by index and sub-index
+        shown: functions whose number an SDO upload returns in place of the value, by index and sub-index
+        node: node id, which is part of COB-IDs
+        flash_writes: number of writes to the flash memory
     """
 
     object_dictionary = None  # the SDO server reads this attribute, and does not use it
@@ -66,7 +65,6 @@ class Objects:
         return range(1, max(self._described.get(index, {0: None})) + 1)
 
     def has(self, index: int) -> bool:
-        """Returns whether there is such an object."""
         return index in self._described
 
     def number(self, index: int, sub: int = 0) -> int:
@@ -76,7 +74,6 @@ class Objects:
         return int.from_bytes(self._value(index, sub), "little")
 
     def set_number(self, index: int, sub: int, value: int) -> None:
-        """Sets an unsigned value from within the board."""
         self._values[index, sub] = value.to_bytes(self._find(index, sub).size, "little")
 
     def get_data(self, index: int, sub: int, check_readable: bool = False) -> bytes:

@@ -31,18 +31,16 @@ class _Pdo:
 
 
 class Pdos:
-    """All PDOs of a board that is operational.
+    """All PDOs of an operational board.
 
     Args:
-        objects: object dictionary with their parameters and mappings.
-        outputs: takes the data of RPDOs.
-        emergencies: takes errors of frames with a wrong length.
-        send: takes COB-ID and data of a TPDO.
-        pads: whether TPDOs are filled up to 8 bytes.
+        objects: with the parameters and mappings
+        send: takes COB-ID and data of a TPDO
+        pads: whether TPDOs are filled up to 8 bytes
 
     Attributes:
-        sync_due: latest time of the next SYNC [s]; infinity if none is expected.
-        losing: number of the next TPDOs that do not reach the bus.
+        sync_due: latest time of the next SYNC [s]; infinity if none is expected
+        losing: number of the next TPDOs that do not reach the bus
     """
 
     def __init__(
@@ -65,7 +63,6 @@ class Pdos:
         self.configure()
 
     def configure(self) -> None:
-        """Reads parameters and mappings from the object dictionary."""
         self._rpdos = self._pdos(self._received)
         self._tpdos = self._pdos(self._sent)
         self._timed = [pdo for pdo in self._tpdos if pdo.period]
@@ -131,7 +128,7 @@ class Pdos:
                 self._transmit(pdo, now)
 
     def publish(self, changed: Mapping[int, int], now: float) -> None:
-        """Sends the TPDOs that carry changed bits of 6000h, which are given by sub-index."""
+        """Sends the TPDOs that carry changed bits of 6000h; `changed`: bits by sub-index."""
         if self._objects.number(0x6005):
             for pdo in self._tpdos:
                 if self._wakes(pdo, changed):
