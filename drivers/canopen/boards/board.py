@@ -1,4 +1,4 @@
-"""One board: NMT state, heartbeats or node guarding, emergencies and inputs, as received, and procedures with it."""
+"""One board: its NMT state, supervision, emergencies and inputs as received, and the procedure that runs with it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class BeatCount:
     def twice(self, now: float, stalled: bool) -> bool:
         """Returns whether two successive windows of 10 periods had 15 heartbeats or more. Call at each tick.
 
-        Frames that were held up come at once, but after a window with few of them.
+        Delayed frames arrive together, but only after a window with few of them.
         """
         if not self.period or stalled or self._began is None:
             self._began, self.heard, self._windows = now, 0, 0
@@ -101,12 +101,11 @@ class Board:
 
     @property
     def heard(self) -> bool:
-        """Whether the board is ready, or has sent a frame since it was lost."""
         return self._ready or self.frames > self._frames_before
 
     @property
     def ready(self) -> bool:
-        """Whether the board was booted and not lost since. Only then its outputs and inputs are known."""
+        """Whether the board was booted and not lost since. Only then are its outputs and inputs known."""
         return self._ready
 
     @ready.setter
@@ -120,7 +119,7 @@ class Board:
 
     @property
     def stopped(self) -> bool:
-        """Whether it is heard, and is stopped: it answers no SDO."""
+        """Whether the board is present and in state stopped: it answers no SDO."""
         return self.state is State.STOPPED and not self._lost
 
     def forget(self) -> None:
@@ -147,29 +146,28 @@ class Board:
             self.runner.start(self._ask_inputs(), self._answered, now)
 
     def probe(self, now: float) -> None:
-        """Asks for the device type, 1000h; any answer shows that the board is back."""
+        """Asks for the device type, 1000h. Any answer shows that the board is back."""
         if not self.runner.running:
             self.runner.start(_ask_presence(), None, now)
 
     def obey(self, command: int) -> None:
-        """Takes an NMT command of another program for the board."""
+        """Takes another program's NMT command to the board."""
         self.held = True if command == Command.PRE_OPERATIONAL and self.held is not None else None
         if not self._ready:
             self.state = None
 
     def guard(self) -> None:
-        """Expects answers to node guarding from now on."""
         self.guarded, self._toggle = True, None
 
     def set_tpdos(self, tpdos: Iterable[Pdo]) -> None:
         self._tpdos = {pdo.cob_id: (pdo.size, carries(pdo.mapping, INPUTS)) for pdo in tpdos}
 
     def begin_input_read(self) -> None:
-        """Records that a byte of the inputs, 6000h, is asked for. A TPDO that comes before the answer is newer."""
+        """Records a request of an input byte, 6000h. A TPDO that comes before the answer is newer."""
         self._brought = 0
 
     def set_input(self, sub: int, value: int) -> None:
-        """Sets one byte of the inputs that was asked for at `begin_input_read`, without the bits of newer TPDOs."""
+        """Sets one input byte as requested at `begin_input_read`, without the bits of newer TPDOs."""
         shift = 8 * (sub - 1)
         mask = 0xFF << shift & ~self._brought
         self._set_inputs(self._inputs & ~mask | value << shift & mask)
@@ -193,7 +191,7 @@ class Board:
         return True
 
     def tick(self, now: float, timeout: float, stalled: bool) -> None:
-        """Ends timeouts; finds the loss of the board, after a silence of `timeout` [s], and a second board."""
+        """Ends timeouts; detects a silence of `timeout` [s], which is the board's loss, and a second board."""
         if not self._lost and self._beat_at is not None and now - self._beat_at >= timeout:
             self._lost, self.held = True, None
             if self._ready:
@@ -252,7 +250,7 @@ class Board:
             self._fault("emergency", f"it reports {cia301.emergency_words(code)}: remove the cause, then reset")
 
     def _receive_inputs(self, data: bytes, size: int, carried: Iterable[Carried]) -> bool:
-        """Takes a TPDO. Of one that is longer than its mapping the first bytes count (CiA 301, 7.5.2.36)."""
+        """Takes a TPDO. If it is longer than its mapping, only the first bytes count (CiA 301, 7.5.2.36)."""
         if len(data) < size:
             if self._ready:  # during a boot it may still send its previous mapping
                 what = f"its inputs came in {len(data)} bytes, not in {size}"

@@ -25,8 +25,7 @@ def read_pdos(it: Inspection, in_full: bool) -> Reading:
     """Reads the PDOs for the process data.
 
     Args:
-        it: takes the PDOs.
-        in_full: read all entries of mappings, even if their number shows that they differ.
+        in_full: read all entries of mappings, even if their number shows that they differ
     """
     for wanted, found in ((it.layout.rpdos, it.rpdos), (it.layout.tpdos, it.tpdos)):
         found.clear()
@@ -43,10 +42,9 @@ def read_pdos(it: Inspection, in_full: bool) -> Reading:
 def cover(
     it: Inspection, pdos: list[tuple[Pdo, PdoState]]
 ) -> Generator[Step, SdoOutcome, tuple[list[tuple[Pdo, PdoState]], list[Need]] | None]:
-    """Searches PDOs that carry the process data together with their present mappings.
+    """Searches PDOs whose present mappings together carry the process data.
 
     Args:
-        it: takes the values read.
         pdos: the RPDOs, or the TPDOs, which refuse the wanted mapping.
 
     Returns:
@@ -98,11 +96,7 @@ def adopt(it: Inspection) -> tuple[tuple[Pdo, ...], tuple[Pdo, ...]]:
 
 
 def check_pairs(layout: BoardLayout, rpdos: Iterable[Pdo]) -> None:
-    """Checks that the two outputs of an actuator change at one instant: in one RPDO, or with one SYNC.
-
-    Raises:
-        BoardError: both could be on between two frames.
-    """
+    """Checks that the two outputs of an actuator change at one instant: in one RPDO, or with one SYNC."""
     for pair in layout.pairs:
         both = pair[0] | pair[1]
         carrying = [pdo for pdo in rpdos if carried_bits([pdo], layout.settings.object) & both]
@@ -189,7 +183,7 @@ def _find_pdo(
 
 
 def _silenced(it: Inspection, others: Iterable[PdoState], cob_ids: Container[int]) -> list[Need]:
-    """Returns needs that disable the PDOs with one of some COB-IDs."""
+    """Returns needs that disable the PDOs with some COB-IDs."""
     needs = []
     for other in others:
         if other.valid and other.cob_id & 0x7FF in cob_ids:

@@ -1,4 +1,4 @@
-"""What a boot has changed on a board, so that a refused boot leaves the board as it was found."""
+"""The changes of a boot on a board. A refused boot takes them back."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Undo:
     """Records the changes of a boot.
 
     Attributes:
-        pins_known: whether 6200h holds what the pins are known to be, so that a START changes none.
+        pins_known: whether 6200h has the known levels of the pins, so that START changes none.
 
     Args:
         spared: index of the outputs. They are never written back: nothing must be energised.
@@ -27,7 +27,7 @@ class Undo:
         self._back: list[Transfer | Order] = []  # the steps that take each change back
 
     def recorded(self, procedure: Procedure) -> Procedure:
-        """Runs a procedure, and records what it writes. An object that it has not read is read before its write."""
+        """Runs a procedure, and records its writes. Reads an object of unknown value before its write."""
         outcome: SdoOutcome | None = None
         while True:
             try:
@@ -40,12 +40,12 @@ class Undo:
             self._note(step, outcome)
 
     def left(self, before: State | None) -> None:
-        """Records that the board leaves an NMT state for pre-operational by a command of the boot."""
+        """Records that a command of the boot moves the board from an NMT state to pre-operational."""
         if before in _COMMANDS and not self._state_known:
             self._back.append(Order(_COMMANDS[before]))
 
     def begin_again(self) -> None:
-        """Records on, after the board has stopped during the boot: its pins may have changed."""
+        """Continues the record after the board has stopped during the boot: its pins may have changed."""
         self.pins_known, self._state_known = False, bool(self._back)
 
     def restore(self) -> Procedure:

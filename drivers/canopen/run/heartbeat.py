@@ -18,7 +18,7 @@ BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 
 
 class Heartbeat:
-    """Sends the master's heartbeat, polls boards with node guarding, finds pauses without. `clock` is real time [s]."""
+    """Sends the master's heartbeat, polls guarded boards, and detects pauses of both. `clock` is real time [s]."""
 
     def __init__(self, links: Collection[Link], boards: Sequence[Board], timing: Timing) -> None:
         self._links, self._boards = links, boards
@@ -29,7 +29,7 @@ class Heartbeat:
         self._before: dict[str, float] = {}  # and the one before it
 
     def tick(self, clock: float, now: float) -> None:
-        """Sends the heartbeats and polls that are due at `clock`; `now` stands still while the loop stalls."""
+        """Sends the heartbeats and polls due at `clock`; `now` stands still while the loop stalls."""
         self._last = clock
         for link in self._links:
             sent = self._sent.get(link.name, -math.inf)
@@ -80,7 +80,6 @@ class LoopClock:
         self._ticked: float | None = None  # real time of the last tick [s]
 
     def at(self, clock: float) -> float:
-        """Returns the time at a real time [s]."""
         passed = 0.0 if self._ticked is None else clock - self._ticked
         return self.now + min(max(passed, 0.0), _LONGEST_STEP)
 

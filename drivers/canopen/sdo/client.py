@@ -23,40 +23,25 @@ _TIMED_OUT, _TOO_LONG = 0x0504_0000, 0x0504_0005  # abort codes
 
 @dataclass(frozen=True, slots=True)
 class Transfer:
-    """One read or write of an object.
-
-    Attributes:
-        index: index of the object.
-        sub: sub-index.
-        data: 1..4 bytes to write; None: read.
-        timeout: timeout of one attempt [s]; longer for a board that answers slowly.
-        tries: number of attempts.
-        fresh: a late answer to an earlier read must not count.
-        staged: write in two steps, by a segment (CiA 301, 7.2.4.3.3 and 7.2.4.3.4). A board that restarts after the
-            first step refuses the second one.
-    """
+    """One read or write of an object."""
 
     index: int
     sub: int
-    data: bytes | None = None
-    timeout: float = SDO_TIMEOUT
+    data: bytes | None = None  # 1..4 bytes to write; None: read
+    timeout: float = SDO_TIMEOUT  # of one attempt [s]; longer for a board that answers slowly
     tries: int = TRIES
-    fresh: bool = False
+    fresh: bool = False  # a late answer to an earlier read must not count
+    # write in two steps, by a segment (CiA 301, 7.2.4.3.3 and 7.2.4.3.4). A board that restarts after the first step
+    # refuses the second one
     staged: bool = False
 
 
 class SdoOutcome(NamedTuple):
-    """The result of a transfer: exactly one of its fields is set.
+    """The result of a transfer: exactly one of its fields is set."""
 
-    Attributes:
-        data: the bytes read; empty after a write.
-        abort: SDO abort code of the board.
-        silence: why there is no answer.
-    """
-
-    data: bytes | None = None
-    abort: int | None = None
-    silence: str | None = None
+    data: bytes | None = None  # the bytes read; empty after a write
+    abort: int | None = None  # SDO abort code of the board
+    silence: str | None = None  # why there is no answer
 
 
 class SdoClient:
@@ -199,7 +184,7 @@ class SdoClient:
             self._doubled += 1
 
     def _count_answer(self) -> None:
-        """Counts a transfer that was asked once; after _WINDOW of them, decides `twice`."""
+        """Counts a transfer with one request; decides `twice` after _WINDOW transfers."""
         if self._answered == _WINDOW:
             self.twice = self._doubled >= _MOST_TWICE
             self._answered = self._doubled = 0

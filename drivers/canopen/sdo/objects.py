@@ -56,29 +56,17 @@ def abort_words(code: int) -> str:
 
 @dataclass(frozen=True)
 class Need:
-    """A value that an object needs.
-
-    Attributes:
-        index: index of the object.
-        sub: sub-index.
-        value: unsigned value; bits outside `mask` are 0.
-        size: length [bytes].
-        what: the object in words, for messages.
-        mask: mask of the bits that matter; the others are not changed.
-        required: why the object must exist, as a sentence; None: it may be absent.
-        fixed: what the user must do if the value differs, as a sentence; None: the boot writes it.
-        rounded: whether the board may round the low 16 bits, a time in [ms].
-    """
+    """A value that an object needs."""
 
     index: int
     sub: int
-    value: int
-    size: int = 1
-    what: str = ""
-    mask: int = 0xFFFF_FFFF
-    required: str | None = None
-    fixed: str | None = None
-    rounded: bool = False
+    value: int  # unsigned; bits outside `mask` are 0
+    size: int = 1  # [bytes]
+    what: str = ""  # the object in words, for messages
+    mask: int = 0xFFFF_FFFF  # of the bits that matter; the others are not changed
+    required: str | None = None  # why the object must exist, as a sentence; None: it may be absent
+    fixed: str | None = None  # what the user must do if the value differs, as a sentence; None: the boot writes it
+    rounded: bool = False  # the board may round the low 16 bits, a time in [ms]
 
     @property
     def place(self) -> str:
@@ -86,11 +74,9 @@ class Need:
         return f"{self.index:04X}h sub {self.sub}" + (f" ({self.what})" if self.what else "")
 
     def words(self, value: int) -> str:
-        """Returns a value of the object for messages."""
         return f"{value:0{2 * self.size}X}h"
 
     def met(self, present: int) -> bool:
-        """Returns whether a value meets the need."""
         if not self.rounded:
             return present & self.mask == self.value & self.mask
         wanted, time = self.value & 0xFFFF, present & 0xFFFF
@@ -173,7 +159,6 @@ def ensure(board: str, need: Need, present: int, staged: bool = False) -> Genera
 
 
 def refused(board: str, need: Need, present: int, abort: int) -> BoardError:
-    """Returns the error of a board that refuses a value."""
     text = f"board {board} has {need.words(present)} in {need.place}; {need.words(need.corrected(present))} is needed"
     return BoardError(ArmFault("sdo-refused", board, f"{text}, which it refuses: {abort_words(abort)}"))
 

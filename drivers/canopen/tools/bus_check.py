@@ -34,8 +34,8 @@ class CheckedBoard:
 def check_bus(session: Session, wiring: Wiring, timing: Timing) -> list[CheckedBoard]:
     """Asks all boards in parallel; returns their answers, after that of each bus that cannot be used.
 
-    The check writes only values that the objects have already, to find read-only objects. So no frame that is lost, and
-    no end of the process, leaves another value on a board. Raises MasterHeard.
+    The check writes only values that the objects have already, to find read-only objects. So neither a lost frame nor
+    the end of the process leaves another value on a board. Raises MasterHeard.
     """
     boards = {(board.bus, board.node): board for board in lay_out(wiring).boards}
     texts: dict[Node, CheckedBoard] = {}

@@ -91,7 +91,7 @@ def _array(it: ProbedNode, index: int) -> Generator[Step, SdoOutcome, None]:
 
 
 def _store(it: ProbedNode, index: int, sub: int, outcome: SdoOutcome) -> None:
-    """Stores the value or the refusal of an object, or raises BoardError: the node does not answer any more."""
+    """Stores the value or the refusal of an object. Raises BoardError if the node does not answer any more."""
     if outcome.data is not None:
         it.numbers[index, sub] = int.from_bytes(outcome.data, "little")
     elif outcome.abort is None:

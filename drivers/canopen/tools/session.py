@@ -1,4 +1,4 @@
-"""A session of a command with the boards of some buses, while no executor uses these buses."""
+"""A command's session with the boards of some buses, while no executor uses these buses."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class MasterHeard(Exception):
 class Session:
     """Open buses, and the procedures with their nodes. Use it in a `with` statement; each method blocks until its end.
 
-    `heartbeat` is the period of a master's heartbeat [s], if it is known.
+    `heartbeat`: a master's heartbeat period [s], if known.
     """
 
     clock, sleep = staticmethod(time.monotonic), staticmethod(time.sleep)  # [s]
@@ -72,7 +72,7 @@ class Session:
         self.wait(lambda: False, self._listen)
 
     def wait(self, until: Callable[[], bool], seconds: float) -> bool:
-        """Waits until a condition holds, at most for a time [s]; returns whether it holds. Raises MasterHeard."""
+        """Waits until a condition holds, up to `seconds`; returns whether it holds. Raises MasterHeard."""
         end = self.clock() + seconds
         while not until():
             now = self.clock()
@@ -152,7 +152,7 @@ class Session:
         return self.clock() - began if node in self.states else None
 
     def send_frame(self, bus: str, frame: Frame) -> None:
-        """Sends a frame at once, outside procedures; raises BusError if the bus does not take it."""
+        """Sends a frame at once, outside procedures. Raises BusError if the bus does not accept it."""
         if (why := self._buses[bus].send_frame(frame)) is not None:
             raise BusError(f"{bus}: {why}")
 

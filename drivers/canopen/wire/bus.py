@@ -29,9 +29,9 @@ _WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40  # details, in data
 
 
 def read_error(identifier: int, data: bytes) -> tuple[str | None, tuple[int, int] | None, bool]:
-    """Returns what an error frame tells: state, transmit and receive error counter, and whether frames were lost.
+    """Parses an error frame: state, transmit and receive error counter, and whether frames were lost.
 
-    The state is "active", "warning", "passive" or "bus-off". State and counters are None if the frame does not tell.
+    The state is "active", "warning", "passive" or "bus-off". State and counters are None if the frame lacks them.
     """
     data = data.ljust(8, b"\0")
     state: str | None = None
@@ -53,7 +53,7 @@ class InterfaceInUse(BusError):
 
 
 def lock_interface(channel: str) -> socket.socket:
-    """Returns what holds the lock of a SocketCAN interface until it is closed, or until the process ends.
+    """Locks a SocketCAN interface until the returned socket is closed, or the process ends.
 
     It is a Unix socket in the abstract namespace, which belongs to a network namespace as interfaces do.
     """
@@ -114,7 +114,7 @@ class CanBus:
         return None
 
     def send_frame(self, frame: Frame) -> str | None:
-        """Sends a frame now or not at all; returns why it was not sent, or None. The caller tells the master."""
+        """Sends a frame now or not at all; returns why it was not sent, or None. The caller informs the master."""
         if self._bus is None:
             return "the bus is closed" if self._closed else "the interface is down"
         number, remote = frame.id & ~REMOTE, bool(frame.id & REMOTE)

@@ -1,4 +1,4 @@
-"""One CAN bus from the master's side: its state and load, the frames being sent, and the frames that wait."""
+"""One CAN bus from the master's side: state, load, frames under way, and waiting frames."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class TxPending:
     """The frames that wait for their echo; `last_echo` is the time of the last echo [s].
 
     SocketCAN echoes each frame when it was sent (receive_own_messages). Frames are matched by identifier and data,
-    since controllers with several mailboxes do not keep the order. All controllers send a frame before one that was
-    handed out later and has a greater identifier. So the echo of the later frame shows that the echo of the earlier
-    one was lost. Some interfaces never echo frames: no frame counts as pending until the first echo.
+    since controllers with several mailboxes do not keep the order. But every controller sends a frame before a later
+    one with a greater identifier. So the echo of the later frame shows that the echo of the earlier one was lost. Some
+    interfaces never echo frames: no frame counts as pending until the first echo.
     """
 
     def __init__(self) -> None:
@@ -44,12 +44,12 @@ class TxPending:
         return self.last_echo is not None and any(frame.id == cob_id for frame, _ in self._pending)
 
     def commanded(self, before: float) -> bool:
-        """Returns whether an NMT command, SYNC or RPDO is pending that was handed out before a time [s]."""
+        """Returns whether an NMT command, SYNC or RPDO handed out before a time [s] is pending."""
         waits = any(frame.id < cia301.SDO_ANSWER and at < before for frame, at in self._pending)
         return waits and self.last_echo is not None
 
     def sent(self, frame: Frame, now: float) -> None:
-        """Adds a frame, and gives up equal frames that were handed out before the last echo: their echoes were lost.
+        """Adds a frame. Gives up equal frames that were handed out before the last echo: their echoes were lost.
 
         Otherwise each echo of a heartbeat would count as the lost echo of the heartbeat before it, for ever.
         """
@@ -60,11 +60,10 @@ class TxPending:
         self._pending = [*kept, (frame, now)]
 
     def failed(self, frame: Frame) -> bool:
-        """Removes a frame that could not be sent; returns whether it was pending."""
         return self._remove(frame) is not None
 
     def came_back(self, frame: Frame, now: float) -> list[Frame]:
-        """Takes an echo; returns the frames that were sent, whose echoes were lost but for the last; none: not ours."""
+        """Takes an echo; returns the sent frame, after earlier ones whose echo was lost. Empty: a foreign frame."""
         if (place := self._remove(frame)) is not None:
             earlier = (each for each, _ in self._pending[:place])
             lost = [each for each in earlier if each.id & ~REMOTE < frame.id & ~REMOTE]
@@ -81,7 +80,7 @@ class TxPending:
         return [*lost, frame]
 
     def give_up(self, before: float = math.inf) -> None:
-        """Stops to wait for frames that were handed out before a time [s]; their echoes are still recognized."""
+        """Stops waiting for frames handed out before a time [s]; their echoes are still recognised."""
         old = {frame for frame, at in self._pending if at < before}
         self._given_up.update(frame for frame, _ in self._pending if frame in old)
         self._pending = [(frame, at) for frame, at in self._pending if frame not in old]
@@ -148,7 +147,7 @@ class Link:
         return self.pending.last_echo is not None
 
     def misses_echo(self, now: float, last: Frame) -> bool:
-        """Returns whether the echo of a command is overdue; that of `last`, the frame of least priority, will tell."""
+        """Returns whether a command's echo is overdue, and no `last` frame (of least priority) is pending."""
         return self.pending.commanded(now - _ECHOED) and not self.pending.holds(last.id)
 
     def fit(self, now: float) -> bool:
@@ -187,7 +186,7 @@ class Link:
             self.state = "active"
 
     def echoed(self, frame: Frame, now: float) -> list[Frame]:
-        """Takes the echo of a frame; returns the frames that were sent, see `TxPending.came_back`."""
+        """Takes the echo of a frame; returns the sent frames, see `TxPending.came_back`."""
         sent = self.pending.came_back(frame, now)
         if sent and self.state == "bus-off":
             self.state = "active"
@@ -211,7 +210,7 @@ class Link:
             self._queue.appendleft(outgoing)
 
     def answered(self, outgoing: Outgoing, now: float) -> None:
-        """Records that a board has answered a queued frame, which was therefore sent."""
+        """Records that a board has answered a queued frame, so the frame was sent."""
         outgoing.sent = True
         if self._unsent.get(outgoing.frame) is outgoing:
             del self._unsent[outgoing.frame]
