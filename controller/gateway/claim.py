@@ -28,7 +28,7 @@ class Claimant(msgspec.Struct):  # the owner of a claim, as it answers
 
 
 class Claim:
-    """The claim of this process to an arm: the token "hyperbit/<arm>/@claim/<zid>", and who has it as an answer.
+    """The claim of this process to an arm: the token "hyperbit/<arm>/@claim/<zid>"; a query on it returns the claimant.
 
     Zenoh does not notify the owner of a liveliness token when another session declares the same one. So each daemon has
     a token of its own, and looks for the claims of others.

@@ -1,6 +1,6 @@
 """The planner's process: builds its parts from the Zenoh session to the server, and closes them in order.
 
-Its own warnings are of the system's clock, the Zenoh network and the ledger; none of them stops the arm.
+Its own warnings concern the system's clock, the Zenoh network and the ledger; none of them stops the arm.
 """
 
 import contextlib
@@ -116,7 +116,7 @@ class Warnings:
     """Detects the causes of warnings. Belongs to one thread.
 
     `reachable` returns whether the session is connected to an endpoint of its configuration, `others` the active
-    warnings of other parts, such as the ledger. `wall` is the system's clock, `clock` is never set.
+    warnings of other parts, such as the ledger. `wall` is the system's clock; `clock` is never set.
     """
 
     def __init__(

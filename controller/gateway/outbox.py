@@ -132,7 +132,7 @@ class Outbox:
             self._wake_up()
 
     def _wake_up(self) -> None:
-        """Makes the thread look at the lanes; one waiting call is enough, because it looks afterwards."""
+        """Makes the thread look at the lanes. One waiting call is enough: the thread looks afterwards."""
         if self._wake.empty():
             self._wake.put(None)
 
@@ -178,7 +178,7 @@ class Outbox:
             self._post(Published(self._put_results.popleft()[1]))
 
     def _stood_still(self) -> bool:
-        """Returns whether clients may not have reconnected yet after a standstill."""
+        """Returns whether clients may still be reconnecting after a standstill."""
         now = self._clock()
         if now - self._last_reading > self._lease / 2:  # keep-alives are sent four times in a lease
             self._wait_until = now + RECONNECTED
@@ -207,7 +207,7 @@ class Outbox:
 
 
 def encoded(payload: Payload) -> bytes:
-    """Returns a payload as JSON, numbers that are not finite as null; of a payload without JSON form id and status."""
+    """Returns a payload as JSON; non-finite numbers become null. Of an unencodable payload: id and status."""
     try:
         return msgspec.json.encode(payload, enc_hook=plain)
     except Exception:
