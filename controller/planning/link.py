@@ -1,4 +1,4 @@
-"""What the loop waits for: its inbox, and the connection to the executor, without threads and locks."""
+"""The loop's sources of events: its inbox, and the connection to the executor, without threads and locks."""
 
 import contextlib
 import os
@@ -23,7 +23,7 @@ UNREAD = "the executor does not read its messages"
 class Connection:
     """A connected socket, which is closed with the last reference.
 
-    A thread that sends holds a reference, so that the kernel cannot give the socket's number to another file meanwhile.
+    A sending thread holds a reference, so that the kernel cannot give the socket's number to another file meanwhile.
     """
 
     def __init__(self) -> None:
@@ -34,7 +34,6 @@ class Connection:
         self.socket.send(data, socket.MSG_NOSIGNAL)
 
     def wait_writable(self, timeout: float) -> None:
-        """Waits until a packet can be sent, at most `timeout` seconds."""
         writable = select.poll()
         writable.register(self.socket, select.POLLOUT)
         writable.poll(timeout * 1000)
@@ -93,7 +92,7 @@ class ExecutorLink:
             self._connection = connection
 
     def close(self) -> None:
-        """Ends the connection without an event; messages that were sent can still be read."""
+        """Ends the connection without an event. Sent messages can still be read."""
         if self._connection is not None:
             self._connection.shut()
         self._connection = self._welcomed = None
@@ -107,7 +106,7 @@ class ExecutorLink:
             self.retry_at = self._clock() + RETRY  # the executor first notices that this connection has ended
 
     def receive(self) -> list[FromExecutor | LinkDown]:
-        """Returns what has happened since the last call; never waits."""
+        """Returns the events since the last call; never waits."""
         for _ in range(MOST_RECEIVED):
             if self._connection is None:
                 break
@@ -126,7 +125,7 @@ class ExecutorLink:
         return received
 
     def _accept(self, data: bytes) -> str | None:
-        """Accepts a packet; returns why the connection must end, if it must."""
+        """Handles a packet; returns why the connection must end, or None."""
         if not data:
             return "the executor closed the connection"
         try:
@@ -176,7 +175,7 @@ class ExecutorLink:
             self._queue.popleft()
 
     def send_now(self, message: Down) -> str | None:
-        """Sends a message before all queued ones; returns why it was not sent, None if it was.
+        """Sends a message before all queued ones; returns why it was not sent, or None.
 
         For any thread; waits up to SEND_TIMEOUT for a full socket.
         """

@@ -54,14 +54,14 @@ class Services(NamedTuple):  # what the planner needs from its process
 
 
 class Mailbox:
-    """The latest set-point or measured tip of each sender. For any thread."""
+    """The latest set-point or measured tip of each sender. Thread-safe."""
 
     def __init__(self, kind: type[events.Arrived]) -> None:
         self._kind = kind
         self._latest: dict[str, events.Arrived] = {}
 
     def put(self, payload: bytes, arrival: events.Arrival, sender: str) -> None:
-        """Replaces what waits of a sender, or of the oldest sender if there are too many."""
+        """Replaces the waiting payload of a sender. Above the limit, drops that of the oldest sender."""
         if len(self._latest) >= MOST_SENDERS and sender not in self._latest:
             self._latest.pop(next(iter(self._latest)), None)
         if (waiting := self._latest.get(sender)) is not None:
@@ -75,14 +75,14 @@ class Mailbox:
 
 
 class PlannerFailed(Exception):
-    """The core wants the process to end."""
+    pass
 
 
 class Loop:
-    """Runs the core. For any thread.
+    """Runs the core. Thread-safe.
 
-    An exception of the core ends the process, because its state may be wrong then. An exception in carrying out an
-    action is logged, and the next action follows. The link is closed with this object.
+    An exception of the core ends the process, because its state may be wrong then. An exception in an action is logged,
+    and the next action follows. The link is closed with this object.
     """
 
     def __init__(
@@ -136,7 +136,7 @@ class Loop:
         return events.Arrival(next(self._numbers), since if now < until else now)
 
     def _note_alive(self) -> float:
-        """Returns the time, and notes whether the process stood still until now [s]."""
+        """Returns the time; records whether the process stood still until now [s]."""
         now = self._clock()
         if now - self._alive_at > STILL:
             self._stood_still = self._alive_at, now + SETTLES
@@ -179,8 +179,8 @@ class Loop:
     def _round(self) -> None:
         """Waits for events and handles them.
 
-        After the link was read, the posted events come before its messages: a request is posted before its stop is sent
-        to the executor, so that the core knows the request when the executor's answer comes.
+        Posted events come before the link's messages. A request is posted before its stop is sent to the executor. So
+        the core knows the request when the executor's answer comes.
         """
         due = min(self._wake, self._warnings_at, self._look_at)
         if self._link.fileno() < 0:
@@ -208,7 +208,7 @@ class Loop:
             self._step(event)
 
     def _look(self, now: float) -> None:
-        """Handles what the mailboxes have received."""
+        """Handles the contents of the mailboxes."""
         setpoints, tips = self.setpoints.take(), self.tips.take()
         if setpoints:
             self._stream_until = now + STREAM_ENDS
@@ -237,7 +237,7 @@ class Loop:
     # --- the core
 
     def _step(self, event: events.Event) -> None:
-        """Passes an event to the core and carries out the actions; raises what the core raises, and PlannerFailed."""
+        """Passes an event to the core and carries out the actions. Raises the core's exceptions, and PlannerFailed."""
         now, wall = self._clock(), self._wall()
         actions: Sequence[events.Action] | None = None
         try:

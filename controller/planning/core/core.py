@@ -40,7 +40,7 @@ LAST_RESULTS_WITHIN = 1.0  # [s] at the end for the executor to end the running 
 
 
 class Beginning(NamedTuple):
-    """What the core knows at its start."""
+    """Data for the start of the core."""
 
     name: str  # of this process, distinct from those of all others; a part of ids
     tables: Tables  # for the locks of the arm's file
@@ -54,7 +54,7 @@ class Beginning(NamedTuple):
 
 
 class Core:
-    """Plans goals, and has the executor run them."""
+    """Plans goals, and lets the executor run them."""
 
     def __init__(self, arm: Arm, pace: Pace, beginning: Beginning) -> None:
         manipulator, searches, tracker = arm.manipulator, arm.settings.method == MINIMUM_SWITCH, arm.settings.tracker
@@ -154,7 +154,7 @@ class Core:
                     self._programs.end(running, Reason.SHUTTING_DOWN.sentence)
 
     def _answer(self, request: events.Request) -> None:
-        """Takes a request; what fails is answered, and does not end the process."""
+        """Handles a request. A failure is answered, and does not end the process."""
         try:
             match request.key, request.message:
                 case "goal" | "jog", _:
@@ -215,7 +215,7 @@ class Core:
                 self._silent, self._alive_at = 0, self._moment.now
 
     def _keep_alive(self) -> None:
-        """Tells the executor that the planner is alive, and detects an executor that is silent.
+        """Reports to the executor that the planner is alive, and detects a silent executor.
 
         Silence is counted in keep-alives, so that a stop of this process does not count as the executor's silence.
         """

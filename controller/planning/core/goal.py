@@ -65,7 +65,7 @@ class Goal:
 
 
 def jog_stages(parts: Parts, state: ArmState, wanted: dict[int, int]) -> States:
-    """Returns the stages (k, A) that switch actuators to new states; raises Refusal if one is locked."""
+    """Returns the stages (k, A) that switch actuators to new states. Raises Refusal if one is locked."""
     labels = state.manipulator.actuators
     for k in wanted:
         if state.locked[k]:
@@ -76,7 +76,7 @@ def jog_stages(parts: Parts, state: ArmState, wanted: dict[int, int]) -> States:
 
 
 def unsure_of(state: ArmState) -> str | None:
-    """Returns why the stages of a jog from a state cannot be checked for collisions; None if they can."""
+    """Returns why a jog's stages from a state cannot be checked for collisions; None if they can."""
     if state.unknown_state is not None or state.configuration is None:
         return "the arm is in no configuration"
     if (unknown := np.flatnonzero(state.homing)).size:
@@ -86,7 +86,7 @@ def unsure_of(state: ArmState) -> str | None:
 
 
 def make_program(parts: Parts, goal: Goal, state: ArmState) -> None:
-    """Sets the program of a planned goal or jog, and what belongs to it while it is in flight.
+    """Sets the program of a planned goal or jog, and the fields that are used in flight.
 
     Raises Refusal if the trajectory has ended before it was planned.
     """

@@ -1,4 +1,4 @@
-"""What all parts of the core ask: the time, the order of requests, tasks under way, and the numbers of programs.
+"""Shared by all parts of the core: the time, the order of requests, tasks under way, and the numbers of programs.
 
 A cancel, stop or reset bars every goal and every stream of set-points that arrived before it. The planner decides by
 the numbers of arrivals, the executor by epoch. While a cancel is unanswered, new requests belong to the epoch that
@@ -57,7 +57,7 @@ class Admission:
         return ticket
 
     def bar(self, request: int) -> None:
-        """Bars all earlier requests: a cancel, stop or reset goes to the executor as its request of this number."""
+        """Bars all earlier requests: a cancel, stop or reset of this number goes to the executor."""
         self._barred = max(self._barred, request - 1)
         self.fence(request)
 
@@ -69,7 +69,7 @@ class Admission:
             del self._canceled[next(iter(self._canceled))]
 
     def fence(self, request: int) -> None:
-        """Notes a request to the executor that begins a new epoch if the executor accepts it."""
+        """Records a request to the executor that begins a new epoch if the executor accepts it."""
         self._latest = max(self._latest, request)
         self._pending |= {request}
 
@@ -78,7 +78,7 @@ class Admission:
         self._replaced = max(self._replaced, ticket.number)
 
     def answered(self, request: int) -> None:
-        """Notes that the executor answered such a request, or that it could not be sent."""
+        """Records that the executor answered such a request, or that it could not be sent."""
         if request in self._pending:
             self._pending -= {request}
             self._current = False
@@ -101,7 +101,7 @@ class Admission:
         return ticket.number <= self._barred or canceled or changed
 
     def stream_ended(self, ticket: Ticket) -> bool:
-        """Returns whether a stream of set-points is no longer followed, given the ticket of its first set-point."""
+        """Returns whether a stream of set-points has ended; `ticket` is that of its first set-point."""
         return ticket.number <= self._replaced or self.barred(ticket)
 
 
@@ -132,7 +132,7 @@ class Jobs:
         return self._last
 
     def abandon(self, number: int | None) -> None:
-        """Abandons a task, if there is one: its answers are dropped from now on."""
+        """Abandons a task, if there is one: its later answers are dropped."""
         if number is not None and (job := self._jobs.get(number)) is not None and job.on_answer is not None:
             job.on_answer, job.abandoned_at = None, self._moment.now
             self._act(Abandon(number))
@@ -152,7 +152,7 @@ class Jobs:
         return (job := self._jobs.get(number)) is not None and isinstance(job.task, PrepareSearch)
 
     def tick(self) -> None:
-        """Ends the process if a worker does not end a task that it was told to abandon."""
+        """Ends the process if a worker does not end an abandoned task."""
         for job in self._jobs.values():
             if job.abandoned_at is not None and self._moment.now - job.abandoned_at > HUNG:
                 job.abandoned_at = None
@@ -165,8 +165,6 @@ class Jobs:
 
 
 class Parts:
-    """What all other parts of the core share."""
-
     def __init__(
         self, view: ExecutorView, pace: Pace, name: str, act: Callable[[Action], None], simulated: bool = False
     ) -> None:

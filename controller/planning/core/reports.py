@@ -1,4 +1,4 @@
-"""What is told of one goal: the context of its result, feedback at its marks, and the present waypoint."""
+"""Reports on one goal: the context of its result, feedback at its marks, and the present waypoint."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Context(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What the result of a goal or jog needs; it comes back with the result."""
+    """Data for the result of a goal or jog; the executor returns it with the result."""
 
     id: str
     waypoints: int = 1  # their number
@@ -77,7 +77,7 @@ class GoalReport:
 
     @property
     def target(self) -> Payload:
-        """Position and orientation of the present point; of the first point before that has begun."""
+        """Position and orientation of the present point; before its start those of the first point."""
         return self._asked(max(self._point, 0))
 
     @property
@@ -93,7 +93,7 @@ class GoalReport:
         self._point = max(point, self._point)
 
     def settled(self, message: Settled, measured: Measured, deviation: float | None) -> Payload | None:
-        """Returns the feedback of a settled point, None if it is no waypoint; `deviation` is of its transition."""
+        """Returns the feedback of a settled waypoint, None for other points; `deviation` is of its transition."""
         point, trajectory = message.mark, self._trajectory
         self._stages += message.stages
         so_far = self._deviation
@@ -127,7 +127,7 @@ class GoalReport:
         return f"{at}, path_tolerance {trajectory.path_tolerance:g}"
 
     def _asked(self, point: int) -> Payload:
-        """Returns position and orientation of a point; the orientation is None if any serves."""
+        """Returns position and orientation of a point; the orientation is None if any is accepted."""
         trajectory = self._trajectory
         position = trajectory.positions[point]
         if trajectory.bias is not None and point not in trajectory.fixed:

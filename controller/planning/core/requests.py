@@ -39,7 +39,7 @@ class Queries:
             self._refuse(query, Refusal(Reason.BUSY, most=MOST_WAITING, what="plan queries"))
 
     def advance(self) -> None:
-        """Starts the queries that wait for the obstacles to be built. Call at the end of each step."""
+        """Starts the queries that wait for the scene of the obstacles. Call at the end of each step."""
         premises, state = self._premises, self._parts.view.state
         for number, query in list(self._waiting.items()):
             if number in self._jobs or premises.obstacles.scene is None:
@@ -88,7 +88,7 @@ def message_of(query: Request) -> GoalMessage:
 
 
 class ExecutorRequests:
-    """Requests that the executor answers; the request's number is the number of the executor's request.
+    """Requests that the executor answers, each under the number of its arrival.
 
     A reset goes to the executor with the epoch of its arrival, so that the executor refuses it after a later stop.
     """

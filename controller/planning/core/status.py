@@ -1,4 +1,4 @@
-"""The payloads of `state` and `diagnostics`, when they are published, and what systemd and the log are told."""
+"""The payloads of `state` and `diagnostics`, their times of publication, and messages to systemd and the log."""
 
 import logging
 import math
@@ -25,8 +25,6 @@ SILENCE = 1.2 * STATE_EVERY  # [s] without a change until the next `state`; each
 
 
 class Status:
-    """Makes and publishes `state` and `diagnostics`."""
-
     def __init__(
         self, parts: Parts, premises: Premises, programs: Programs, goals: Goals, queries: Queries, stream: Stream
     ) -> None:
@@ -42,7 +40,7 @@ class Status:
         self._logged: dict[tuple[str, str], Fault] = {}  # by code and source
 
     def report(self) -> None:
-        """Publishes what is due, and feeds systemd's watchdog."""
+        """Publishes the due messages, and feeds systemd's watchdog."""
         now = self._moment.now
         if now >= self._state_due():
             self.publish_state()

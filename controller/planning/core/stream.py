@@ -70,7 +70,7 @@ class Stream:
     # --- set-points
 
     def receive_setpoint(self, arrived: SetpointArrived) -> None:
-        """Takes a set-point; a refused one is only counted."""
+        """Handles a set-point; a refused one is only counted."""
         self._received += 1
         try:
             self._take(arrived)
@@ -81,7 +81,7 @@ class Stream:
     def _take(self, arrived: SetpointArrived) -> None:
         """Assigns a set-point to the present stream, or begins a new one; refuses one of another sender.
 
-        The tracker refuses one that is stale, from the future or out of order.
+        The tracker refuses a set-point that is stale, from the future or out of order.
         """
         now, (payload, arrival, sender) = self._moment.now, arrived
         setpoint = decode(payload, self._dimension, self._default_tolerance)
@@ -149,7 +149,7 @@ class Stream:
         return max(self._next_look, min(self._next_alive, next_search))
 
     def park(self) -> None:
-        """Withdraws stages that have not begun, because the obstacles have changed."""
+        """Withdraws pending stages, because the obstacles have changed."""
         self._abandon()
         state, ticket = self._view.state, self._ticket
         if state is None or ticket is None or ticket.epoch is None or self._admission.stream_ended(ticket):
@@ -216,7 +216,7 @@ class Stream:
             self._ticket = None
 
     def _stay(self, note: str) -> None:
-        """Drops the stages that were found; `state` shows the note, which changes at most once in NOTE_EVERY."""
+        """Drops the found stages; `state` shows the note, which changes at most once in NOTE_EVERY."""
         self._found = None
         if note != self._note and self._moment.now >= self._next_note:
             self._note, self._next_note = note, self._moment.now + NOTE_EVERY

@@ -1,7 +1,7 @@
-"""Tasks of the workers and their answers, as plain data: what a worker computes is a function of its task.
+"""Tasks of the workers and their answers, as plain data: each answer is a function of its task.
 
-Actuator states travel packed, as in the contract with the executor. `tables`, `scene` and `plan` are made by one worker
-and used by others. The core stores them, compares their generations, and does not look inside.
+Actuator states travel packed, as in the contract with the executor. One worker makes `tables`, `scene` and `plan`;
+others use them. The core stores them, compares their generations, and does not look inside.
 """
 
 from typing import Any, NamedTuple
@@ -152,5 +152,5 @@ def refusal_of(answer: Answer) -> Refusal:
 
 
 def collision_of(answer: Answer) -> str | None:
-    """Returns the collision that a check has found, in words; a check that failed counts as one."""
+    """Returns the collision in an answer, in words; a failed check counts as a collision."""
     return answer.collision if isinstance(answer, Checked) else "a collision check failed, see the journal"
