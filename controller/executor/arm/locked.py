@@ -29,7 +29,7 @@ class LockedActuators:
     def refusal(self, actuator: int, state: int, measured: int, readable: int) -> Refusal | None:
         """Returns why an actuator cannot be locked in a state, or unlocked with state -1; None if it can.
 
-        `readable`: mask of the actuators whose end-stop can be read now.
+        `readable`: mask of the actuators with a readable end-stop.
         """
         if actuator >= len(self._labels):
             return Refusal(Reason.NO_SUCH_ACTUATOR, count=len(self._labels), index=actuator)

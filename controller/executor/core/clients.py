@@ -13,7 +13,6 @@ class Clients:
     """The connected clients, and whether the planner is alive.
 
     Attributes:
-        planner: the connected planner; None if there is none.
         roles: role of each client that has sent Hello.
     """
 
@@ -24,7 +23,6 @@ class Clients:
         self._heard, self._silent = 0.0, False
 
     def to_planner(self, message: Up) -> None:
-        """Sends a message to the planner, if there is one."""
         if self.planner is not None:
             self._send(self.planner, message)
 

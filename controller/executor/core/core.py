@@ -55,12 +55,10 @@ class Executor:
     """Runs motion programs on the boards of an arm.
 
     Args:
-        arm: the arm.
-        journal: counts switches.
-        instance: random number that identifies this run.
-        watchdog: systemd's watchdog time [s]; None without a watchdog.
-        simulation: the simulated boards of this process; None: the boards are on CAN buses.
-        build_master: returns the CANopen master; tests pass their own.
+        instance: random number that identifies this run
+        watchdog: systemd's watchdog time [s]; None: off
+        simulation: the simulated boards of this process; None: the boards are on CAN buses
+        build_master: returns the CANopen master; tests pass their own
     """
 
     def __init__(
@@ -98,7 +96,7 @@ class Executor:
 
     @property
     def collecting(self) -> bool:
-        """Whether the echo of RPDOs is awaited, so that the next echo may release the SYNC."""
+        """Whether the echo of an RPDO is awaited; the next echo may release the SYNC."""
         return self._master.collecting
 
     @property
@@ -109,11 +107,8 @@ class Executor:
     def step(self, event: Event, now: float) -> list[Action]:
         """Handles an event of a bus, a client or the loop; returns the actions in their order.
 
-        An exception in one part of a step becomes the fault internal-error, and the arm holds.
-
-        Args:
-            event: the event.
-            now: CLOCK_MONOTONIC, or any clock that never goes back [s].
+        An exception in one part of a step becomes the fault internal-error, and the arm holds. `now`: on
+        CLOCK_MONOTONIC, or another clock that never goes back [s].
         """
         self._healthy, self._handed_out = True, False
         late = 0.0 if self._last_tick is None else min(now - self._last_tick, LONGEST_TICK)
@@ -127,13 +122,13 @@ class Executor:
         return actions
 
     def _fail(self, text: str, now: float) -> None:
-        """Holds after a defect, which is logged once, not at each tick."""
+        """Holds after a defect. The defect is logged once, not at each tick."""
         self._healthy = False
         self.modes.report(DEFECT, Log(logging.ERROR, f"internal error\n{text}"))
         self.modes.fail(DEFECT, now)
 
     def _find_pause(self, event: Event, now: float) -> None:
-        """Checks first whether the process has paused: then the waiting events are stale."""
+        """Tests first whether the process has paused: then the waiting events are stale."""
         if self._last_tick is not None and (fault := self._master.find_pause(now)) is not None:
             self.modes.fail(fault, now)
 
@@ -174,7 +169,7 @@ class Executor:
             self.modes.fail(fault, now)
 
     def _tell(self, event: Event, now: float) -> None:
-        """Answers requests that waited, and shows changes."""
+        """Answers requests that waited, and publishes changes."""
         if self._requests.held:
             self._requests.answer_held(now)
         if self.reports.changed and self._last_tick is not None and not self._handed_out and not self.collecting:
@@ -250,9 +245,9 @@ class Executor:
         self.reports.changed = True
 
     def _lose_planner(self, why: str) -> None:
-        """Ends what the planner asked for, and begins an epoch: the socket may hold requests planned before.
+        """Ends the planner's motion, and begins an epoch: the socket may hold requests planned before.
 
-        At the end of the executor nothing that the planner asked for runs any more.
+        At the end of the executor none of the planner's motion runs any more.
         """
         self.modes.new_epoch()
         if not self.ending.begun:

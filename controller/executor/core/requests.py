@@ -40,9 +40,9 @@ from hyperbit.controller.refusals.refusal import Refusal, no_motion
 
 
 class HeldAnswer(NamedTuple):
-    """An answer to a stop or cancel that waits until nothing can switch any more, until a time at the latest [s].
+    """A delayed answer to a stop or cancel. It is sent when nothing can switch any more, at `until` [s] at the latest.
 
-    It says what was done, and what follows. `switches`: number of switches of the executor when the request came.
+    `switches`: the executor's number of switches when the request came.
     """
 
     client: ClientId
@@ -58,7 +58,7 @@ class ClientRequests:
 
     Attributes:
         quitting: the executor is ending; it accepts no more programs and set-points.
-        held: answers that wait.
+        held: delayed answers.
     """
 
     def __init__(
@@ -117,7 +117,6 @@ class ClientRequests:
         self._clients.to_planner(Accepted(message.program, begin))
 
     def _refusal(self, message: Program, now: float) -> Refusal | None:
-        """Returns why a program is declined, or None."""
         if self.quitting:
             return Refusal(Reason.EXECUTOR_SHUTTING_DOWN)
         if self._modes.mode not in ("ready", "executing"):
@@ -196,9 +195,9 @@ class ClientRequests:
         self.held.append(held)
 
     def answer_held(self, now: float) -> None:
-        """Answers each stop and cancel as soon as no frame that was handed out can switch an actuator any more.
+        """Answers each stop and cancel as soon as no frame under way can switch an actuator any more.
 
-        A bus that has not sent these frames after a part of `heartbeat_timeout` delays no answer: the answer tells so.
+        A bus that has not sent these frames after a part of `heartbeat_timeout` delays no answer; the answer says so.
         Call after each event while answers are held.
         """
         leaving = self._motion.actuation.under_way.bit_count()

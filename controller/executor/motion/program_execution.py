@@ -28,7 +28,7 @@ STARVED = f"the planner sent no further stages for {FED_WITHIN:g} s"
 
 
 class End(NamedTuple):
-    """How a program or stream has ended by itself: status and message of the result, and a reason for the mode."""
+    """How a program or stream ended by itself; `reason` is for the mode."""
 
     status: str
     message: str
@@ -36,7 +36,7 @@ class End(NamedTuple):
 
 
 class StageMisfit(ValueError):
-    """Stages do not fit the arm or the running program; the text says why; `locked`: for a locked actuator."""
+    """Stages do not fit the arm or the running program; the text says why. `locked`: because of a locked actuator."""
 
     def __init__(self, reason: str, locked: bool = False) -> None:
         super().__init__(reason)
@@ -51,11 +51,10 @@ class ProgramExecution:
         begun: index of the last stage whose commit was begun; -1 before the first. It can no longer be replaced.
         taken: index of the last stage that the outputs have reached; -1 before the first.
         mark: the last mark reached; -1 before the first.
-        switches: number so far.
         stages: number of stages that switched something since the previous mark.
         planned: whether all stages since the previous mark were taken as planned.
         travels: travel times measured so far.
-        verified: whether something tells that each switched actuator has followed.
+        verified: whether an end-stop or a read-back has confirmed each switched actuator.
         strict: no stage is skipped, and none begins before the previous one has settled.
         final: no more stages will come.
     """
@@ -96,7 +95,8 @@ class ProgramExecution:
     def due(self, now: float, outputs: int, most: int) -> int | None:
         """Returns the index of the stage to switch to now, or None. Overdue stages are skipped, unless `strict`.
 
-        The latest due stage within `most` switches from the commanded states `outputs` is returned, else the next one.
+        The result is the latest due stage within `most` switches from the commanded states `outputs`, otherwise the
+        next one.
         """
         following = self.taken + 1
         latest = bisect_right(self._at, now - self.begin + EPSILON, lo=following) - 1
@@ -191,7 +191,7 @@ def check_stages(stages: Sequence[Stage], before: int, earliest: float, most: in
 
 
 def checked_states(states: bytes, actuators: int) -> int:
-    """Returns packed states as an integer. Raises StageMisfit if they are of another number of actuators."""
+    """Returns packed states as an integer. Raises StageMisfit for another number of actuators."""
     bits = unpack(states)
     if len(states) != (actuators + 7) // 8 or bits >> actuators:
         raise StageMisfit(f"states of {actuators} actuators are needed")
@@ -202,7 +202,6 @@ class SetpointStream:
     """The latest set-point of a stream. The constructor raises StageMisfit if a stage does not fit the arm.
 
     Attributes:
-        number: of the stream.
         until: time after which the stream counts as stopped [s].
         reason: sentence on the set-point, for the mode.
         strict: no stage is skipped.
@@ -224,7 +223,7 @@ class SetpointStream:
             before = states
 
     def due(self, outputs: int, most: int) -> int | None:
-        """Returns the index of the stage to switch to; None without one, or if it was planned from other states."""
+        """Returns the index of the stage to switch to; None without stages, or if planned from other states."""
         if not self.stages or self.start != outputs:
             return None
         if self.strict:

@@ -56,7 +56,7 @@ class ClientConnection:
 
     @property
     def place(self) -> str:
-        """Which kind of place the connection takes: "silent", "operator" or "planner"."""
+        """Kind of place that the connection takes: "silent", "operator" or "planner"."""
         return "silent" if self.role is None or self.closing else self.role
 
     def flush(self) -> bool:
@@ -73,15 +73,15 @@ class ClientConnection:
 
 
 def late(connection: ClientConnection, now: float) -> bool:
-    """Returns whether a connection has no role, or does not read its Goodbye, after HELLO_TIMEOUT."""
+    """Returns whether a connection, after HELLO_TIMEOUT, has no role or does not read its Goodbye."""
     return connection.place == "silent" and now - connection.since >= HELLO_TIMEOUT
 
 
 def superfluous(connections: Iterable[ClientConnection]) -> Iterator[ClientConnection]:
     """Yields the connections that are too many for PLACES.
 
-    The process with the most connections of a kind gives way, with its oldest one. A process with one connection keeps
-    its place, however many another process opens.
+    The process with the most connections of a kind loses its oldest one. A process with one connection keeps its place,
+    however many another process opens.
     """
     every = sorted(connections, key=lambda connection: connection.client.number)
     for place, places in PLACES.items():
@@ -97,8 +97,8 @@ def superfluous(connections: Iterable[ClientConnection]) -> Iterator[ClientConne
 class ExecutorServer:
     """Listens on a Unix socket of the type SOCK_SEQPACKET.
 
-    Snapshots and diagnostics are dropped for a client that does not read; other messages are queued.
-    Connections before their Hello, operators, and the planner have places of their own, see `PLACES`.
+    Snapshots and diagnostics are dropped for a client that does not read; other messages are queued. Connections before
+    their Hello, operators, and the planner have places of their own, see `PLACES`.
 
     Attributes:
         dropped: number of dropped snapshots and diagnostics.
@@ -184,7 +184,7 @@ class ExecutorServer:
         os.close(self._lock)
 
     def _accept(self, events: list[FromClient | ClientGone], now: float) -> None:
-        """Accepts the connections that wait, reads each at once, and makes room for it."""
+        """Accepts waiting connections, reads each at once, and makes room for it."""
         for _ in range(MOST_ACCEPTED):
             try:
                 connected, _ = self._listening.accept()
@@ -200,7 +200,7 @@ class ExecutorServer:
             self._make_room(events, now)
 
     def _make_room(self, events: list[FromClient | ClientGone], now: float) -> None:
-        """Closes connections of which there are too many. Each is read first: its Hello may wait."""
+        """Closes superfluous connections. Each is read first: its Hello may wait."""
         for connection in superfluous(self._connections.values()):
             self._read(connection, events)
         for connection in superfluous(self._connections.values()):
