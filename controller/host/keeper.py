@@ -1,4 +1,4 @@
-"""The keeper: a process that brings to the disk what its parent keeps in memory, so that no disk delays the parent.
+"""The keeper: a process that copies its parent's memory to the disk, so that no disk delays the parent.
 
 A write to a disk can take seconds, and a thread would take the interpreter's lock from the parent's loop. The keeper is
 started as `python -I -S keeper.py`, so this file imports the standard library only. The keeper survives the signals of
@@ -6,9 +6,9 @@ a service manager or a terminal. It ends after its parent, even a killed one, an
 
 The job `copy` copies a file with one writer to the disk. The job `events` saves the last events of a core, which the
 flight recorder writes to two files in memory, the generations. Each begins with a line of JSON and a pickle of the
-core, the checkpoint. Blocks of entries follow, each a length and a pickle. A newer generation replaces the older of the
-two, so that together they have the last events, and a state from which these can be replayed. A saved file has MAGIC, a
-line of JSON, and both generations in zlib.
+core, the checkpoint. Blocks of entries follow, each a length and a pickle. A new generation replaces the older of the
+two. So together they have the last events, and a state from which these can be replayed. A saved file has MAGIC, a line
+of JSON, and both generations in zlib.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ class FileInUse(Exception):
 
 
 class RefusedFile(ValueError):
-    """A file is no file of events, or contains what such a file may not contain; the text says what."""
+    """A file is no file of events, or contains forbidden objects; the text says what."""
 
 
 def lock_file(path: Path, used: str, timeout: float = 0.0) -> int:
     """Opens and locks a file, writes the process id into its first line, and returns its file descriptor.
 
-    The file is created if it does not exist. The lock lasts until the last process that shares the descriptor ends.
+    The file is created if it does not exist. The lock lasts until the last process that shares the descriptor ends. The
+    owner of the lock may delete the file.
 
     Args:
-        path: of the file; who has the lock may delete it.
         used: text of the error, before the process id.
         timeout: longest time to wait for the end of another process [s].
 
@@ -112,8 +112,7 @@ def start_keeper(job: str, *arguments: object, files: Sequence[int] = ()) -> sub
 
     Args:
         job: "copy" or "events".
-        arguments: of the job.
-        files: descriptors that the keeper gets.
+        files: descriptors that the keeper inherits.
 
     Raises:
         OSError: it cannot be started.
@@ -132,14 +131,10 @@ def start_keeper(job: str, *arguments: object, files: Sequence[int] = ()) -> sub
 
 
 def copy(memory: int, path: Path, interval: float) -> None:
-    """Copies a file in memory to the disk when it has changed, at each interval, and when the standard input ends.
+    """Copies a changed file in memory to the disk, each `interval` [s], and when the standard input ends.
 
-    The standard output has a line for each change: why the last copy failed, or an empty line if it succeeded.
-
-    Args:
-        memory: descriptor of the file in memory.
-        path: of the file on the disk.
-        interval: between two copies [s].
+    The standard output has a line for each change: why the last copy failed, or an empty line if it succeeded. `memory`
+    is the descriptor of the file in memory.
     """
     told, copied, ended = None, b"", False
     while not ended:
@@ -196,16 +191,13 @@ def about(content: bytes) -> dict[str, Any]:
 
 
 def save(paths: Sequence[Path], folder: Path, cause: str, kept: int | None = None) -> Path:
-    """Saves the generations of one process as a file.
+    """Saves the generations of one process as a file; returns its path. Only the same user can read the file.
 
     Args:
         paths: of the generations in memory.
         folder: of the file.
         cause: for its name.
         kept: most files of this arm and kind; the oldest ones are deleted. None: no limit.
-
-    Returns:
-        Path of the file, readable by the same user only.
 
     Raises:
         OSError: a file cannot be read or written, or nothing was recorded.
@@ -230,7 +222,7 @@ def save(paths: Sequence[Path], folder: Path, cause: str, kept: int | None = Non
 
 
 def keep(paths: Sequence[Path], folder: Path) -> None:
-    """Saves the events for each line of the standard input, which names the cause, and when the process was killed.
+    """Saves the events for each line of the standard input, which names the cause, and after a kill of the process.
 
     A line "end" ends the keeper. At the end the files in memory are deleted.
     """

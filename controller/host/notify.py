@@ -35,10 +35,8 @@ class Notifier:
     def kept_file(self, name: str) -> IO[bytes] | None:
         """Returns a file in memory that outlives the process; None if systemd did not start the process.
 
-        systemd keeps it while it restarts the service, if the unit has `FileDescriptorStoreMax`.
-
-        Args:
-            name: of the file; letters and hyphens.
+        systemd keeps it while it restarts the service, if the unit has `FileDescriptorStoreMax`. `name` has letters and
+        hyphens.
         """
         if self._socket is None:
             return None
