@@ -124,7 +124,7 @@ class Malformed(ValueError):
 
 
 def decode_down(data: bytes) -> Down:
-    """Returns the message of a client.
+    """Decodes a client's message.
 
     Raises:
         Malformed: the packet is not a message.
@@ -133,7 +133,7 @@ def decode_down(data: bytes) -> Down:
 
 
 def decode_up(data: bytes) -> Up:
-    """Returns the message of the executor.
+    """Decodes the executor's message.
 
     Raises:
         Malformed: the packet is not a message.
