@@ -17,8 +17,6 @@ class BodyClearance:
     """The bodies of an arm among obstacles. A body is a module's line segments, thickened by a radius.
 
     Attributes:
-        manipulator: the arm.
-        obstacles: no body may touch them.
         radius: radius of the bodies, as in the arm's file.
         margin: the radius, increased by the rounding error; kernels compare with it.
         self_collision: whether modules that are not neighbours must not touch each other.
@@ -26,8 +24,7 @@ class BodyClearance:
         bodies: line segments of each module's states, padded with 0, shape (B, Kmax, Lmax, 2, 3).
         balls: centre and radius of a ball around each body, shape (B, Kmax, 4).
         lines: number of line segments of each module, shape (B,).
-        arm_bodies: frames and bodies for kernels.
-        surroundings: obstacles for kernels.
+        arm_bodies, surroundings: the arm and the obstacles, for kernels.
     """
 
     def __init__(

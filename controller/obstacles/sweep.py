@@ -54,7 +54,7 @@ class Sweep:
         """Returns a possible collision while actuators (k,) switch from states (A,); None if the transition is clear.
 
         Each actuator may be at any displacement, independently of the others. "Clear" is proven if `proven`, for
-        modules that move as Module.motion says. Otherwise it relies on samples, see Displacements.rates.
+        modules that move according to Module.motion. Otherwise it relies on samples, see Displacements.rates.
         """
         if self._clearance.free:
             return None
@@ -66,7 +66,7 @@ class Sweep:
         return np.asarray(self._known[self._tables + codes.astype(np.int64)])
 
     def describe(self, collision: Collision) -> str:
-        """Returns a collision as a sentence, as BodyClearance.where has it."""
+        """Returns a collision as a sentence, like BodyClearance.where."""
         if collision.obstacle >= 0:
             return f"module {collision.module + 1} is in {self._clearance.obstacles.names[collision.obstacle]}"
         if collision.other >= 0:
@@ -150,7 +150,6 @@ def cut(middles: Array, half_widths: Array, axes: Index) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=16)
 def sweep_of(clearance: BodyClearance) -> Sweep:
-    """Returns the cached sweep of a clearance."""
     return Sweep(clearance)
 
 
