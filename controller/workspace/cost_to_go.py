@@ -53,7 +53,7 @@ MAPS = named(Maps, int64, float64, float64, int16[::1], I1, I2, F2, F1)
 
 
 class CostToGo:
-    """Computes the cost-to-go maps of one planar arm; holds their memory.
+    """Computes the cost-to-go maps of one planar arm; owns their memory.
 
     Boxes (B + 1, 4) are the least and greatest x and y of all tips in frames F_0 to F_B, see Hull.
     """
@@ -76,7 +76,6 @@ class CostToGo:
         return self._maps
 
     def ready(self, costs: Array, radius: float) -> bool:
-        """Returns whether the maps are ready."""
         return self._key is not None and self._key[1] == radius and np.array_equal(self._key[0], costs)
 
     def steps(self, costs: Array, radius: float) -> Iterator[None]:
@@ -171,7 +170,7 @@ def map_level(
 
     Args:
         maps: written: the level's values.
-        level: modules below.
+        level: number of modules below.
         rotations: configuration sets, shape (B, Kmax, 3, 3).
         translations: configuration sets, shape (B, Kmax, 3).
         states: K_i, shape (B,).

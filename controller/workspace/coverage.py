@@ -83,19 +83,15 @@ class PositionPart(NamedTuple):
 
 
 class CountJob(NamedTuple):
-    """Counts configurations near positions; what all parts have in common.
+    """Counts configurations near positions; constant for all parts."""
 
-    Attributes:
-        manipulator, pixel, level_pixels: of the densities, which are in the cache or are mapped.
-    """
-
-    manipulator: Manipulator
-    pixel: float
-    level_pixels: int
+    manipulator: Manipulator  # of the densities, which are in the cache or are mapped
+    pixel: float  # of the densities
+    level_pixels: int  # of the densities
     radius: float  # see `coverage_of`
 
     def prepare(self) -> Run:
-        """Lists tips; returns what counts the configurations near a part's positions."""
+        """Lists tips; returns a function that counts the configurations near a part's positions."""
         densities = load_or_map(self.manipulator, self.pixel, self.level_pixels, default_directory())
         return CountHere(NearbyCounts(self.manipulator, densities, self.radius)).prepare()
 
@@ -106,7 +102,6 @@ class CountHere(NamedTuple):
     counts: NearbyCounts
 
     def prepare(self) -> Run:
-        """Returns what counts the configurations near a part's positions."""
         return self._run
 
     def _run(self, part: PositionPart) -> Iterator[Array]:
@@ -126,8 +121,8 @@ def coverage_of(
     """Returns where the tip can be within a radius, and by how many configurations.
 
     Arms of up to 2^21 configurations are listed; the only error is that of the drawn positions, about 1 %. Without a
-    number of positions, it depends on the cost of a position. `spread` counts the parts of the positions: with `job` in
-    other processes, as densities are too large to be sent; None: this process counts.
+    given number of positions, the number depends on the cost of a position. `spread` counts the parts of the positions:
+    with `job` in other processes, as densities are too large to be sent; None: this process counts.
     """
     random, size = np.random.default_rng(seed), manipulator.dimension
     counts = NearbyCounts(manipulator, densities, radius)
@@ -172,7 +167,7 @@ def coverage_of(
 
 
 def mean(weights: Array, errors: float = 0.0) -> float:
-    """Returns the mean of weights (n,) plus some standard errors; both halves are drawn in a way of their own."""
+    """Returns the mean of weights (n,) plus some standard errors; each half is drawn in its own way."""
     half = len(weights) // 2
     error = math.sqrt(0.5 * (weights[:half].var() + weights[half:].var()) / len(weights))
     return float(weights.mean()) + errors * error

@@ -110,20 +110,16 @@ class ChoiceReach(NamedTuple):
 
 
 class LocksJob(NamedTuple):
-    """Maps an arm with locked actuators; what all choices have in common.
-
-    Attributes:
-        low, high, pixel: box of its workspace in the densities, and its pixel.
-    """
+    """Maps an arm with locked actuators; constant for all choices."""
 
     manipulator: Manipulator  # the free arm
-    low: Array
-    high: Array
-    pixel: float
+    low: Array  # lower corner of its workspace in the densities
+    high: Array  # upper corner
+    pixel: float  # of the densities
     tolerance: float  # see `reach_when_locked`
 
     def prepare(self) -> Run:
-        """Maps the free arm; returns what maps the choices (A,) of a share."""
+        """Maps the free arm; returns a function that maps the choices (A,) of a share."""
         free = free_arm(self)
 
         def run(share: list[LockedStates]) -> Iterator[ChoiceReach]:
@@ -141,7 +137,6 @@ class LocksJob(NamedTuple):
 
 
 def free_arm(job: LocksJob) -> FreeArm:
-    """Maps the free arm."""
     manipulator, low, high, finest, tolerance = job
     most, dimension = PIXELS[manipulator.dimension], manipulator.dimension
     pixel = coarsened(finest, low, high, most, dimension)
@@ -187,7 +182,7 @@ def reach_when_locked(
 
 
 def choices(manipulator: Manipulator, locks: int, samples: int, seed: int) -> tuple[list[LockedStates], bool]:
-    """Returns choices of locked states, each (A,), and whether these are all choices.
+    """Returns choices of locked states, each (A,), and whether they are all choices.
 
     Raises:
         ValueError: the arm has fewer actuators with two states.

@@ -113,11 +113,7 @@ def sorted_tips(tips: Array, radius: float, dimension: int) -> TipCells:
 
 @njit(int64(CELLS, F2, float64, F1), cache=True, nogil=True, error_model="numpy")
 def count_near(cells: TipCells, points: Array, radius: float, counts: Array) -> int:
-    """Writes the number of tips within a radius of each point (n, 3) to `counts` (n,).
-
-    Returns:
-        Number of distances computed.
-    """
+    """Writes the number of tips within a radius of each point (n, 3) to `counts` (n,); returns the number of tests."""
     tips, offsets, shape, reference, side = cells
     height, width = shape[1], shape[2]
     square, tests, low, high = radius * radius, 0, np.empty(3, np.int64), np.empty(3, np.int64)

@@ -160,7 +160,6 @@ def draw(goal: Array, arm: ReachTables, levels: Levels, randoms: Array, samples:
     Args:
         goal: position in frame F_0, shape (3,).
         arm: configuration sets.
-        levels: densities.
         randoms: uniform random numbers from 0 to 1, shape (n, depth), one for each module.
         samples: written, n of them.
     """
