@@ -36,7 +36,6 @@ class Model:
 
     Attributes:
         description: description of the arm, as in the file or with another base.
-        parameters: the P parameters.
     """
 
     def __init__(self, description: Description, parameters: Sequence[Parameter]) -> None:
@@ -50,7 +49,6 @@ class Model:
             self._places += [(g, k % len(self._first[g])) for k in range(entry["count"])]
 
     def changed(self, steps: Array) -> Description:
-        """Returns the description with its parameters changed by steps (P,)."""
         return changed(self.description, self.parameters, steps)
 
     def tips(self, samples: Samples, steps: Array) -> Frame:
@@ -142,7 +140,6 @@ def slopes(frames_at: Callable[[float], list[Frame]], step: float) -> list[Array
 
 
 def parts(description: Description) -> list[Description]:
-    """Returns the base and the entries of `modules`."""
     return [description["base"], *description["modules"]]
 
 
