@@ -1,4 +1,4 @@
-"""The chain of modules in a daemon's description of its arm, for programs that do not read the arm's file."""
+"""The chain of modules from a daemon's description of its arm, for programs that do not read the arm's file."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -26,11 +26,7 @@ def none_locked(manipulator: Manipulator) -> LockedStates:
 
 
 def require_states(manipulator: Manipulator, locked: LockedStates) -> None:
-    """Checks that locked states (A,) leave each module a state.
-
-    Raises:
-        ValueError: the shape is wrong, or a module has no state with its actuators locked so.
-    """
+    """Raises ValueError unless locked states (A,) have the right shape and leave each module a state."""
     permitted_states(manipulator, locked)
 
 

@@ -50,7 +50,6 @@ class Manipulator:
 
     @property
     def dimension(self) -> int:
-        """2 for a planar arm, 3 for a spatial one."""
         return 2 if self.planar else 3
 
     @cached_property
@@ -126,7 +125,6 @@ class Manipulator:
 
     @cached_property
     def _rows(self) -> NDArray[np.int64]:
-        """Numbers of the modules, shape (B,)."""
         return np.arange(len(self.modules))
 
     @cached_property

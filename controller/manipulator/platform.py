@@ -64,7 +64,6 @@ class Legs:
 
         Args:
             frame: first guess, shape (4, 4).
-            lengths: lengths of the legs, shape (L,).
             steps: most steps.
             longest: give up if the first step is longer.
         """
