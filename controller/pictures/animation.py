@@ -23,15 +23,10 @@ SIDES, DOTS = (7.0, 5.9), 72.0  # of the picture [inch], and per inch
 
 
 class Movement(NamedTuple):
-    """The movement to show.
+    """The movement to show."""
 
-    Attributes:
-        states: of the actuators, 0 or 1, shape (A,) each, one after the other; at least one.
-        pauses: indices of the states at which the animation pauses.
-    """
-
-    states: Sequence[ArrayLike]
-    pauses: Collection[int] = ()
+    states: Sequence[ArrayLike]  # of the actuators, 0 or 1, shape (A,) each, one after the other; at least one
+    pauses: Collection[int] = ()  # indices of the states at which the animation pauses
 
 
 def animate(
@@ -44,13 +39,7 @@ def animate(
 ) -> None:
     """Writes an endless animation, in the format of the path's suffix: .gif, .png (APNG) or .webp.
 
-    Args:
-        path: file to write.
-        manipulator: the arm.
-        densities: of its intermediate workspaces; ignored for a spatial arm.
-        movement: states of the actuators, and pauses.
-        subplot: title, targets and waypoints.
-        obstacles: obstacles to draw.
+    A spatial arm needs no densities.
 
     Raises:
         OSError: the file cannot be written.

@@ -32,19 +32,12 @@ CROWDED = 60  # lines of one spatial arm, drawn thinner from there on
 
 @dataclass(frozen=True, eq=False)
 class Subplot:
-    """The content of one picture.
-
-    Attributes:
-        title: title above the picture.
-        configurations: configurations to draw, by their names in the legend.
-        targets: drawn as black crosses, shape (n, 2) or (n, 3).
-        curve: waypoints drawn as a dotted line, shape (n, 2) or (n, 3).
-    """
+    """The content of one picture."""
 
     title: str = ""
-    configurations: Mapping[str, Configuration] = field(default_factory=dict)
-    targets: ArrayLike = ()
-    curve: ArrayLike = ()
+    configurations: Mapping[str, Configuration] = field(default_factory=dict)  # by their names in the legend
+    targets: ArrayLike = ()  # drawn as black crosses, shape (n, 2) or (n, 3)
+    curve: ArrayLike = ()  # waypoints, drawn as a dotted line, shape (n, 2) or (n, 3)
 
 
 def save(
@@ -57,13 +50,8 @@ def save(
 ) -> None:
     """Writes a picture of the subplots side by side, in the format of the path's suffix.
 
-    Args:
-        path: file to write.
-        manipulator: the arm.
-        densities: of its intermediate workspaces; None: not drawn; ignored for a spatial arm.
-        subplots: from left to right.
-        unit: of length, for the axes.
-        obstacles: obstacles to draw.
+    A planar arm is drawn without densities if they are None, a spatial arm always. `unit` is that of length, for the
+    axes.
 
     Raises:
         OSError: the file cannot be written.
@@ -202,7 +190,6 @@ def draw_goals(axes: Any, subplot: Subplot, dimension: int) -> tuple[NDArray[np.
 
 
 def add_legend(axes: Any) -> None:
-    """Adds the legend below the axes."""
     from matplotlib.transforms import ScaledTranslation
 
     count = len(axes.get_legend_handles_labels()[1])
@@ -225,7 +212,6 @@ def styled(subplot: Subplot) -> Iterator[tuple[str, Configuration, str, float]]:
 
 
 def points(given: ArrayLike, dimension: int) -> NDArray[np.float64]:
-    """Returns positions as an array (n, dimension)."""
     return np.asarray(given, dtype=float).reshape(-1, dimension)
 
 
