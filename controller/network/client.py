@@ -34,8 +34,6 @@ class Client:
     daemon does not run a goal twice.
 
     Args:
-        session: open session; a client of the daemon's.
-        arm: name of the arm.
         reopen: opens a new session for the last attempt; None: all attempts use `session`.
         prefix: of all keys.
     """
@@ -69,10 +67,8 @@ class Client:
         """Returns the daemon's answer on `key`, such as goal, stop, plan or arm.
 
         Args:
-            key: of the request.
-            payload: of the request.
-            timeout: longest time to wait [s].
-            sending: entered while an attempt is sent; an exception from it ends the request.
+            timeout: longest time to wait [s]
+            sending: entered while an attempt is sent; an exception from it ends the request
 
         Raises:
             Unanswered: no answer came within `timeout` seconds, or the daemon does not accept this client's requests.
@@ -154,10 +150,10 @@ class Client:
         """Sends a goal and returns its result, or the daemon's answer if it was refused.
 
         Args:
-            goal: its payload; an id is added if it has none.
-            on_feedback: called with the daemon's answer first, then with each feedback of the goal.
-            silence: longest time without a message on the goal [s].
-            key: "goal", or "jog"; the id of a jog comes with its answer.
+            goal: its payload; an id is added if it has none
+            on_feedback: called with the daemon's answer first, then with each feedback of the goal
+            silence: longest time without a message on the goal [s]
+            key: "goal", or "jog"; the id of a jog comes with its answer
 
         Raises:
             Unanswered: the daemon did not answer, or stopped sending messages on the goal.
@@ -202,7 +198,6 @@ class Client:
             subscribers[0].undeclare()  # type: ignore[no-untyped-call]
 
     def _renew(self) -> None:
-        """Replaces the session by a new one."""
         if self._reopen is None:
             return
         with contextlib.suppress(zenoh.ZError):  # if that fails, the old session stays
@@ -221,6 +216,5 @@ def answer_timeout(payload: Mapping[str, Any]) -> float:
 
 
 def decoded(sample: zenoh.Sample) -> Message:
-    """Returns a sample's JSON object."""
     message: Message = json.loads(sample.payload.to_bytes())
     return message

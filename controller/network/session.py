@@ -18,10 +18,7 @@ TLS_FILES = (
 def configuration(mode: str, *, listen: str | None = None, connect: str | None = None) -> zenoh.Config:
     """Returns a configuration with the given endpoints and without scouting.
 
-    Args:
-        mode: "peer" for the daemon, "client" for its clients.
-        listen: endpoint to accept connections at.
-        connect: endpoint to connect to.
+    `mode` is "peer" for the daemon, "client" for its clients. The session accepts connections at `listen`.
     """
     settings: dict[str, object] = {
         "mode": mode,
@@ -67,7 +64,7 @@ def lease(config: zenoh.Config) -> float:
 
 
 def reachable(session: zenoh.Session, config: zenoh.Config) -> Callable[[], bool]:
-    """Returns a function that returns whether a session is connected to one of its endpoints, if it has any."""
+    """Returns a function that tests whether a session is connected to one of its endpoints, if it has any."""
     endpoints = json.loads(config.get_json("connect/endpoints"))
     return lambda: not endpoints or bool(session.info.routers_zid() or session.info.peers_zid())
 
