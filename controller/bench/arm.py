@@ -66,7 +66,6 @@ class BenchArm:
 
     @cached_property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """The arm's obstacles."""
         found: list[Obstacle] = []
         kind: Any
         for region in self.model.settings.obstacles:
@@ -78,7 +77,6 @@ class BenchArm:
 
     @cached_property
     def clearance(self) -> BodyClearance:
-        """Collision checks of the arm."""
         return self.model.clearance()
 
     @cached_property
