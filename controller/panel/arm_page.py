@@ -67,13 +67,7 @@ class Flood(Exception):
 
 
 class ArmPage:
-    """Serves the requests of one page. Used only on the event loop of the pages.
-
-    Args:
-        view: data of the page's arm.
-        page: the page.
-        threads: threads that all pages share.
-    """
+    """Serves the requests of one page. Used only on the event loop of the pages."""
 
     def __init__(self, view: ArmView, page: Page, threads: RequestThreads) -> None:
         self._view, self._page, self._threads = view, page, threads
@@ -102,7 +96,6 @@ class ArmPage:
             task.add_done_callback(self._open.discard)
 
     def refuse(self, number: int, message: str) -> None:
-        """Sends the page a refusal of its request number `number`."""
         self._page.reply(encoded({"section": "reply", "n": number, "accepted": False, "message": message}))
 
     def _refuse(self, request: PageRequest, message: str) -> None:
@@ -121,7 +114,6 @@ class ArmPage:
         return self._view.control.refusal(self._page)
 
     async def _serve(self, request: PageRequest) -> None:
-        """Carries a request out and answers it."""
         try:
             answer = await self._carry_out(request)
         except Unanswered as error:
@@ -236,5 +228,4 @@ def read_goal(text: str) -> Message:
 
 
 def encoded(message: Mapping[str, Any]) -> bytes:
-    """Returns a message as JSON."""
     return msgspec.json.encode(message)

@@ -11,8 +11,6 @@ MOST_OF_ADDRESS = 50  # of each role, because a viewer at the operator's address
 
 
 class PagePlace(NamedTuple):
-    """The place of one open page."""
-
     person: Person
     address: str
 
@@ -42,11 +40,9 @@ class Places:
         return None
 
     def take_place(self, place: PagePlace) -> None:
-        """Counts a page that opens."""
         self._count(place, 1)
 
     def free_place(self, place: PagePlace) -> None:
-        """Counts a page that closes."""
         self._count(place, -1)
 
     def _count(self, place: PagePlace, change: int) -> None:

@@ -1,4 +1,4 @@
-"""Sessions of people who logged in. The server ends a session at log-out, so that a copied cookie is invalid then."""
+"""Sessions of logged-in people. The server ends a session at log-out, so that a copied cookie is invalid then."""
 
 import logging
 import os
@@ -18,17 +18,11 @@ MOST_OF_PERSON = 100  # sessions; a further log-in ends the person's oldest sess
 
 
 class Session(msgspec.Struct, frozen=True):
-    """One session.
+    """One session."""
 
-    Attributes:
-        name: of the person.
-        until: UNIX time at which it ends [s].
-        entry: digest of the person's role and token: a change of either ends the session.
-    """
-
-    name: str
-    until: float
-    entry: str
+    name: str  # of the person
+    until: float  # UNIX time of its end [s]
+    entry: str  # digest of the person's role and token: a change of either ends the session
 
 
 class Sessions:
@@ -59,7 +53,7 @@ class Sessions:
         return cookie
 
     def entry(self, cookie: str | None) -> PersonEntry | None:
-        """Returns the entry of the person of a cookie; None if its session has ended or never began."""
+        """Returns the entry of a cookie's person; None if its session has ended or never began."""
         session = self._sessions.get(digest_of(cookie or ""))
         entry = None if session is None else self._people.get(session.name)
         if session is None or entry is None or session.until <= self._clock() or session.entry != entry_digest(entry):
@@ -67,7 +61,6 @@ class Sessions:
         return entry
 
     def end(self, cookie: str | None) -> None:
-        """Ends the session of a cookie."""
         if self._sessions.pop(digest_of(cookie or ""), None) is not None:
             self._write()
 
@@ -103,5 +96,4 @@ def sessions_file() -> Path | None:
 
 
 def entry_digest(entry: PersonEntry) -> str:
-    """Returns a digest of a person's role and token."""
     return digest_of(f"{entry.role} {entry.token}")

@@ -10,11 +10,7 @@ MOST_ADDRESSES = 1000
 
 
 class WrongTokens:
-    """Counts wrong tokens of each address. Not thread-safe.
-
-    Args:
-        clock: returns the time [s].
-    """
+    """Counts wrong tokens of each address. Not thread-safe."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock

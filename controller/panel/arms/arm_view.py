@@ -32,16 +32,13 @@ class ArmView:
     """Data of one arm. Used only on the event loop of the pages.
 
     Attributes:
-        name: name of the arm.
         client: sends requests to the arm's daemon.
         known: whether a message of the arm has been received.
-        pages: open pages of the arm.
         control: the page that commands the arm.
-        history: history of the arm.
         drawing: structure of the arm; None until the daemon has described it.
         background: content type and bytes of the density; None until the daemon has described it.
-        state: latest payload of `state`; None before the first.
-        diagnostics: latest payload of `diagnostics`; None before the first.
+        state: latest payload of `state`.
+        diagnostics: latest payload of `diagnostics`.
         alive: whether the daemon's liveliness token exists.
     """
 
@@ -69,7 +66,7 @@ class ArmView:
 
     @property
     def present(self) -> bool:
-        """Whether the arm is there, or a page shows it."""
+        """Whether the daemon was heard lately, or a page shows the arm."""
         return self.alive or bool(self.pages) or time.monotonic() - self._heard < SILENT
 
     def silence(self, now: float) -> float:
@@ -77,7 +74,6 @@ class ArmView:
         return now - max(self._heard, self._liveliness)
 
     def cancel_request(self) -> None:
-        """Cancels the request under way."""
         if self._asking is not None:
             self._asking.cancel()
 
@@ -106,13 +102,11 @@ class ArmView:
             page.offer(section, data)
 
     def publish_history(self) -> None:
-        """Sends the present goals, log and curves to all pages."""
         self.publish("goals", {"goals": list(self.history.goals)})
         self.publish("log", {"lines": list(self.history.lines)})
         self.publish("curves", {"errors": list(self.history.errors), "lateness": list(self.history.lateness)})
 
     def summary(self, now: float) -> Message:
-        """Returns the arm's entry in the list of arms."""
         state = self.state or {}
         return {
             "name": self.name,
@@ -136,7 +130,6 @@ class ArmView:
     # --- messages of the daemon
 
     def hear_alive(self, alive: bool) -> None:
-        """Accepts a change of the arm's liveliness."""
         if alive != self.alive:
             self.history.say("the daemon is there" if alive else "the daemon is gone", "note" if alive else "fault")
             self.publish_history()
@@ -161,7 +154,6 @@ class ArmView:
         self._draw(state)
 
     def hear(self, key: str, payload: Message) -> None:
-        """Accepts a payload of another key."""
         if key == "feedback":
             self.history.feedback(payload)
         elif key == "result":
@@ -180,7 +172,6 @@ class ArmView:
         self.publish_history()
 
     def _hear_timeline(self, payload: Message) -> None:
-        """Sets the history's clock to the time of a replay."""
         if self._replay is None:
             self._replay = ReplayClock()
             self._replay.hear(payload)
@@ -244,7 +235,6 @@ class ArmView:
             await asyncio.sleep(ASK_AGAIN)
 
     def _describe(self, answer: Message) -> None:
-        """Accepts an answer of the query `arm`."""
         if "drawing" in answer:
             drawing = Drawing(answer)
             self.drawing, self._positions = drawing, ()

@@ -37,8 +37,7 @@ class Arms:
         session: of all requests.
 
     Args:
-        session: open session.
-        prefix: prefix of all keys: "hyperbit", or the prefix of a replay.
+        prefix: of all keys: "hyperbit", or the prefix of a replay.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str = "hyperbit") -> None:
@@ -59,7 +58,6 @@ class Arms:
         self._task = self._loop.create_task(self._run())
 
     async def close(self) -> None:
-        """Ends the subscriptions."""
         self._task.cancel()
         while self._declared:
             await asyncio.to_thread(self._declared.pop().undeclare)
@@ -67,7 +65,7 @@ class Arms:
             view.cancel_request()
 
     def known(self) -> list[ArmView]:
-        """Returns the arms of which a message was received."""
+        """Returns the arms that have sent a message."""
         return [view for view in self.views.values() if view.known]
 
     def open(self, page: Page, name: str | None) -> ArmView | None:
@@ -82,7 +80,6 @@ class Arms:
         return view
 
     def shut(self, page: Page, view: ArmView | None) -> None:
-        """Removes a page."""
         self._pages.discard(page)
         if view is not None:
             view.shut(page)
@@ -139,7 +136,6 @@ class Arms:
         return self.views[name]
 
     def _drop(self, view: ArmView) -> None:
-        """Drops the data of an arm."""
         view.cancel_request()
         self.counters.drop_arm(view.name)
         del self.views[view.name]
@@ -166,7 +162,6 @@ class Arms:
             log.exception("arm %s: a message on %s cannot be read", name, key)
 
     def _accept(self, view: ArmView, key: str, message: dict[str, Any]) -> None:
-        """Accepts a decoded message of an arm."""
         if key == "result" and message.get("repeated") and view.history.has_result(message.get("id")):
             return
         if key == "result":

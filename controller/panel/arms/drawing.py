@@ -21,14 +21,10 @@ MOST_POINTS = 4000  # points of a spatial density
 
 
 class Drawing:
-    """Structure of an arm, built from the answer to the query `arm`.
+    """Structure of an arm, built from the payload of the answer to `arm`, with its `drawing`.
 
     Attributes:
-        manipulator: the chain of modules.
         lines: number of line segments of each module, shape (B,).
-
-    Args:
-        answer: payload of the answer, with its `drawing`.
     """
 
     def __init__(self, answer: Message) -> None:
@@ -64,7 +60,7 @@ class Drawing:
         return self.of_configuration(configuration)
 
     def unknown_modules(self, states: Sequence[int | None]) -> list[int]:
-        """Returns the numbers of the modules, from 0, that have an actuator of unknown state; states (A,)."""
+        """Returns the indices of the modules that have an actuator of unknown state."""
         return [k for k, (_, first, last) in enumerate(self._modules()) if None in states[first:last]]
 
     def _modules(self) -> Iterator[tuple[Module, int, int]]:
@@ -72,19 +68,17 @@ class Drawing:
         return zip(self.manipulator.modules, self._starts.tolist(), self._starts[1:].tolist(), strict=False)
 
     def of_text(self, text: str) -> list[float] | None:
-        """Returns the coordinates of a configuration in the text form of messages; None if the arm has no such one."""
+        """Returns the coordinates of a configuration's text; None if the arm has no such configuration."""
         try:
             return self.of_configuration(parse_configuration(self.manipulator, text))
         except ValueError:
             return None
 
     def of_configuration(self, configuration: Configuration) -> list[float]:
-        """Returns the coordinates of a configuration (B,)."""
         body = self.manipulator.body(configuration)[:, :, : self.manipulator.dimension]
         return self.rounded(body)
 
     def rounded(self, coordinates: NDArray[np.float64]) -> list[float]:
-        """Returns coordinates flat, rounded to DIGITS."""
         return [float(x) for x in np.round(coordinates.ravel(), self._digits)]
 
 

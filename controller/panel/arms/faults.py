@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 
 class After(Enum):
-    """What happens after a fault is mended, as a sentence."""
+    """The consequence of a mended fault, as a sentence."""
 
     ITSELF = "The arm continues by itself when the cause is gone."
     RESET = "Then hold Reset."
@@ -14,14 +14,7 @@ class After(Enum):
 
 
 class FaultAdvice(NamedTuple):
-    """Advice for a fault.
-
-    Attributes:
-        mend: what to do, in one or two sentences.
-        after: what follows.
-    """
-
-    mend: str
+    mend: str  # what to do, in one or two sentences
     after: After
 
     def __str__(self) -> str:

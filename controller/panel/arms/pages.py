@@ -19,13 +19,7 @@ class Page:
     """One open page. Used only on the event loop of the pages.
 
     Attributes:
-        person: the person who opened it.
-        number: unique number of the page.
         heartbeats: sent to the page with each message, at least every PERIOD seconds.
-
-    Args:
-        person: the person who opened it.
-        clock: returns the time of heartbeats [s].
     """
 
     def __init__(self, person: Person, clock: Callable[[], float] = time.monotonic) -> None:
@@ -90,7 +84,6 @@ class Control:
         return None
 
     def take_control(self, page: Page) -> None:
-        """Gives control to a page."""
         self._holder, self._since = page, time.time()
 
     def release_control(self, page: Page) -> bool:
@@ -110,7 +103,6 @@ class RateLimit:
     Args:
         rate: actions per second [1/s].
         most: most actions in a burst.
-        clock: returns the time [s].
     """
 
     def __init__(self, rate: float, most: float, clock: Callable[[], float] = time.monotonic) -> None:
