@@ -43,9 +43,6 @@ class FlightRecorder:
 
     As a context, it saves the events if an exception ends the process.
 
-    Attributes:
-        paths: of the two files in memory.
-
     Args:
         folder: of saved files; None: nothing is saved by itself.
         opaque: field of a class that is omitted, because the core only tests whether it is None.
@@ -65,7 +62,7 @@ class FlightRecorder:
         self._core: Any = None
         self._may_checkpoint: Callable[[int], bool] = bool
         self._table = reducers(opaque, outside)
-        self.paths = ring_paths(label.arm, label.kind, os.getpid())
+        self.paths = ring_paths(label.arm, label.kind, os.getpid())  # of the two files in memory
         self._pending: list[tuple[Any, float, float | None, list[Any] | None]] = []
         self._file: IO[bytes] | None = None
         self._number = self._count = 0
@@ -83,9 +80,9 @@ class FlightRecorder:
         """Begins to record the steps of a core.
 
         Args:
-            core: pure; picklable now, and whenever `may_checkpoint` returns True
+            core: pure; picklable now, and whenever `may_checkpoint` returns True.
             may_checkpoint: takes the number of events since the last checkpoint; returns whether the core may be
-                pickled now, which takes 1 to 2 ms
+                pickled now, which takes 1 to 2 ms.
         """
         self.flush()
         self._core, self._may_checkpoint = core, may_checkpoint

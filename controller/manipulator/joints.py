@@ -33,11 +33,11 @@ def joint(position: Callable[[float], Frame], values: Sequence[float], link: Fra
     """Returns the joint of K positions.
 
     Args:
-        position: returns the frame (4, 4) of a value
-        values: angle [rad] or length of each position
-        link: frame behind the joint, shape (4, 4)
-        move: translation of the frame above for a unit of the value
-        turn: rotation of the frame above for a unit of the value [rad]
+        position: returns the frame (4, 4) of a value.
+        values: angle [rad] or length of each position.
+        link: frame behind the joint, shape (4, 4).
+        move: translation of the frame above for a unit of the value.
+        turn: rotation of the frame above for a unit of the value [rad].
     """
     stack, bits = np.array([position(value) for value in values]) @ link, gray_code(len(values))
     flat = bool((stack[:, 2] == [0.0, 0.0, 1.0, 0.0]).all())

@@ -67,8 +67,8 @@ class Client:
         """Returns the daemon's answer on `key`, such as goal, stop, plan or arm.
 
         Args:
-            timeout: longest time to wait [s]
-            sending: entered while an attempt is sent; an exception from it ends the request
+            timeout: longest time to wait [s].
+            sending: entered while an attempt is sent; an exception from it ends the request.
 
         Raises:
             Unanswered: no answer came within `timeout` seconds, or the daemon does not accept this client's requests.
@@ -150,10 +150,10 @@ class Client:
         """Sends a goal and returns its result, or the daemon's answer if it was refused.
 
         Args:
-            goal: its payload; an id is added if it has none
-            on_feedback: called with the daemon's answer first, then with each feedback of the goal
-            silence: longest time without a message on the goal [s]
-            key: "goal", or "jog"; the id of a jog comes with its answer
+            goal: its payload; an id is added if it has none.
+            on_feedback: called with the daemon's answer first, then with each feedback of the goal.
+            silence: longest time without a message on the goal [s].
+            key: "goal", or "jog"; the id of a jog comes with its answer.
 
         Raises:
             Unanswered: the daemon did not answer, or stopped sending messages on the goal.

@@ -206,8 +206,8 @@ def swept_check(
     """Returns for each box of displacements CLEAR, COLLIDING (in its middle), or the actuator along which to cut it.
 
     Args:
-        suspects: modules to check, shape (n, B); the kernel clears those that it proves clear
-        reports: written: module, obstacle and other module of a possible collision, shape (n, 3)
+        suspects: modules to check, shape (n, B); the kernel clears those that it proves clear.
+        reports: written: module, obstacle and other module of a possible collision, shape (n, 3).
     """
     boxes, modules = suspects.shape
     result = np.full(boxes, CLEAR)

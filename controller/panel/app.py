@@ -42,9 +42,6 @@ NO_LOGIN, TOO_MANY, BAD = 4401, 4429, 4400  # close codes of the WebSocket
 class PanelServer:
     """The page's server.
 
-    Attributes:
-        app: the ASGI application.
-
     Args:
         open_session: opens the Zenoh session; called when the server starts.
         access: checks who may view and command.

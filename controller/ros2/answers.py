@@ -121,8 +121,8 @@ def request(
     """Sends a request to the daemon and returns its answer; waits up to `timeout` [s].
 
     Args:
-        form: class of the answer
-        sending: entered while the request is sent
+        form: class of the answer.
+        sending: entered while the request is sent.
 
     Raises:
         Unanswered: no answer came in time, or it has another form.

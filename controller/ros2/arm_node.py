@@ -48,7 +48,7 @@ class ArmNode:
     """The node of one arm.
 
     Args:
-        arm: the daemon's description, with its `drawing`
+        arm: the daemon's description, with its `drawing`.
 
     Raises:
         LookupError, TypeError, ValueError: the description has another form, or a name is not allowed.

@@ -71,9 +71,6 @@ class Order:
 class Passage:
     """The way of one motion request, from its arrival on.
 
-    Attributes:
-        sent: whether it was sent at least once.
-
     Args:
         barring: the kinds that bar it.
         wait: longest time until earlier stops and cancels are sent [s].
@@ -81,7 +78,7 @@ class Passage:
 
     def __init__(self, order: Order, barring: tuple[str, ...] = (STOP, CANCEL), wait: float = TIMEOUT) -> None:
         self._order, self._ticket, self._barring, self._wait = order, order.arrived, barring, wait
-        self.sent = False
+        self.sent = False  # whether it was sent at least once
 
     @contextlib.contextmanager
     def __call__(self) -> Iterator[None]:

@@ -119,7 +119,7 @@ def match_ends(samples: OrientationSamples, ends: Frame, tree: "cKDTree", radius
     """Returns the pairs of n samples and of ends (m, 4, 4), in their frames, whose tip is within `radius` of the goal.
 
     Returns:
-        Rotation of the tip in frame F_0 and weight of each pair, shapes (p, 3, 3) and (p,), and sum of the weights of
+        Rotation of the tip in frame F_0 and weight of each pair, shapes (p, 3, 3) and (p,), and sum of the weights of.
         each sample, shape (n,).
     """
     near = tree.query_ball_point(samples.points, radius)

@@ -79,8 +79,8 @@ class Unfit(ValueError):
     """A board's outputs or inputs do not fit in its PDOs.
 
     Attributes:
-        kind: "output" or "input"
-        byte: index of the first byte that does not fit, counted from 0
+        kind: "output" or "input".
+        byte: index of the first byte that does not fit, counted from 0.
     """
 
     def __init__(self, board: BoardId, kind: str, subs: tuple[int, ...]) -> None:

@@ -22,20 +22,11 @@ class Actuator:
     stroke away from that end. In mid-stroke both switches are open.
 
     Args:
-        travel_time: from end to end [s]
-        contract_time: from extended to contracted [s]; None: `travel_time`
-        least_pulse: shortest pulse of one of two coils that switches the valve [s]; None: one coil
-        rest: end to which the spring returns the actuator
-        inverted: whether the switches at the contracted and the extended end read 0 while closed
-
-    Attributes:
-        position: 0..1
-        driven: end to which the valve drives the actuator
-        switches: number of switches of the valve
-        coils: whether `on` and `off` are energised
-        both_on: number of times when both coils were energised
-        longest_pulse: of one of two coils [s]
-        observers: called after a switch has opened or closed
+        travel_time: from end to end [s].
+        contract_time: from extended to contracted [s]; None: `travel_time`.
+        least_pulse: shortest pulse of one of two coils that switches the valve [s]; None: one coil.
+        rest: end to which the spring returns the actuator.
+        inverted: whether the switches at the contracted and the extended end read 0 while closed.
     """
 
     def __init__(
@@ -49,13 +40,13 @@ class Actuator:
         inverted: tuple[bool, bool] = (False, False),
     ) -> None:
         self.label = label
-        self.position = float(rest)
-        self.driven = rest
-        self.switches = 0
-        self.coils = (0, 0)
-        self.both_on = 0
-        self.longest_pulse = 0.0
-        self.observers: list[Callable[[], None]] = []
+        self.position = float(rest)  # 0..1
+        self.driven = rest  # end to which the valve drives the actuator
+        self.switches = 0  # number of switches of the valve
+        self.coils = (0, 0)  # whether `on` and `off` are energised
+        self.both_on = 0  # number of times when both coils were energised
+        self.longest_pulse = 0.0  # of one of two coils [s]
+        self.observers: list[Callable[[], None]] = []  # called after a switch has opened or closed
         self._times = (travel_time if contract_time is None else contract_time, travel_time)
         self._two_coils = least_pulse is not None
         self._least_pulse = least_pulse or 0.0

@@ -24,10 +24,10 @@ class SimulatedBuses:
     A board answers before `receive` returns. Times never decrease. Faults take effect at the time of the last call.
 
     Args:
-        timing: gives the travel time; simulated actuators take half of it
-        send: takes the name of a bus and a frame that a board sends on it
-        variants: variants of boards by name, e.g. "can0/5"; the other boards are standard boards
-        report: takes the name of a bus and the new state of the computer's CAN controller, "bus-off" or "active"
+        timing: gives the travel time; simulated actuators take half of it.
+        send: takes the name of a bus and a frame that a board sends on it.
+        variants: variants of boards by name, e.g. "can0/5"; the other boards are standard boards.
+        report: takes the name of a bus and the new state of the computer's CAN controller, "bus-off" or "active".
 
     Raises:
         KeyError: `variants` names an unknown board.

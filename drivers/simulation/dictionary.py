@@ -43,9 +43,9 @@ def pdo(index: int, cob_id: int, entries: Iterable[int], *, fixed: bool = False)
     """Returns the communication parameters of a PDO, from 1400h or 1800h, and its mapping 200h above.
 
     Args:
-        cob_id: without the node id; bit 31 alone is a disabled PDO without a COB-ID
-        entries: of the mapping
-        fixed: whether the mapping is read-only
+        cob_id: without the node id; bit 31 alone is a disabled PDO without a COB-ID.
+        entries: of the mapping.
+        fixed: whether the mapping is read-only.
     """
     mapped = list(entries)
     filled = mapped if fixed else mapped + [0] * (8 - len(mapped))

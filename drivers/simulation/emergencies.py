@@ -19,9 +19,9 @@ class Emergencies:
     """Sends one emergency when an error begins, and one when it ends.
 
     Args:
-        objects: object dictionary with 1001h and 1003h
-        send: takes the 8 bytes of an emergency
-        logs_ends: whether the end of an error is an entry of 1003h too, with the error code 0000h
+        objects: object dictionary with 1001h and 1003h.
+        send: takes the 8 bytes of an emergency.
+        logs_ends: whether the end of an error is an entry of 1003h too, with the error code 0000h.
     """
 
     def __init__(self, objects: Objects, send: Callable[[bytes], None], *, logs_ends: bool) -> None:

@@ -48,15 +48,8 @@ class SimulatedBoard:
     It has no I/O and no clock: `receive` takes frames, `step` takes the time, and `send` gets the board's frames.
 
     Args:
-        send: takes COB-ID and data of a frame
-        variant: differences from the standard board
-
-    Attributes:
-        state: NMT state; None without power, and while it starts
-        contacts: levels of inputs other than end-stops, by bit; changes take effect at the next `step`
-        silent: whether it is disconnected from the bus
-        ignored: number of frames that were not understood
-        started: levels of the pins before and after each START that made it operational
+        send: takes COB-ID and data of a frame.
+        variant: differences from the standard board.
     """
 
     def __init__(
@@ -66,10 +59,12 @@ class SimulatedBoard:
         self.wired = tuple(wired)
         self.variant = variant
         self.objects = Objects(node, variant, self._written)
-        self.state: State | None = None
+        self.state: State | None = None  # NMT state; None without power, and while it starts
+        # levels of inputs other than end-stops, by bit; changes take effect at the next `step`
         self.contacts: dict[int, int] = {}
-        self.silent = False
-        self.ignored = 0
+        self.silent = False  # whether it is disconnected from the bus
+        self.ignored = 0  # number of frames that were not understood
+        # levels of the pins before and after each START that made it operational
         self.started: list[tuple[int, int]] = []
         self.emergencies = Emergencies(self.objects, self._send_emergency, logs_ends=variant.logs_ends)
         self._bus = send

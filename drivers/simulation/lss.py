@@ -24,20 +24,15 @@ class LssSlave:
     """Node id and bit rate of a board, which an LSS master can change.
 
     Args:
-        identity: vendor, product, revision and serial number
-        node: in use; `UNCONFIGURED` if there is none
-        send: takes COB-ID and data of an answer
-
-    Attributes:
-        node: in use; `UNCONFIGURED` if there is none
-        stored: node id and index of the bit rate after the next power-on
-        state: `WAITING` or `CONFIGURATION`
+        identity: vendor, product, revision and serial number.
+        node: in use; `UNCONFIGURED` if there is none.
+        send: takes COB-ID and data of an answer.
     """
 
     def __init__(self, identity: Sequence[int], node: int, send: Callable[[int, bytes], None]) -> None:
-        self.node = node
-        self.stored = node, 0
-        self.state = WAITING
+        self.node = node  # in use; `UNCONFIGURED` if there is none
+        self.stored = node, 0  # node id and index of the bit rate after the next power-on
+        self.state = WAITING  # `WAITING` or `CONFIGURATION`
         self._identity, self._send = identity, send
         self._pending = self.stored
         self._selected = 0  # parts of the identity that have matched so far

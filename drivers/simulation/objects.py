@@ -31,23 +31,19 @@ class Objects:
     """Values by index and sub-index. canopen's SDO server uses this class in place of a LocalNode.
 
     Args:
-        node: node id, which is part of COB-IDs
-        on_write: called with index and sub-index after an SDO write
-
-    Attributes:
-        refused: abort codes of objects that refuse every SDO, by index and sub-index
-        shown: functions whose number an SDO upload returns in place of the value, by index and sub-index
-        node: node id, which is part of COB-IDs
-        flash_writes: number of writes to the flash memory
+        node: node id, which is part of COB-IDs.
+        on_write: called with index and sub-index after an SDO write.
     """
 
     object_dictionary = None  # the SDO server reads this attribute, and does not use it
 
     def __init__(self, node: int, variant: Variant, on_write: Callable[[int, int], None]) -> None:
+        # abort codes of objects that refuse every SDO, by index and sub-index
         self.refused: dict[tuple[int, int], int] = {}
+        # functions whose number an SDO upload returns in place of the value, by index and sub-index
         self.shown: dict[tuple[int, int], Callable[[], int]] = {}
-        self.flash_writes = 0
-        self.node = node
+        self.flash_writes = 0  # number of writes to the flash memory
+        self.node = node  # node id, which is part of COB-IDs
         self._variant = variant
         self._described = variant.objects
         self._on_write = on_write

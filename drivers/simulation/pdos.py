@@ -34,13 +34,9 @@ class Pdos:
     """All PDOs of an operational board.
 
     Args:
-        objects: with the parameters and mappings
-        send: takes COB-ID and data of a TPDO
-        pads: whether TPDOs are filled up to 8 bytes
-
-    Attributes:
-        sync_due: latest time of the next SYNC [s]; infinity if none is expected
-        losing: number of the next TPDOs that do not reach the bus
+        objects: with the parameters and mappings.
+        send: takes COB-ID and data of a TPDO.
+        pads: whether TPDOs are filled up to 8 bytes.
     """
 
     def __init__(
@@ -51,8 +47,8 @@ class Pdos:
         send: Callable[[int, bytes], None],
         pads: bool,
     ) -> None:
-        self.sync_due = math.inf
-        self.losing = 0
+        self.sync_due = math.inf  # latest time of the next SYNC [s]; infinity if none is expected
+        self.losing = 0  # number of the next TPDOs that do not reach the bus
         self._window_ends = math.inf  # time after which synchronous RPDOs come too late [s]
         self._sent_at: dict[int, float] = {}  # last time of each TPDO since the start, by its index [s]
         self._objects, self._outputs, self._emergencies, self._send = objects, outputs, emergencies, send

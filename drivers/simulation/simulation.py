@@ -73,9 +73,9 @@ class Simulation:
     """All boards of a wiring. They share only frames with the driver.
 
     Args:
-        timing: gives the travel time; simulated actuators take half of it
-        clock: returns the time [s]
-        variants: of boards by name; the other boards are standard boards
+        timing: gives the travel time; simulated actuators take half of it.
+        clock: returns the time [s].
+        variants: of boards by name; the other boards are standard boards.
 
     Raises:
         KeyError: there is no board of this name.

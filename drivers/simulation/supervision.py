@@ -18,10 +18,10 @@ class Supervision:
     A producer time, 1017h, other than 0 ends node guarding: a node uses only one of them.
 
     Args:
-        objects: with 1016h and 1017h, or 100Ch and 100Dh, or all four
-        send: takes COB-ID and data
-        lose: called when the master is lost
-        recover: called at each sign of life of the master
+        objects: with 1016h and 1017h, or 100Ch and 100Dh, or all four.
+        send: takes COB-ID and data.
+        lose: called when the master is lost.
+        recover: called at each sign of life of the master.
     """
 
     def __init__(

@@ -49,7 +49,6 @@ class Kinds:
         pulse: length of the pulse by actuator index [s].
         travel: longest times to the contracted and to the extended end, shape (A, 2) [s].
         margin: settle margin, added to these times before an actuator counts as late, shape (A,) [s].
-        interlocks: in the order of their input lines.
     """
 
     def __init__(self, wiring: Wiring, timing: Timing) -> None:
@@ -68,7 +67,7 @@ class Kinds:
         self.margin = tuple(
             timing.settle_margin if channel.settle_margin is None else channel.settle_margin for channel in channels
         )
-        self.interlocks = wiring.interlocks
+        self.interlocks = wiring.interlocks  # in the order of their input lines
         self._first_interlock = self._size + len(self._ended)
 
     def outputs(self, states: int, on: int) -> int:

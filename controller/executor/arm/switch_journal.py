@@ -10,13 +10,10 @@ class SwitchJournal:
 
     The intended states of a stage are recorded before its SYNC. A process killed after that leaves unknown whether the
     SYNC was sent; the next process finds out from the boards' outputs.
-
-    Attributes:
-        counts: number of switches of each actuator, shape (A,).
     """
 
     def __init__(self, actuators: int) -> None:
-        self.counts = [0] * actuators
+        self.counts = [0] * actuators  # number of switches of each actuator, shape (A,)
         self._intended = self._after = 0
 
     @property

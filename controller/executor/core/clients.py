@@ -10,15 +10,11 @@ Role = Literal["planner", "operator"]
 
 
 class Clients:
-    """The connected clients, and whether the planner is alive.
-
-    Attributes:
-        roles: role of each client that has sent Hello.
-    """
+    """The connected clients, and whether the planner is alive."""
 
     def __init__(self, arm: str, timeout: float, send: Callable[[ClientId, Up], None]) -> None:
         self.planner: ClientId | None = None
-        self.roles: dict[ClientId, Role] = {}
+        self.roles: dict[ClientId, Role] = {}  # role of each client that has sent Hello
         self._arm, self._timeout, self._send = arm, timeout, send
         self._heard, self._silent = 0.0, False
 

@@ -55,10 +55,10 @@ class Executor:
     """Runs motion programs on the boards of an arm.
 
     Args:
-        instance: random number that identifies this run
-        watchdog: systemd's watchdog time [s]; None: off
-        simulation: the simulated boards of this process; None: the boards are on CAN buses
-        build_master: returns the CANopen master; tests pass their own
+        instance: random number that identifies this run.
+        watchdog: systemd's watchdog time [s]; None: off.
+        simulation: the simulated boards of this process; None: the boards are on CAN buses.
+        build_master: returns the CANopen master; tests pass their own.
     """
 
     def __init__(

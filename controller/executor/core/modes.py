@@ -19,14 +19,7 @@ CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-mi
 
 
 class Modes:
-    """The mode and the active faults.
-
-    Attributes:
-        reason: a sentence on the mode.
-        epoch: grows with each cancel, stop, reset, fault, change of the locked actuators, end of a boot, and loss of
-            the planner.
-        faults: active faults by code and source, in the order of their reports.
-    """
+    """The mode and the active faults."""
 
     def __init__(
         self,
@@ -39,8 +32,11 @@ class Modes:
         simulated: bool,
     ) -> None:
         self.mode: Mode = "starting"
-        self.reason = "the boards are being booted"
+        self.reason = "the boards are being booted"  # a sentence on the mode
+        # grows with each cancel, stop, reset, fault, change of the locked actuators, end of a boot, and loss of the
+        # planner
         self.epoch = 1
+        # active faults by code and source, in the order of their reports
         self.faults: dict[tuple[str, str], ArmFault] = {}
         self._master, self._motion, self._locked, self._reports, self._act = master, motion, locked, reports, act
         self._clearing, self.simulated = clearing, simulated

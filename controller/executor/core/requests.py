@@ -54,12 +54,7 @@ class HeldAnswer(NamedTuple):
 
 
 class ClientRequests:
-    """Handles the messages of accepted clients.
-
-    Attributes:
-        quitting: the executor is ending; it accepts no more programs and set-points.
-        held: delayed answers.
-    """
+    """Handles the messages of accepted clients. While `quitting`, it accepts no programs and set-points."""
 
     def __init__(
         self, arm: ExecutedArm, motion: ArmMotion, locked: LockedActuators, modes: Modes, act: Act, clients: Clients
@@ -68,7 +63,7 @@ class ClientRequests:
         self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
         self._size = len(arm.actuators)
         self._program = self._stream = 0  # greatest numbers so far
-        self.held: list[HeldAnswer] = []
+        self.held: list[HeldAnswer] = []  # delayed answers
         # [s] for which an answer waits, until a tick at the latest
         self._longest = arm.timing.heartbeat_timeout / 2 - 2 * TICK
 

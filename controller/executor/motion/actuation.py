@@ -19,28 +19,21 @@ class Actuation:
     `tick` switches a pulsed output off when its pulse ends, in every mode. The state of an actuator with two outputs is
     uncertain while both outputs are off and the last one that was on is unknown. This happens after a start of the
     executor, after a restart of the board, and after a pulse that was over before it was read back.
-
-    Attributes:
-        free_at: when the last switched actuator has settled, by its travel time [s].
-        target: states of the running commit; None if no commit runs.
-        uncertain: mask of the actuators of unknown state; their bits of `states` are guesses.
-        missed: mask of uncertain actuators whose last pulse was not confirmed.
-        switches: number of switches since the executor started.
-        busy_since: when a bus accepted no command for the first time [s]; None: nothing waits to be switched.
-        fault: set if the bus accepted no command for BUSY_FOR; cleared by the caller that reports it.
     """
 
     def __init__(self, master: Master, arm: ExecutedArm, kinds: Kinds, journal: SwitchJournal) -> None:
-        self.free_at = 0.0
-        self.target: int | None = None
-        self.uncertain = kinds.paired
-        self.missed = 0
-        self.switches = 0
+        self.free_at = 0.0  # when the last switched actuator has settled, by its travel time [s]
+        self.target: int | None = None  # states of the running commit; None if no commit runs
+        self.uncertain = kinds.paired  # mask of the actuators of unknown state; their bits of `states` are guesses
+        self.missed = 0  # mask of uncertain actuators whose last pulse was not confirmed
+        self.switches = 0  # number of switches since the executor started
+        # set if the bus accepted no command for BUSY_FOR; cleared by the caller that reports it
         self.fault: ArmFault | None = None
         self._master, self._arm, self._kinds, self._journal = master, arm, kinds, journal
         self._arrives_at = [-1e12] * len(arm.actuators)
         self._states = 0  # last states; they count for paired actuators whose outputs are both off
         self._adopted: int | None = None  # states as adopted or switched since; None before the first adoption
+        # when a bus accepted no command for the first time [s]; None: nothing waits to be switched
         self.busy_since: float | None = None
         self._pulse_ends = dict.fromkeys(kinds.pulse, -math.inf)
         self._watched = 0  # mask of the actuators whose pulse is not known to have ended

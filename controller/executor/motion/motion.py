@@ -24,16 +24,12 @@ REALIGNMENT = -1  # in place of the index of a stage
 
 
 class ClearanceQuestions:
-    """Questions to the planner, one at a time: does a stage touch an obstacle if it begins from unplanned states?
-
-    Attributes:
-        touched: what the stage of the last question touches, in words; None if the stage is clear.
-        waits: number of periods in which the arm waited for an answer.
-    """
+    """Questions to the planner, one at a time: does a stage touch an obstacle if it begins from unplanned states?"""
 
     def __init__(self, send: Callable[[Up], None], actuators: int) -> None:
+        # what the stage of the last question touches, in words; None if the stage is clear
         self.touched: str | None = None
-        self.waits = 0
+        self.waits = 0  # number of periods in which the arm waited for an answer
         self._send, self._actuators = send, actuators
         self._number = 0
         self._way: tuple[int, int] | None = None
@@ -64,11 +60,7 @@ class ClearanceQuestions:
 
 
 class ArmMotion:
-    """Switches the boards to the stages of the running program or stream, and supervises the actuators.
-
-    Attributes:
-        clock: awake time of the executor at the last event [s].
-    """
+    """Switches the boards to the stages of the running program or stream, and supervises the actuators."""
 
     def __init__(
         self,
@@ -87,7 +79,7 @@ class ArmMotion:
         self.readings = Readings(master, self.kinds, self.actuation, locked)
         self._travel_times = TravelTimes()
         self.clearances = ClearanceQuestions(send, len(arm.actuators))
-        self.clock = 0.0
+        self.clock = 0.0  # awake time of the executor at the last event [s]
         self._arm, self._master, self._locked, self._results, self._send = arm, master, locked, results, send
         self._index, self._before = 0, 0  # the stage whose commit runs; states before it
         self._homes = False  # whether actuators of unknown state travel to a known one

@@ -52,9 +52,6 @@ class ProgramExecution:
         taken: index of the last stage that the outputs have reached; -1 before the first.
         mark: the last mark reached; -1 before the first.
         stages: number of stages that switched something since the previous mark.
-        planned: whether all stages since the previous mark were taken as planned.
-        travels: travel times measured so far.
-        verified: whether an end-stop or a read-back has confirmed each switched actuator.
         strict: no stage is skipped, and none begins before the previous one has settled.
         final: no more stages will come.
     """
@@ -64,9 +61,9 @@ class ProgramExecution:
         self.strict, self.final = program.strict, program.final
         self.begun = self.taken = self.mark = -1
         self.switches = self.stages = 0
-        self.planned = True
-        self.travels: list[Travel] = []
-        self.verified = True
+        self.planned = True  # whether all stages since the previous mark were taken as planned
+        self.travels: list[Travel] = []  # travel times measured so far
+        self.verified = True  # whether an end-stop or a read-back has confirmed each switched actuator
         self._generation = -1
         self._stages = list(program.stages)
         self._locked = locked
@@ -204,14 +201,13 @@ class SetpointStream:
     Attributes:
         until: time after which the stream counts as stopped [s].
         reason: sentence on the set-point, for the mode.
-        strict: no stage is skipped.
         start: states from which the stages were planned, with the locked states of locked actuators.
         stages: states at the end of each stage, likewise; empty: do not move.
     """
 
     def __init__(self, message: Setpoint, most: int, locked: LockedActuators, actuators: int) -> None:
         self.number, self.until, self.reason = message.stream, message.until, message.reason
-        self.strict = message.strict
+        self.strict = message.strict  # no stage is skipped
         before = checked_states(message.start, actuators)
         self.start, self.stages = locked.aligned(before), list[int]()
         for states in (checked_states(packed, actuators) for packed in message.stages):

@@ -37,13 +37,7 @@ CREDENTIALS = struct.Struct("3i")  # SO_PEERCRED: pid, uid, gid
 
 
 class ClientConnection:
-    """The connection of one client, with the messages that wait to be sent.
-
-    Attributes:
-        role: as its Hello says; None before the Hello.
-        closing: whether a Goodbye was sent.
-        since: time of the connection [s].
-    """
+    """The connection of one client since the time `since` [s], with the messages that wait to be sent."""
 
     def __init__(self, number: int, connected: socket.socket, now: float) -> None:
         connected.setblocking(False)
@@ -51,8 +45,8 @@ class ClientConnection:
         self.client = ClientId(number, CREDENTIALS.unpack(options)[0])
         self.socket, self.since = connected, now
         self.waiting: deque[bytes] = deque()
-        self.role: Literal["planner", "operator"] | None = None
-        self.closing = False
+        self.role: Literal["planner", "operator"] | None = None  # as its Hello says; None before the Hello
+        self.closing = False  # whether a Goodbye was sent
 
     @property
     def place(self) -> str:
@@ -100,9 +94,6 @@ class ExecutorServer:
     Snapshots and diagnostics are dropped for a client that does not read; other messages are queued. Connections before
     their Hello, operators, and the planner have places of their own, see `PLACES`.
 
-    Attributes:
-        dropped: number of dropped snapshots and diagnostics.
-
     Args:
         path: of the socket. A locked file beside it, with the suffix ".lock", excludes a second executor.
         clock: of the event loop [s].
@@ -113,7 +104,7 @@ class ExecutorServer:
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        self.dropped = 0
+        self.dropped = 0  # number of dropped snapshots and diagnostics
         self._clock = clock
         self._next_line, self._omitted = 0.0, 0  # when the next line of the log is written, and lines until then
         self._path, self._number = path, 0

@@ -31,25 +31,18 @@ SHOWN = (  # of the payload of `arm`
 class ArmView:
     """Data of one arm. Used only on the event loop of the pages.
 
-    Attributes:
-        client: sends requests to the arm's daemon.
-        known: whether a message of the arm has been received.
-        control: the page that commands the arm.
-        drawing: structure of the arm; None until the daemon has described it.
-        background: content type and bytes of the density; None until the daemon has described it.
-        state: latest payload of `state`.
-        diagnostics: latest payload of `diagnostics`.
-        alive: whether the daemon's liveliness token exists.
+    `known`: a message of the arm was received; `alive`: its daemon's liveliness token exists.
     """
 
     def __init__(self, name: str, client: Client, loop: asyncio.AbstractEventLoop) -> None:
         self.name, self.client, self.known, self.alive = name, client, False, False
         self.pages: set[Page] = set()
         self.control, self.history = Control(), ArmHistory()
-        self.drawing: Drawing | None = None
+        self.drawing: Drawing | None = None  # structure of the arm; None until the daemon has described it
+        # content type and bytes of the density; None until the daemon has described it
         self.background: tuple[str, bytes] | None = None
-        self.state: Message | None = None
-        self.diagnostics: Message | None = None
+        self.state: Message | None = None  # latest payload of `state`
+        self.diagnostics: Message | None = None  # latest payload of `diagnostics`
         self._loop, self._heard, self._liveliness = loop, -math.inf, time.monotonic()
         self._sections: dict[str, bytes] = {}
         self._arm: Message = {}

@@ -31,18 +31,12 @@ KEYS = ("feedback", "result", "diagnostics", "request", "timeline")
 class Arms:
     """The arms below a prefix. Used on the event loop of the pages, except for Zenoh's callbacks.
 
-    Attributes:
-        views: data of each arm, by name.
-        counters: counts results and faults, for metrics.
-        session: of all requests.
-
-    Args:
-        prefix: of all keys: "hyperbit", or the prefix of a replay.
+    `prefix` is that of all keys: "hyperbit", or the prefix of a replay.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str = "hyperbit") -> None:
         self.views: dict[str, ArmView] = {}
-        self.counters = Counters()
+        self.counters = Counters()  # counts results and faults, for metrics
         self.session, self._prefix = session, prefix
         self._loop = asyncio.get_running_loop()
         self._pages: set[Page] = set()

@@ -21,11 +21,7 @@ MOST_POINTS = 4000  # points of a spatial density
 
 
 class Drawing:
-    """Structure of an arm, built from the payload of the answer to `arm`, with its `drawing`.
-
-    Attributes:
-        lines: number of line segments of each module, shape (B,).
-    """
+    """Structure of an arm, built from the payload of the answer to `arm`, with its `drawing`."""
 
     def __init__(self, answer: Message) -> None:
         """Builds the chain.
@@ -35,7 +31,7 @@ class Drawing:
         """
         self.manipulator = described(answer)
         modules = self.manipulator.modules
-        self.lines = [module.body.shape[1] for module in modules]
+        self.lines = [module.body.shape[1] for module in modules]  # number of line segments of each module, shape (B,)
         self._starts = np.cumsum([0, *(len(module.actuators) for module in modules)])
         self._digits = DIGITS - int(np.floor(np.log10(max(self.manipulator.length, 1e-9))))
 

@@ -16,15 +16,11 @@ _numbers = itertools.count(1)
 
 
 class Page:
-    """One open page. Used only on the event loop of the pages.
-
-    Attributes:
-        heartbeats: sent to the page with each message, at least every PERIOD seconds.
-    """
+    """One open page. Used only on the event loop of the pages."""
 
     def __init__(self, person: Person, clock: Callable[[], float] = time.monotonic) -> None:
         self.person, self.number = person, next(_numbers)
-        self.heartbeats = Heartbeats(clock)
+        self.heartbeats = Heartbeats(clock)  # sent to the page with each message, at least every PERIOD seconds
         self._latest: dict[str, bytes] = {}
         self._replies: list[bytes] = []
         self._news = asyncio.Event()
@@ -97,9 +93,6 @@ class Control:
 class RateLimit:
     """A rate limit (token bucket).
 
-    Attributes:
-        refused: consecutive refusals.
-
     Args:
         rate: actions per second [1/s].
         most: most actions in a burst.
@@ -108,7 +101,7 @@ class RateLimit:
     def __init__(self, rate: float, most: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._rate, self._most, self._clock = rate, most, clock
         self._tokens, self._at = most, clock()
-        self.refused = 0
+        self.refused = 0  # consecutive refusals
 
     def take_token(self) -> bool:
         """Returns whether an action is allowed now, and counts it."""

@@ -64,16 +64,13 @@ class Goal:
 class ActionCore:
     """All goals of one action server.
 
-    Attributes:
-        goals: by id, in the order of their requests.
-
     Args:
         result_timeout: how long the result of an ended goal is kept [s].
         most_goals: number of goals that are known at once.
     """
 
     def __init__(self, result_timeout: float = 10.0, most_goals: int = MOST_GOALS) -> None:
-        self.goals: dict[bytes, Goal] = {}
+        self.goals: dict[bytes, Goal] = {}  # by id, in the order of their requests
         self._result_timeout, self._most_goals = result_timeout, most_goals
         self._closed = False
 

@@ -89,7 +89,7 @@ class ActionServer:
     """An action of one node. Zenoh's threads call the program back, one at a time for each service.
 
     Args:
-        on_goal: called with each new goal; an exception rejects the goal
+        on_goal: called with each new goal; an exception rejects the goal.
 
     Raises:
         BadName: the name is not allowed.

@@ -37,10 +37,6 @@ OPPOSITE = {
 class Node:
     """A node of ROS 2.
 
-    Attributes:
-        token: of the node.
-        types: of its distribution; `types.register` adds others.
-
     Args:
         namespace: absolute; "/" is none.
         domain: ROS_DOMAIN_ID.
@@ -62,9 +58,10 @@ class Node:
         enclave: str = "/",
     ) -> None:
         names.check_node(name, namespace)
-        self.types = Types(distro)
+        self.types = Types(distro)  # of its distribution; `types.register` adds others
         self._session = session
         number = session.next_number()
+        # of the node
         self.token = Token(domain, session.zid, number, number, Kind.NODE, name, namespace, enclave or "/")
         self._token = session.zenoh.liveliness().declare_token(self.token.text)
         self._made: list[Closable] = []
@@ -81,8 +78,8 @@ class Node:
         """Returns a publisher.
 
         Args:
-            topic: absolute name, or relative to namespace ("tf") or node ("~/state")
-            type_name: such as std_msgs/msg/String
+            topic: absolute name, or relative to namespace ("tf") or node ("~/state").
+            type_name: such as std_msgs/msg/String.
 
         Raises:
             BadName: the topic's name is not allowed.

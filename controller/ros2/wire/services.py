@@ -24,14 +24,10 @@ class NoReply(TimeoutError):
 
 
 class Request:
-    """One request of a service's client. Any thread replies to it once, now or later.
-
-    Attributes:
-        received: the request's message and its sender.
-    """
+    """One request of a service's client. Any thread replies to it once, now or later."""
 
     def __init__(self, received: Received, reply: Callable[[Any], None]) -> None:
-        self.received = received
+        self.received = received  # the request's message and its sender
         self.message = received.message
         self._reply = reply
 

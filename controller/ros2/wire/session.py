@@ -24,9 +24,6 @@ class NoRouter(ConnectionError):
 class Session:
     """An open session. After a loss of the router it connects again, and Zenoh repeats all declarations.
 
-    Attributes:
-        zid: the session's id in tokens.
-
     Args:
         router: Zenoh endpoint.
         timeout: longest time to wait for the router [s]. A client of Zenoh cannot begin without a router.
@@ -41,7 +38,7 @@ class Session:
         except zenoh.ZError as error:
             reason = str(error).split(" at /")[0].strip()
             raise NoRouter(f"no router at {router!r} within {timeout:g} s: {reason}") from None
-        self.zid = str(self.zenoh.zid())
+        self.zid = str(self.zenoh.zid())  # the session's id in tokens
         self._numbers = itertools.count()
         self._lock = threading.Lock()
 

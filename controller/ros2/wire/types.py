@@ -26,10 +26,6 @@ class UnknownType(ValueError):
 class Types:
     """The types of one distribution.
 
-    Attributes:
-        store: rosbags' store; a service or action is stored as its messages.
-        hashes: RIHS01 hash by name of a message, of a service, or of an action's part.
-
     Args:
         distribution: jazzy, kilted or lyrical.
 
@@ -45,8 +41,8 @@ class Types:
         if distribution not in VERSIONS:
             raise UnknownType(f"{distribution!r} is no known distribution of ROS 2: {', '.join(VERSIONS)}")
         self._version = VERSIONS[distribution]
-        self.store = get_typestore(Stores.ROS2_JAZZY)
-        self.hashes: dict[str, str] = {}
+        self.store = get_typestore(Stores.ROS2_JAZZY)  # rosbags' store; a service or action is stored as its messages
+        self.hashes: dict[str, str] = {}  # RIHS01 hash by name of a message, of a service, or of an action's part
         for path in sorted(DEFINITIONS.glob("*/*/*.*"), key=lambda it: it.suffix != ".msg"):  # others refer to these
             stem, _, version = path.stem.partition(".")
             if version in ("", self._version):

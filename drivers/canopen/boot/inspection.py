@@ -64,8 +64,8 @@ def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState |
     """Reads all relevant objects except PDOs; writes nothing.
 
     Args:
-        kind: device type, 1000h
-        error_state: of the arm's file, for boards without an error mode
+        kind: device type, 1000h.
+        error_state: of the arm's file, for boards without an error mode.
 
     Raises:
         BoardError: the board cannot meet a need of its wiring, or does not answer.

@@ -25,7 +25,7 @@ def read_pdos(it: Inspection, in_full: bool) -> Reading:
     """Reads the PDOs for the process data.
 
     Args:
-        in_full: read all entries of mappings, even if their number shows that they differ
+        in_full: read all entries of mappings, even if their number shows that they differ.
     """
     for wanted, found in ((it.layout.rpdos, it.rpdos), (it.layout.tpdos, it.tpdos)):
         found.clear()

@@ -65,8 +65,8 @@ def read_pdo(board: str, parameters: int, most: int = _MOST_ENTRIES) -> Generato
     """Reads a PDO; returns None if the board has no such PDO.
 
     Args:
-        parameters: index of its communication parameters
-        most: greatest number of mapping entries to read
+        parameters: index of its communication parameters.
+        most: greatest number of mapping entries to read.
 
     Raises:
         BoardError: the board does not answer, or its answer is not according to CiA 301.

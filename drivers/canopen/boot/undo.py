@@ -12,15 +12,12 @@ _COMMANDS = {State.OPERATIONAL: Command.START, State.STOPPED: Command.STOP}
 class Undo:
     """Records the changes of a boot.
 
-    Attributes:
-        pins_known: whether 6200h has the known levels of the pins, so that START changes none.
-
     Args:
         spared: index of the outputs. They are never written back: nothing must be energised.
     """
 
     def __init__(self, spared: int) -> None:
-        self.pins_known = False
+        self.pins_known = False  # whether 6200h has the known levels of the pins, so that START changes none
         self._spared = spared
         self._seen: dict[tuple[int, int], bytes] = {}  # last value of each object
         self._state_known = False  # whether the NMT state that was found is recorded, or was pre-operational

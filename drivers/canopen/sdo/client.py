@@ -50,14 +50,10 @@ class SdoClient:
     Answers are matched with requests by index and sub-index; late answers to other objects are dropped. A repeated
     request may be answered twice. Such a late answer must not count for a later write of the same object, or for a
     later read of the written value.
-
-    Attributes:
-        outcome: result of the last transfer; None while it runs.
-        twice: whether three of four transfers were answered twice though asked once: two boards have the node id.
     """
 
     def __init__(self, node: int, link: Link) -> None:
-        self.outcome: SdoOutcome | None = None
+        self.outcome: SdoOutcome | None = None  # result of the last transfer; None while it runs
         self._request_id = cia301.SDO_REQUEST + node
         self._link = link
         self._transfer: Transfer | None = None
@@ -71,6 +67,7 @@ class SdoClient:
         self._slowest = 0.0  # longest answer time [s]
         self._owed: dict[bytes, tuple[int, float]] = {}  # by object: late answers that may come, and until when
         self._skip = 0  # late answers to ignore
+        # whether three of four transfers were answered twice though asked once: two boards have the node id
         self.twice = False
         self._answered = self._doubled = 0  # transfers asked once, and those of them that were answered twice
         self._last = b""  # object of the last of them, until its second answer

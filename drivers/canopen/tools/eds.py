@@ -55,13 +55,8 @@ def is_mapping(index: int) -> bool:
 class Eds:
     """The object dictionary of an EDS.
 
-    Attributes:
-        notes: violations of CiA 306-1 in the entries that were asked for
-        of_modules: indices of objects that come with modules of a coupler
-        fixed_mappings: whether no mapping can be changed
-
     Args:
-        node: node id, which is part of COB-IDs
+        node: node id, which is part of COB-IDs.
 
     Raises:
         UnreadableEds: the file is missing, or describes no object.
@@ -73,11 +68,11 @@ class Eds:
             raise UnreadableEds("no EDS: it describes no object, for instance in a section [1000]")
         self._node = node
         self._found: dict[tuple[int, int], Entry | None] = {}
-        self.notes = self._file.notes
-        self.of_modules = self._file.of_modules
+        self.notes = self._file.notes  # violations of CiA 306-1 in the entries that were asked for
+        self.of_modules = self._file.of_modules  # indices of objects that come with modules of a coupler
         self._device = self._file.others.get("deviceinfo", {})
         granularity = self._number("DeviceInfo", self._device, "granularity")
-        self.fixed_mappings = granularity == 0
+        self.fixed_mappings = granularity == 0  # whether no mapping can be changed
         self._compact = self._number("DeviceInfo", self._device, "compactpdo") or 0
 
     def at(self, node: int) -> Eds:

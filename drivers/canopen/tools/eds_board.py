@@ -34,19 +34,16 @@ class EdsTransfer:
 class EdsBoard:
     """A board with the object dictionary of an EDS and its values after power-on.
 
-    Attributes:
-        asked: all transfers, in order
-
     Args:
-        assumed: values that replace those of the EDS, by index and sub-index
-        absent: indices of objects that the EDS lacks, and the board has nevertheless
-        writable: entries that accept any value, by index and sub-index
+        assumed: values that replace those of the EDS, by index and sub-index.
+        absent: indices of objects that the EDS lacks, and the board has nevertheless.
+        writable: entries that accept any value, by index and sub-index.
     """
 
     def __init__(
         self, eds: Eds, assumed: dict[tuple[int, int], int], absent: set[int], writable: set[tuple[int, int]]
     ) -> None:
-        self.asked: list[EdsTransfer] = []
+        self.asked: list[EdsTransfer] = []  # all transfers, in order
         self._eds, self._absent, self._writable = eds, absent, writable
         self._values = dict(assumed)
 
