@@ -192,11 +192,7 @@ def models(arm: Arm, samples: Samples, in_file: Description, chosen: Sequence[Pa
 
 
 def folds(configurations: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Returns the fold of each sample (n,). All samples of one configuration (B,) are in the same fold.
-
-    Raises:
-        CannotFit: there are fewer configurations than folds.
-    """
+    """Returns the fold of each sample (n,), the same for equal configurations (B,). Raises CannotFit if too few."""
     _, group, sizes = np.unique(configurations, axis=0, return_inverse=True, return_counts=True)
     if len(sizes) < FOLDS:
         raise CannotFit(f"{len(sizes)} different configurations, at least {FOLDS} are needed")

@@ -66,11 +66,7 @@ class LeastSquares:
         return np.asarray(np.maximum(np.array(found) / np.sqrt(share), self._finest))
 
     def solve(self, x: Array, noise: Array, kept: NDArray[np.bool_], *, robust: bool) -> Array:
-        """Returns the parameters (P,) that fit the samples of a mask (n,) best.
-
-        Raises:
-            CannotFit: the least squares fail.
-        """
+        """Returns the parameters (P,) that best fit the samples of a mask (n,). Raises CannotFit if this fails."""
         from scipy.optimize import least_squares  # takes half a second to import
 
         weights = 1 / noise[self.kinds]

@@ -71,11 +71,7 @@ class Model:
         return self._compared(samples, tips - samples.tips, tips)
 
     def jacobian(self, samples: Samples, steps: Array) -> Array:
-        """Returns the derivatives (n, C, P) of the residuals by the parameters.
-
-        Raises:
-            ValueError: there is no such arm.
-        """
+        """Returns the derivatives (n, C, P) of the residuals by the parameters. Raises ValueError like `tips`."""
         description = self.changed(steps)
         stacks = self._frames(description)
         chain, chosen = self._chain(samples, stacks), self._chosen(samples)

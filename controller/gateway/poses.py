@@ -95,11 +95,7 @@ class Poses:
 
 
 def decode_poses(payload: bytes) -> PosesMessage:
-    """Parses a `poses` payload; the goal's own fields are not checked.
-
-    Raises:
-        Refusal: the payload is invalid; the message names the field. No other exception is raised.
-    """
+    """Parses a `poses` payload, but not the goal's own fields. Raises only Refusal, which names the field."""
     message = parse(payload, PosesMessage, "poses", MOST_BYTES)
     saves, removes = message.save is not None and message.goal is not None, message.remove is not None
     if saves == removes or (message.save is None) != (message.goal is None):

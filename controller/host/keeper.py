@@ -159,11 +159,7 @@ def ring_paths(arm: str, kind: str, pid: int) -> tuple[Path, Path]:
 
 
 def read_generation(path: Path) -> bytes:
-    """Returns a generation in memory; b"" if it is not there.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """Returns a generation in memory; b"" if it is not there. Raises OSError if it cannot be read."""
     with contextlib.suppress(FileNotFoundError):
         file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
         with os.fdopen(file, "rb") as opened:

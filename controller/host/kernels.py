@@ -53,11 +53,7 @@ def kernels(roots: tuple[str, ...] = ROOTS) -> dict[str, set[str]]:
 
 
 def compile_all(waiting: dict[str, set[str]], processes: int) -> None:
-    """Imports modules in forked processes, each after its dependencies.
-
-    Raises:
-        RuntimeError: the import of a module failed; its traceback is on stderr.
-    """
+    """Imports modules in forked processes, each after its dependencies. Raises RuntimeError if one fails."""
     from numba import njit
 
     # numba's own modules are loaded once here, and not in each process.

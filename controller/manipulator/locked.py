@@ -31,11 +31,7 @@ def require_states(manipulator: Manipulator, locked: LockedStates) -> None:
 
 
 def permitted_states(manipulator: Manipulator, locked: LockedStates) -> list[NDArray[np.bool_]]:
-    """Returns for each module which of its states locked states (A,) permit, shape (K,) each.
-
-    Raises:
-        ValueError: see require_states.
-    """
+    """Returns which states of each module locked states (A,) permit, shape (K,) each. Raises the errors of require_states."""
     if locked.shape != (len(manipulator.actuators),):
         raise ValueError(
             f"the arm has {len(manipulator.actuators)} actuators, got locked states of shape {locked.shape}"
@@ -54,11 +50,7 @@ def permitted_states(manipulator: Manipulator, locked: LockedStates) -> list[NDA
 
 
 def lock_actuators(manipulator: Manipulator, locked: LockedStates) -> Manipulator:
-    """Returns the reduced arm, or the arm itself if no actuator is locked.
-
-    Raises:
-        ValueError: see require_states.
-    """
+    """Returns the reduced arm, or the arm itself if no actuator is locked. Raises the errors of require_states."""
     permitted, modules = permitted_states(manipulator, locked), []
     if (locked < 0).all():
         return manipulator

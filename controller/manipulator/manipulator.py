@@ -28,11 +28,7 @@ class Manipulator:
     """
 
     def __init__(self, modules: Sequence[Module], base: Frame | None = None) -> None:
-        """Builds the padded arrays.
-
-        Raises:
-            ValueError: there is no module.
-        """
+        """Builds the padded arrays. Raises ValueError if there is no module."""
         if not modules:
             raise ValueError("a manipulator needs at least one module, got none")
         self.modules = tuple(modules)

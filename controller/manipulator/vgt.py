@@ -92,11 +92,7 @@ def vgt(
 
 
 def apex(p: Point, q: Point, from_p: float, from_q: float) -> Point:
-    """Returns the apex (2,) to the left of the base p -> q, at the given distances from p and q.
-
-    Raises:
-        ValueError: the triangle does not close.
-    """
+    """Returns the apex (2,) to the left of p -> q, from its distances. Raises ValueError if there is none."""
     along = q - p
     base = math.hypot(*along)
     foot = (base**2 + from_p**2 - from_q**2) / (2 * base)

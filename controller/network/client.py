@@ -122,11 +122,7 @@ class Client:
         return self._session.declare_subscriber(f"{self._prefix}/{key}", lambda sample: callback(decoded(sample)))
 
     def next_message(self, key: str, timeout: float = 10.0) -> Message:
-        """Returns the next message on `key`.
-
-        Raises:
-            Unanswered: no message came within `timeout` [s].
-        """
+        """Returns the next message on `key`. Raises Unanswered if no message came within `timeout` [s]."""
         news: queue.SimpleQueue[Message] = queue.SimpleQueue()
         subscriber = self.subscribe(key, news.put)
         try:

@@ -75,11 +75,7 @@ class ArmPage:
         self._open: set[asyncio.Task[None]] = set()
 
     def receive_request(self, request: PageRequest) -> None:
-        """Accepts a request; its answer is sent to the page.
-
-        Raises:
-            Flood: the page sent too many requests and must be closed.
-        """
+        """Accepts a request; its answer is sent to the page. Raises Flood if the page sent too many requests."""
         urgent = isinstance(request, UrgentRequest)
         limit = self._stops if urgent else self._limit
         if not limit.take_token():

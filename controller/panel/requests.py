@@ -109,11 +109,7 @@ class BadRequest(ValueError):
 
 
 def decode_request(data: str) -> PageRequest:
-    """Decodes a request.
-
-    Raises:
-        BadRequest: the message is malformed.
-    """
+    """Decodes a request. Raises BadRequest if the message is malformed."""
     if len(data) > MOST_BYTES:
         raise BadRequest(f"at most {MOST_BYTES} characters are accepted")
     try:

@@ -67,11 +67,7 @@ class Tls(NamedTuple):
 
 
 def parse_address(text: str) -> Address:
-    """Parses HOST:PORT.
-
-    Raises:
-        InputFaults: the text has another form.
-    """
+    """Parses HOST:PORT. Raises InputFaults if the text has another form."""
     host, _, port = text.rpartition(":")
     if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:
         raise InputFaults(Path("--listen"), [f"{text!r}: HOST:PORT is needed, such as 127.0.0.1:7480"])
@@ -79,11 +75,7 @@ def parse_address(text: str) -> Address:
 
 
 def listening(address: Address) -> list[socket.socket]:
-    """Returns sockets that listen at an address: one for each IP address of its host.
-
-    Raises:
-        OSError: the address is in use, or is none of this computer.
-    """
+    """Returns a listening socket for each IP address of the host. Raises OSError if the address is not free."""
     sockets, port = list[socket.socket](), address.port
     failed: OSError | None = None
     for family, _, _, _, target in socket.getaddrinfo(address.host, port, type=socket.SOCK_STREAM):

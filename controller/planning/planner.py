@@ -91,11 +91,7 @@ class RequestDecoder:
         self._tolerance = arm.tolerance
 
     def decode(self, key: events.Key, payload: bytes) -> events.Message:
-        """Decodes any payload of a request, in microseconds; returns None for keys without a content.
-
-        Raises:
-            Refusal: the payload is invalid; the message names the field. No other exception is raised.
-        """
+        """Decodes any payload in microseconds; None for keys without a content. Raises only Refusal."""
         match key:
             case "goal" | "plan":  # positions beyond the arm's length are refused here, without a search
                 goal = parse(payload)

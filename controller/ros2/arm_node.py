@@ -130,11 +130,7 @@ class ArmNode:
         self.say(INFO if alive else ERROR, f"the daemon is {'there' if alive else 'gone'}")
 
     def receive_state(self, state: Mapping[str, Any]) -> None:
-        """Stores a state and logs faults that came or went.
-
-        Raises:
-            ValueError: the state belongs to another arm. Nothing has changed.
-        """
+        """Stores a state and logs new and past faults. Raises ValueError for a state of another arm."""
         for name in ("measured", "commanded"):
             states, count = state.get(name), len(self._manipulator.actuators)
             if states is not None and len(states) != count:

@@ -54,11 +54,7 @@ class Bridge:
             self._node = None
 
     def receive_message(self, item: ReceivedMessage) -> None:
-        """Accepts a message of the arm.
-
-        Raises:
-            UNEXPECTED: the message has another form. Nothing has changed.
-        """
+        """Accepts a message of the arm. Raises UNEXPECTED and changes nothing if the message has another form."""
         node = self._node
         match item.key:
             case "arm":

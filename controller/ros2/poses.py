@@ -69,11 +69,7 @@ def time_of(stamp: float) -> Fields:
 
 
 def check_stamp(stamp: float, where: str) -> None:
-    """Checks the stamp of a pose to reach now; 0 is always valid.
-
-    Raises:
-        BadGoal: the stamp is too old, or in the future.
-    """
+    """Raises BadGoal if the stamp of a pose to reach now is too old, or in the future; 0 is always valid."""
     age = time.time() - stamp
     if stamp != 0 and abs(age) > OLDEST:
         when = f"{age:.1f} s old" if age > 0 else f"{-age:.1f} s in the future"
@@ -100,11 +96,7 @@ def waypoint(message: Any, place: Place, where: str, *, oriented: bool) -> Field
 
 
 def finite(holder: Any, names: str, where: str) -> list[float]:
-    """Returns fields of a message as numbers.
-
-    Raises:
-        BadGoal: a number is NaN or infinite.
-    """
+    """Returns fields of a message as numbers. Raises BadGoal if a number is NaN or infinite."""
     values = [float(getattr(holder, name)) for name in names]
     for name, value in zip(names, values, strict=True):
         if not math.isfinite(value):
@@ -113,11 +105,7 @@ def finite(holder: Any, names: str, where: str) -> list[float]:
 
 
 def rotation(quaternion: Sequence[float], where: str) -> Frame:
-    """Returns the rotation (3, 3) of a quaternion x, y, z, w.
-
-    Raises:
-        BadGoal: its length is not 1.
-    """
+    """Returns the rotation (3, 3) of a quaternion x, y, z, w. Raises BadGoal if its length is not 1."""
     length = math.hypot(*quaternion)
     if abs(length - 1.0) > LENGTH_ERROR:
         raise BadGoal(f"{where}.pose.orientation: a quaternion of length {length:.3g}, expected a unit quaternion")

@@ -76,11 +76,7 @@ def load(path: Path, wanted: str) -> Densities | None:
 
 
 def store(path: Path, wanted: str, densities: Densities) -> None:
-    """Writes densities and their key atomically: a crash leaves the old file or the new one.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Writes densities and their key; a crash leaves the old file or the new one. May raise OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(f".{os.getpid()}.tmp")
     try:

@@ -89,11 +89,7 @@ class Unfit(ValueError):
 
 
 def lay_out(wiring: Wiring) -> Layout:
-    """Assigns the boards' bits to PDOs.
-
-    Raises:
-        Unfit: a board's outputs or inputs do not fit in four PDOs.
-    """
+    """Assigns the boards' bits to PDOs. Raises Unfit if a board's outputs or inputs do not fit in four PDOs."""
     outputs, inputs = _by_board(wiring.output_lines), _by_board(wiring.input_lines)
     objects = {BoardId(node.bus, node.node): node for node in wiring.nodes}
     groups = _groups({place: outputs[place] for place in wiring.boards if place in outputs}, wiring.shared_rpdo)

@@ -125,11 +125,7 @@ class Interlock:
 
 @dataclass(frozen=True)
 class NodeWiring:
-    """The entry of one board in `boards.nodes` of the arm's file.
-
-    Raises:
-        ValueError: a number is out of its range.
-    """
+    """The entry of one board in `boards.nodes` of the arm's file. Raises ValueError for a number out of range."""
 
     bus: str
     node: int
@@ -242,11 +238,7 @@ class Wiring:
 
 @dataclass(frozen=True)
 class Timing:
-    """Times of boards and actuators, all in [s].
-
-    Raises:
-        ValueError: a time is out of its range.
-    """
+    """Times of boards and actuators, all in [s]. Raises ValueError if a time is out of its range."""
 
     heartbeat: float = 0.1  # period of the boards (1017h) and of the master
     # a board silent for this long is lost; the boards get the same for the master (1016h)

@@ -134,11 +134,7 @@ class SimulatedBuses:
         return list(self._interlocks)
 
     def board(self, name: str) -> SimulatedBoard:
-        """Returns a board by its name, e.g. "can0/5".
-
-        Raises:
-            KeyError: there is no such board.
-        """
+        """Returns a board by its name, e.g. "can0/5". Raises KeyError if there is no such board."""
         if name not in self._by_name:
             raise KeyError(f"no board {name}, there are {', '.join(self._by_name)}")
         return self._by_name[name]
@@ -203,11 +199,7 @@ class SimulatedBuses:
 
     @contextmanager
     def actuator(self, label: str) -> Iterator[Actuator]:
-        """Yields an actuator at the time of the last call, for a change; then the boards read their inputs.
-
-        Raises:
-            KeyError: there is no such actuator.
-        """
+        """Yields an actuator at the time of the last call, for a change; then boards read inputs. Raises KeyError."""
         if label not in self._actuators:
             raise KeyError(f"no actuator {label}, there are {', '.join(self._actuators)}")
         self.step(self._now)

@@ -58,11 +58,7 @@ def described() -> str:
 
 
 def play(boards: SimulatedBuses, text: str) -> str:
-    """Causes or ends the fault of a command; returns the answer. "help" returns all verbs.
-
-    Raises:
-        ValueError: the text is no command; the message names the choices.
-    """
+    """Plays a command and returns the answer; "help": all verbs. Raises ValueError with the choices."""
     if text.split() == ["help"]:
         return f"faults:\n{described()}"
     perform(boards, *text.split())
@@ -70,11 +66,7 @@ def play(boards: SimulatedBuses, text: str) -> str:
 
 
 def perform(boards: SimulatedBuses, *words: str | float) -> None:
-    """Causes or ends a fault. The words are those of a command.
-
-    Raises:
-        ValueError: the words are no command; the message names the choices.
-    """
+    """Causes or ends a fault by the words of a command. Raises ValueError with the choices."""
     verb, name, arguments = str(words[0]) if words else "", str(words[1]) if len(words) > 1 else "", words[2:]
     if verb not in VERBS:
         raise ValueError(f"{verb!r} is no fault{nearest(verb, VERBS)} Faults: {', '.join(VERBS)}")
@@ -139,11 +131,7 @@ def named(choices: list[str]) -> str:
 
 
 def error_code(text: str) -> int:
-    """Returns an error code of CiA 301 from its hexadecimal digits.
-
-    Raises:
-        ValueError: the text is no such number.
-    """
+    """Parses hexadecimal digits as an error code of CiA 301. Raises ValueError if they are none."""
     try:
         return int(text, 16) & 0xFFFF
     except ValueError:
@@ -151,11 +139,7 @@ def error_code(text: str) -> int:
 
 
 def number(text: str | float) -> float:
-    """Returns a finite number of at least 0.
-
-    Raises:
-        ValueError: the text is no such number.
-    """
+    """Returns a finite number of at least 0. Raises ValueError if the text is no such number."""
     try:
         value = float(text)
     except ValueError:
@@ -166,11 +150,7 @@ def number(text: str | float) -> float:
 
 
 def positive(text: str | float) -> float:
-    """Returns a positive, finite number.
-
-    Raises:
-        ValueError: the text is no such number.
-    """
+    """Returns a positive, finite number. Raises ValueError if the text is no such number."""
     if not (value := number(text)):
         raise ValueError(f"{text} is not a positive number")
     return value

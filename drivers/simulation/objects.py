@@ -73,11 +73,7 @@ class Objects:
         self._values[index, sub] = value.to_bytes(self._find(index, sub).size, "little")
 
     def get_data(self, index: int, sub: int, check_readable: bool = False) -> bytes:
-        """Returns a value for an SDO upload.
-
-        Raises:
-            SdoAbortedError: there is no such object, or it cannot be read.
-        """
+        """Returns a value for an SDO upload. Raises SdoAbortedError if it does not exist or is not readable."""
         self._refuse(index, sub)
         if check_readable and not self._find(index, sub).readable:
             raise SdoAbortedError(_WRITE_ONLY)
@@ -88,11 +84,7 @@ class Objects:
         return self._value(index, sub)
 
     def set_data(self, index: int, sub: int, data: bytes, check_writable: bool = False) -> None:
-        """Sets a value by an SDO download.
-
-        Raises:
-            SdoAbortedError: the object or the value cannot be written, or not in the present state.
-        """
+        """Sets a value by an SDO download. Raises SdoAbortedError if this is not permitted, or not now."""
         self._refuse(index, sub)
         entry = self._find(index, sub)
         if check_writable and not entry.writable:

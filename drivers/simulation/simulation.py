@@ -134,11 +134,7 @@ class Simulation:
             fault_commands.perform(self._boards, *words)
 
     def play_fault(self, text: str) -> str:
-        """Causes or ends a fault, such as "silence can0/5"; returns the answer.
-
-        Raises:
-            ValueError: the text is no fault; the message names the choices.
-        """
+        """Plays a fault such as "silence can0/5"; returns the answer. Raises ValueError with the choices."""
         with self._lock:
             self._boards.step(self._clock())
             return fault_commands.play(self._boards, text)

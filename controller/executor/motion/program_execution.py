@@ -147,11 +147,7 @@ class ProgramExecution:
         return End("aborted", f"{STARVED}; the arm holds", f"holding; {name} was aborted: {STARVED}")
 
     def replace(self, message: Replacement, most: int, actuators: int) -> None:
-        """Replaces the stages from `message.first` on, see `Replacement`.
-
-        Raises:
-            StageMisfit: the stages do not fit; nothing has changed.
-        """
+        """Replaces stages, see `Replacement`. Raises StageMisfit and changes nothing if the stages do not fit."""
         first = message.first
         if message.generation <= self._generation:
             raise StageMisfit("it is older than the last replacement")

@@ -43,11 +43,7 @@ def new_token() -> str:
 
 
 def read_people(path: Path) -> list[PersonEntry]:
-    """Reads the people of a file.
-
-    Raises:
-        InputFaults: the file is missing or wrong; each fault names its field.
-    """
+    """Reads the people of a file. Raises InputFaults if the file is missing or wrong; each fault names its field."""
     faults = list[str]()
     found = check(read_yaml(path), People, faults)
     names = [entry.name for entry in found.people] if found else []

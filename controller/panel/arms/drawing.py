@@ -24,11 +24,7 @@ class Drawing:
     """Structure of an arm, built from the payload of the answer to `arm`, with its `drawing`."""
 
     def __init__(self, answer: Message) -> None:
-        """Builds the chain.
-
-        Raises:
-            KeyError, TypeError, ValueError: the answer has another form.
-        """
+        """Builds the chain. Raises KeyError, TypeError or ValueError if the answer has another form."""
         self.manipulator = described(answer)
         modules = self.manipulator.modules
         self.lines = [module.body.shape[1] for module in modules]  # number of line segments of each module, shape (B,)

@@ -53,11 +53,7 @@ def demangle(field: str) -> str:
 
 
 def dds_type(name: str) -> str:
-    """Returns a type's name in keys: std_msgs/msg/String is std_msgs::msg::dds_::String_.
-
-    Raises:
-        BadName: `name` has another form.
-    """
+    """Returns a type's name in keys, as std_msgs::msg::dds_::String_. Raises BadName for another form."""
     parts = TYPE.fullmatch(name)
     if not parts:
         raise BadName(f"{name!r} is no type: it has the form package/msg/Name, package/srv/Name or package/action/Name")

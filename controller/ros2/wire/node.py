@@ -61,7 +61,6 @@ class Node:
         self.types = Types(distro)  # of its distribution; `types.register` adds others
         self._session = session
         number = session.next_number()
-        # of the node
         self.token = Token(domain, session.zid, number, number, Kind.NODE, name, namespace, enclave or "/")
         self._token = session.zenoh.liveliness().declare_token(self.token.text)
         self._made: list[Closable] = []

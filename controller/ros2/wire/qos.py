@@ -85,11 +85,7 @@ def encode(qos: Qos) -> str:
 
 
 def parse(text: str) -> Qos:
-    """Parses a token's field.
-
-    Raises:
-        BadQos: the text has another form.
-    """
+    """Parses a token's field. Raises BadQos if the text has another form."""
     if not (match := FORM.fullmatch(text)):
         raise BadQos(f"{text!r} is no quality of service: expected one such as '::,10:,:,:,,'")
     numbers = [int(it) if it else default for it, default in zip(match.groups()[:4], DEFAULTS, strict=True)]

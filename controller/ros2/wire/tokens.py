@@ -64,11 +64,7 @@ class Token(NamedTuple):
 
 
 def parse(text: str) -> Token:
-    """Parses a key. Ignores parts after the thirteenth, which newer versions of rmw_zenoh add.
-
-    Raises:
-        BadToken: the key is no token.
-    """
+    """Parses a key; ignores parts after the thirteenth, of newer versions of rmw_zenoh. Raises BadToken."""
     parts = text.split("/")
     try:
         if parts[0] != ADMIN_SPACE or not all(parts) or len(parts) < NODE_PARTS:

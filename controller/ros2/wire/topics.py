@@ -38,11 +38,7 @@ class Dropped(Exception):
 
 
 def receive(payload: zenoh.ZBytes | None, attachment: zenoh.ZBytes | None, name: str, types: Types) -> Received:
-    """Decodes the payload of a sample, query or reply.
-
-    Raises:
-        Dropped: it is no message of this type.
-    """
+    """Decodes the payload of a sample, query or reply. Raises Dropped if it is no message of this type."""
     try:
         source = attachments.parse(None if attachment is None else attachment.to_bytes())
     except BadAttachment as error:

@@ -69,21 +69,13 @@ class Types:
         self.hashes.update(hashes)
 
     def hash(self, name: str) -> str:
-        """Returns the RIHS01 hash of a message, of a service or of an action's part.
-
-        Raises:
-            UnknownType: the type is not known.
-        """
+        """Returns the RIHS01 hash of a message, a service or an action's part. Raises UnknownType."""
         if name not in self.hashes:
             raise UnknownType(f"the type {name!r} is not known: {len(self.hashes)} are; add it by Types.register")
         return self.hashes[name]
 
     def message_class(self, name: str) -> type[Any]:
-        """Returns the dataclass of a message, or of a request, response, goal, result or feedback.
-
-        Raises:
-            UnknownType: the type is not known.
-        """
+        """Returns the dataclass of a message, or of a service's or action's part. Raises UnknownType."""
         if name not in self.store.types:
             raise UnknownType(f"the message {name!r} is not known")
         return self.store.types[name]

@@ -99,11 +99,7 @@ def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -
 
 
 def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, SdoOutcome, int | None]:
-    """Reads an unsigned value like `read`; returns None if the board has no such object.
-
-    Raises:
-        BoardError: the board refuses, does not answer, or answers in another size.
-    """
+    """Reads an unsigned value like `read`; returns None if the board has no such object. Raises its errors."""
     outcome = yield Transfer(index, sub)
     if outcome.abort in ABSENT:
         return None
@@ -111,11 +107,7 @@ def find(board: str, index: int, sub: int, size: int = 1) -> Generator[Step, Sdo
 
 
 def number(board: str, index: int, sub: int, size: int, outcome: SdoOutcome) -> int:
-    """Returns the value that a transfer has read.
-
-    Raises:
-        BoardError: the board refused, did not answer, or answered in another size.
-    """
+    """Returns the value of a transfer. Raises BoardError after a refusal, silence or an answer of another size."""
     if outcome.abort is not None:
         text = f"board {board} refuses to read {index:04X}h sub {sub}: {abort_words(outcome.abort)}"
         raise BoardError(ArmFault("sdo-refused", board, text))
@@ -129,11 +121,7 @@ def number(board: str, index: int, sub: int, size: int, outcome: SdoOutcome) -> 
 
 
 def write(board: str, need: Need, value: int, staged: bool = False) -> Generator[Step, SdoOutcome, int | None]:
-    """Writes a value; returns None, or the abort code of the board. A staged write is tried once, see `Transfer`.
-
-    Raises:
-        BoardError: the board does not answer.
-    """
+    """Writes a value, a staged one once; returns None or the abort code. Raises BoardError after silence."""
     data = value.to_bytes(need.size, "little")
     outcome = yield Transfer(need.index, need.sub, data, tries=1 if staged else TRIES, staged=staged)
     if outcome.abort is None and outcome.data is None:
@@ -143,11 +131,7 @@ def write(board: str, need: Need, value: int, staged: bool = False) -> Generator
 
 
 def ensure(board: str, need: Need, present: int, staged: bool = False) -> Generator[Step, SdoOutcome, None]:
-    """Writes the needed value into an object with another value, and reads it back.
-
-    Raises:
-        BoardError: the board refuses, does not answer, or has another value afterwards.
-    """
+    """Writes the needed value and reads it back. Raises BoardError after a refusal, silence or another value."""
     value = need.corrected(present)
     abort = yield from write(board, need, value, staged)
     if abort is not None:

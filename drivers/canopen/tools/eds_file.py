@@ -43,11 +43,7 @@ class EdsFile(NamedTuple):
 
 
 def read(path: Path) -> EdsFile:
-    """Reads a file.
-
-    Raises:
-        UnreadableEds: the file is missing, or has no sections.
-    """
+    """Reads a file. Raises UnreadableEds if the file is missing, or has no sections."""
     try:
         with path.open("rb") as file:
             data = file.read(_MOST_BYTES + 1)
