@@ -28,7 +28,6 @@ class BenchArm:
 
     @cached_property
     def arm(self) -> library.Arm:
-        """The arm as an object of the library `hyperbit`, obstacles included."""
         return library.Arm._of(self.model)
 
     @property

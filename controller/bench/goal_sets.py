@@ -34,8 +34,6 @@ SETS = {
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One goal of a set."""
-
     arm: str  # name of a file in `arms`
     start: Configuration  # shape (B,)
     position: tuple[float, ...]  # of the tip in the world, shape (2,) or (3,)
@@ -48,7 +46,6 @@ class Task:
 
     @property
     def proven(self) -> bool:
-        """Whether `switches` is the proven minimum."""
         return self.switches == self.bound
 
     @property

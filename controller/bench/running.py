@@ -51,7 +51,6 @@ def run(name: str, prepare: Prepare, tasks: Sequence[Task], limit: float, spread
 
 
 def summed(name: str, tasks: Sequence[Task], outcomes: Sequence[Outcome], tables: float) -> Row:
-    """Summarizes a method's outcomes, given in the order of the goals."""
     taken = [(k, task, o) for k, (task, o) in enumerate(zip(tasks, outcomes, strict=True)) if not o.left_out]
     served = [(task, o) for _, task, o in taken if o.solved]
     above = [o.switches - task.switches for task, o in served if task.proven]

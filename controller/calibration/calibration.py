@@ -81,8 +81,6 @@ class Calibration:
 
 
 class FitPair(NamedTuple):
-    """The fit of all parameters, and that of the base only."""
-
     every: Fit
     base: Fit
 

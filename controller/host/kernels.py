@@ -74,7 +74,6 @@ def compile_all(waiting: dict[str, set[str]], processes: int) -> None:
 
 
 def fork(module: str) -> int:
-    """Starts a process that imports a module; returns its id."""
     if (child := os.fork()) != 0:
         return child
     status = 1

@@ -31,7 +31,7 @@ def require_states(manipulator: Manipulator, locked: LockedStates) -> None:
 
 
 def permitted_states(manipulator: Manipulator, locked: LockedStates) -> list[NDArray[np.bool_]]:
-    """Returns which states of each module locked states (A,) permit, shape (K,) each. Raises the errors of require_states."""
+    """Returns which states of each module locked states (A,) permit, shape (K,) each. See require_states."""
     if locked.shape != (len(manipulator.actuators),):
         raise ValueError(
             f"the arm has {len(manipulator.actuators)} actuators, got locked states of shape {locked.shape}"

@@ -17,8 +17,6 @@ TIMEOUT = 5.0  # [s] until an arm that is alive counts as silent; a daemon answe
 
 
 class StopReport(NamedTuple):
-    """The result of a stop for all arms."""
-
     answers: dict[ArmAddress, Message]  # an arm that accepts answers when nothing can switch any more
     silent: list[ArmAddress]  # arms that are alive and did not answer
 

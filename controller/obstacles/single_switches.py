@@ -38,8 +38,6 @@ PARTS = 256  # most parts of a travel to check; a switch that they neither prove
 
 
 class ModuleSwitches(NamedTuple):
-    """The single switches of one module."""
-
     following: Index  # state after a switch, -1 if there is none or its motion is unknown, shape (K, A)
     rows: Index  # rows of a switch in the arrays below, the same in both directions, shape (K, A)
     rotations: Array  # of the frame above the module in the middle of each part, shape (E, M, 3, 3)

@@ -35,8 +35,6 @@ class Chains(NamedTuple):
 
 
 class Switching(NamedTuple):
-    """The actuators that switch."""
-
     owners: Index  # module of each actuator, shape (k,)
     rates: Array  # see Displacements.rates, shape (k, 3)
     half_widths: Array  # half the width of each box along each displacement, shape (n, k)

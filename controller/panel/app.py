@@ -86,7 +86,6 @@ class PanelServer:
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        """Keeps the session open while the server runs."""
         session = await asyncio.to_thread(self._open_session)
         try:
             self._arms = Arms(session, self._prefix)

@@ -51,8 +51,6 @@ class LockRequest(NumberedRequest, tag="lock"):
 
 
 class ObstaclesRequest(NumberedRequest, tag="obstacles"):
-    """Replace the obstacles sent before."""
-
     regions: Annotated[list[Any], Meta(max_length=1000)]
 
 
@@ -71,8 +69,6 @@ class PoseRequest(NumberedRequest, tag="pose"):
 
 
 class PlanRequest(NumberedRequest, tag="plan"):
-    """Plan a goal without running it."""
-
     goal: dict[str, Any]
 
 

@@ -66,7 +66,6 @@ class Shield:
         await self._app(scope, receive, answer)
 
     def _refusal(self, scope: Scope) -> tuple[int, str] | None:
-        """Returns status and message of a refusal; None if the request is accepted."""
         headers = Headers(scope=scope)
         hosts = headers.getlist("host")
         if len(hosts) != 1:

@@ -35,8 +35,6 @@ class Field(NamedTuple):
 
 
 class Slice(NamedTuple):
-    """A plane through a field."""
-
     counts: Array  # log10 of the numbers, minus infinity for none, shape (rows, columns)
     lost: NDArray[np.bool_] | None  # pixels to mark, shape (rows, columns)
     reference: Array  # centre of the first pixel, horizontal and vertical

@@ -189,7 +189,6 @@ class ArmNode:
             self.say(WARN, f"{counts.refused - before} set-points are refused{last}")
 
     def poll(self, now: float) -> None:
-        """Asks for results that are due; `now` [s]."""
         self._goals.poll(now)
 
     def say(self, level: int, text: str) -> None:

@@ -206,7 +206,6 @@ class ActionGoals:
             self._book.remove(booked)
 
     def _owe(self, goal: OpenGoal) -> None:
-        """Writes to the book that a cancel is owed."""
         with self._lock:
             goal.booked = msgspec.structs.replace(goal.booked, canceling=True, owed=True)
             self._open[goal.booked.id] = goal

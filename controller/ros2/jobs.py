@@ -82,7 +82,6 @@ class Passage:
 
     @contextlib.contextmanager
     def __call__(self) -> Iterator[None]:
-        """Sends, or raises Withdrawn."""
         with self._order.passing(self._ticket, self._barring, self._wait):
             self.sent = True
             yield
@@ -107,7 +106,6 @@ class Task:
             return True
 
     def close(self) -> None:
-        """Waits for the demanded runs."""
         self._pool.shutdown()
 
     def _run(self) -> None:

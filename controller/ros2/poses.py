@@ -26,8 +26,6 @@ class BadGoal(ValueError):
 
 
 class Place(NamedTuple):
-    """Where an arm stands."""
-
     world: str  # name of the world's frame
     arm: str  # its base has the frame "<arm>/0"
     base: Frame  # in the world, shape (4, 4)

@@ -96,7 +96,6 @@ class Requests:
             ending.close()
 
     def receive_result(self, result: GoalResult) -> None:
-        """Logs how a goal of a topic ended."""
         if self._forget(result.id):
             level = INFO if result.status == "succeeded" else WARN
             self._say(level, f"goal {result.id} {result.status}: {result.message}")

@@ -97,8 +97,6 @@ class CountJob(NamedTuple):
 
 
 class CountHere(NamedTuple):
-    """Counts in this process."""
-
     counts: NearbyCounts
 
     def prepare(self) -> Run:

@@ -103,8 +103,6 @@ def covered_share(counts: Array) -> Array:
 
 
 class ChoiceReach(NamedTuple):
-    """The result of one choice."""
-
     reach: Reach | None  # None if the choice leaves a module without a state
     least: Array | None  # with the last choice of a share: the least counts over the share, see `LockedReach`
 
@@ -218,7 +216,6 @@ def random_choices(moving: list[int], locks: int, seed: int) -> Iterator[tuple[t
 
 
 def last_locked(manipulator: Manipulator, locked: LockedStates) -> int:
-    """Returns the last module with a locked actuator."""
     owners = np.repeat(np.arange(len(manipulator.modules)), [len(m.actuators) for m in manipulator.modules])
     return int(owners[locked >= 0].max())
 

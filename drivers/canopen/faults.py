@@ -55,7 +55,6 @@ class FaultLog:
             self._new.append(fault)
 
     def drain(self) -> list[ArmFault]:
-        """Returns the faults that were reported since the last call."""
         new, self._new = self._new, []
         return new
 

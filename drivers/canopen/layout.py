@@ -17,8 +17,6 @@ MOST_BYTES = 4 * _PDO_BYTES  # of one board and direction: four COB-IDs contain 
 
 @dataclass(frozen=True)
 class BoardLayout:
-    """The wiring of one board."""
-
     settings: NodeWiring  # its entry in the arm's file, or defaults
     outputs: tuple[Bit, ...]  # lines with their bits of 6200h or of the maker's object
     inputs: tuple[Bit, ...]  # lines with their bits of 6000h
@@ -67,8 +65,6 @@ class BoardLayout:
 
 @dataclass(frozen=True)
 class Layout:
-    """All boards of an arm."""
-
     boards: tuple[BoardLayout, ...]  # by bus in the order of the wiring, then by node id
     board_of: tuple[int, ...]  # index of the board with the outputs of each actuator
     # indices of the boards with the end-stops of each actuator; none without end-stops

@@ -9,8 +9,6 @@ OUTPUTS, INPUTS = 0x6200, 0x6000  # arrays of bytes (CiA 401)
 
 
 class Pdo(NamedTuple):
-    """One PDO of a board."""
-
     parameters: int  # index of its communication parameters, from 1400h or 1800h; its mapping is 200h above
     cob_id: int
     mapping: tuple[int, ...]  # entries, dummy entries included

@@ -35,8 +35,6 @@ class BusStatus:
 
 @dataclass(frozen=True)
 class BoardStatus:
-    """State of one board."""
-
     bus: str
     node: int
     state: str  # NMT state in words; "unknown" before the first heartbeat, "lost" after a timeout

@@ -37,8 +37,6 @@ class BoardId(NamedTuple):
 
 
 class BoardLine(NamedTuple):
-    """One output or input of a board."""
-
     bus: str
     node: int
     bit: int  # of 6200h or 6000h

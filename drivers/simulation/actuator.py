@@ -99,7 +99,6 @@ class Actuator:
             self._flips_at = math.inf
 
     def step(self, now: float) -> None:
-        """Moves the actuator up to the time `now` [s]."""
         if self._flips_at <= now + _NEAR:
             self._advance(self._flips_at)
             self._flips_at = math.inf

@@ -15,8 +15,6 @@ EDS = Path(__file__).with_name("board.eds")
 
 
 class Object(NamedTuple):
-    """One entry of an object dictionary."""
-
     size: int  # [bytes]
     default: bytes  # value after a reset, little-endian
     relative: bool = False  # the node id is added to the default value, as in COB-IDs

@@ -31,7 +31,6 @@ class Emergencies:
         self._present: dict[int, int] = {}  # bits of 1001h by code
 
     def reset(self) -> None:
-        """Forgets all errors without an emergency."""
         self._present.clear()
         self._set_register()
 
@@ -56,7 +55,6 @@ class Emergencies:
             self._tell(0)
 
     def clear_history(self) -> None:
-        """Empties the error history, 1003h."""
         for sub in (0, *_HISTORY):
             self._objects.set_number(0x1003, sub, 0)
 

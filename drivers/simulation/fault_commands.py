@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 
 class Verb(NamedTuple):
-    """What a verb does."""
-
     target: Literal["actuator", "board", "bus", "interlock"]
     argument: str  # name of its number; in brackets if it is optional, "" if there is none
     text: str  # one line for people

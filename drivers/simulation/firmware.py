@@ -82,7 +82,6 @@ class SimulatedBoard:
                 one.actuator.observers.append(self._observe)
 
     def _read_node(self) -> None:
-        """Applies the node id that LSS has stored."""
         self.node = node = self.objects.node = self.lss.node
         self._sdo = self._sdo_server()
         self._supervision = Supervision(node, self.objects, self.send_message, self._lose_master, self._hear_master)

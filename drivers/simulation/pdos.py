@@ -131,7 +131,6 @@ class Pdos:
                     self._transmit(pdo, now)
 
     def repeat(self, now: float) -> None:
-        """Sends the TPDOs whose event timers have ended."""
         for pdo in self._timed:
             if now >= self._event_due(pdo):
                 self._transmit(pdo, now)

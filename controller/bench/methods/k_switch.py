@@ -20,8 +20,6 @@ from hyperbit.controller.workspace.densities import Densities
 
 
 class KSwitch(NamedTuple):
-    """The arm, and k."""
-
     arm: Planar
     switches: int
 

@@ -39,7 +39,6 @@ class ExecutedArm:
 
     @property
     def most(self) -> int:
-        """Most actuators that may switch at once."""
         return len(self.actuators) if self.inrush is None else self.inrush
 
 

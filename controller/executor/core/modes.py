@@ -19,8 +19,6 @@ CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-mi
 
 
 class Modes:
-    """The mode and the active faults."""
-
     def __init__(
         self,
         master: Master,

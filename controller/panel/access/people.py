@@ -20,8 +20,6 @@ class Person(NamedTuple):
 
 
 class PersonEntry(Struct, forbid_unknown_fields=True, frozen=True):
-    """One entry of the file of people."""
-
     # a client certificate with this common name needs no token
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,32}\Z", description="1 to 32 letters, digits, _ and -")]
     role: Role

@@ -25,11 +25,9 @@ class Places:
 
     @property
     def taken(self) -> int:
-        """Number of open pages."""
         return self._roles.total()
 
     def refusal(self, place: PagePlace) -> str | None:
-        """Returns why a page may not open, or None."""
         person, address = place
         if self.taken >= MOST_PAGES or (person.role == "viewer" and self._roles["viewer"] >= MOST_VIEWERS):
             return "too many pages are open"

@@ -18,8 +18,6 @@ MOST_OF_PERSON = 100  # sessions; a further log-in ends the person's oldest sess
 
 
 class Session(msgspec.Struct, frozen=True):
-    """One session."""
-
     name: str  # of the person
     until: float  # UNIX time of its end [s]
     entry: str  # digest of the person's role and token: a change of either ends the session
@@ -41,7 +39,6 @@ class Sessions:
         self._sessions = {} if file is None else read_sessions(file)
 
     def begin(self, entry: PersonEntry) -> str:
-        """Begins a session of a person; returns its cookie."""
         cookie, now = secrets.token_urlsafe(32), self._clock()
         for key in [key for key, session in self._sessions.items() if session.until <= now]:
             del self._sessions[key]

@@ -71,7 +71,6 @@ class ArmView:
             self._asking.cancel()
 
     def open(self, page: Page) -> None:
-        """Adds a page and sends it all sections."""
         self.pages.add(page)
         self.publish_history()
         for section, data in self._sections.items():

@@ -167,26 +167,21 @@ def count(counts: Counter[tuple[str, str]], arm: str, kind: str) -> None:
 
 
 def put(family: GaugeMetricFamily | CounterMetricFamily, labels: list[str], value: object) -> None:
-    """Adds a value to a metric if it is a number."""
     if isinstance(value, int | float):
         family.add_metric(labels, float(value))
 
 
 def number(value: object) -> float:
-    """Returns a number as float; 0 for any other value."""
     return float(value) if isinstance(value, int | float) else 0.0
 
 
 def sequence(value: object) -> list[Any]:
-    """Returns a list; an empty one for any other value."""
     return value if isinstance(value, list) else []
 
 
 def mapping(value: object) -> Message:
-    """Returns a mapping; an empty one for any other value."""
     return value if isinstance(value, dict) else {}
 
 
 def mappings(value: object) -> list[Message]:
-    """Returns the mappings of a list; an empty list for any other value."""
     return [it for it in sequence(value) if isinstance(it, dict)]

@@ -63,7 +63,6 @@ class Control:
         self._since = 0.0
 
     def described(self) -> dict[str, object]:
-        """Returns the person and the page that have control, for JSON."""
         holder = self._holder
         return {
             "name": None if holder is None else holder.person.name,
@@ -83,7 +82,6 @@ class Control:
         self._holder, self._since = page, time.time()
 
     def release_control(self, page: Page) -> bool:
-        """Releases the control of a page; returns whether the page had control."""
         had = self._holder is page
         if had:
             self._holder = None

@@ -50,7 +50,6 @@ class ArmState:
 
     @cached_property
     def sensed(self) -> NDArray[np.bool_]:
-        """Which actuators have an end-stop."""
         return self.unpacked(self.snapshot.sensed).astype(np.bool_)
 
     @cached_property

@@ -40,8 +40,6 @@ LAST_RESULTS_WITHIN = 1.0  # [s] at the end for the executor to end the running 
 
 
 class Beginning(NamedTuple):
-    """Data for the start of the core."""
-
     name: str  # of this process, distinct from those of all others; a part of ids
     tables: Tables  # for the locks of the arm's file
     scene: VersionedScene  # the obstacles of the arm's file
@@ -54,8 +52,6 @@ class Beginning(NamedTuple):
 
 
 class Core:
-    """Plans goals, and lets the executor run them."""
-
     def __init__(self, arm: Arm, pace: Pace, beginning: Beginning) -> None:
         manipulator, searches, tracker = arm.manipulator, arm.settings.method == MINIMUM_SWITCH, arm.settings.tracker
         self.ended = False  # whether the process may end, after a `Quit`

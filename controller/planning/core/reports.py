@@ -38,7 +38,6 @@ class Context(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def target(self) -> GoalTarget | None:
-        """The last waypoint; None for a jog."""
         if not self.position:
             return None
         rotation = np.array(self.rotation).reshape(3, 3) if self.rotation else None

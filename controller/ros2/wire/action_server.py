@@ -145,7 +145,6 @@ class ActionServer:
         self.step(events.StatusChanged(uuid, status, self._result(result)))
 
     def step(self, event: events.Event) -> None:
-        """Steps the core, and carries out its actions."""
         calls: list[Callable[[], None]] = []
         with self._lock:  # replies and publications keep the core's order
             for action in self._core.step(event, time.monotonic()):
@@ -175,7 +174,6 @@ class ActionServer:
                 self._feedback.publish({"goal_id": {"uuid": uuid}, "feedback": feedback})
 
     def _result(self, result: Any) -> Any:
-        """Converts a result to a message of the action's type."""
         name = f"{self._type}_Result"
         found = message(result, name, self._types) if isinstance(result, Mapping) else result
         serialize(found, name, self._types)

@@ -45,8 +45,6 @@ class BadQos(ValueError):
 
 
 class Qos(NamedTuple):
-    """Quality of service of a publisher, subscriber, service or client."""
-
     reliability: Reliability = Reliability.RELIABLE  # whether lost samples are sent again
     durability: Durability = Durability.VOLATILE  # whether a late subscriber receives the last `depth` samples
     history: History = History.KEEP_LAST  # whether `depth` limits what is kept

@@ -35,8 +35,6 @@ class Endpoint(NamedTuple):
 
 
 class Token(NamedTuple):
-    """One liveliness token."""
-
     domain: int  # ROS_DOMAIN_ID
     zid: str  # of the Zenoh session
     nid: str  # the node's number in its session

@@ -21,8 +21,6 @@ log = logging.getLogger(__name__)
 
 
 class Received(NamedTuple):
-    """A message from the network."""
-
     message: Any  # its numbers may be NaN or infinite
     sequence: int  # number at its source
     source_time: int  # of sending [ns since 1970]

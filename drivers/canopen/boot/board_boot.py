@@ -30,8 +30,6 @@ _ERROR_TIMEOUT = 0.5  # [s] in which an error may end after the board hears the 
 
 @dataclass
 class Boot:
-    """The boot of one board."""
-
     index: int
     board: Board
     outputs: OutputLines  # take the levels that are read back
@@ -255,7 +253,6 @@ def _check_errors(boot: Boot) -> Procedure:
 
 
 def _read_back(boot: Boot) -> Procedure:
-    """Reads outputs and inputs, and adopts them."""
     board, it = boot.board, boot.it
     rpdos, tpdos = pdo_search.adopt(it)
     pdo_search.check_pairs(it.layout, rpdos)

@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 
 class Quirk(NamedTuple):
-    """The peculiarities of a device."""
-
     device: str  # name, for messages
     source: str  # document with this information
     further_rpdos: int = 2  # first RPDO that may carry outputs after the first 64; lower ones carry analog outputs

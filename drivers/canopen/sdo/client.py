@@ -23,8 +23,6 @@ _TIMED_OUT, _TOO_LONG = 0x0504_0000, 0x0504_0005  # abort codes
 
 @dataclass(frozen=True, slots=True)
 class Transfer:
-    """One read or write of an object."""
-
     index: int
     sub: int
     data: bytes | None = None  # 1..4 bytes to write; None: read

@@ -24,8 +24,6 @@ _MOST_CHANGES = 4  # changes that the answer lists
 
 @dataclass(frozen=True)
 class CheckedBoard:
-    """What the check has found on one board."""
-
     board: str  # name, e.g. "can0/5"
     text: str  # its device type, the values that the boot will write, and its limits; or what is wrong
     code: str = ""  # of what is wrong, as of a fault; "": it can be booted and reports no error

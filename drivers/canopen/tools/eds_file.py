@@ -23,8 +23,6 @@ class UnreadableEds(ValueError):
 
 
 class Key(NamedTuple):
-    """The value of a key in the file."""
-
     line: int  # number
     name: str
     text: str  # without a comment
@@ -34,8 +32,6 @@ Section = dict[str, Key]  # by the key's name in lower case
 
 
 class EdsFile(NamedTuple):
-    """The sections of a file."""
-
     objects: dict[int, dict[int | None, Section]]  # by index, and by sub-index; None: the object itself
     others: dict[str, Section]  # by their names in lower case
     of_modules: frozenset[int]  # indices of objects that come with modules of a coupler
@@ -88,7 +84,6 @@ def _parse(text: str) -> EdsFile:
 
 
 def _section(name: str, objects: dict[int, dict[int | None, Section]], others: dict[str, Section]) -> Section:
-    """Returns the section of a name in lower case."""
     found = _OBJECT.fullmatch(name)
     if found is None:
         return others.setdefault(name, {})
