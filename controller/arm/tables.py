@@ -9,7 +9,7 @@ from hyperbit.controller.armfile.csv_files import check_states, read_states
 from hyperbit.controller.manipulator import frames
 
 PLANAR, SPATIAL = ("x", "y", "th"), ("x", "y", "z", "qx", "qy", "qz", "qw")
-LARGEST, TURN = 1e6, 6.2832  # greatest length, and angle; as in the arm's file
+LARGEST, TURN = 1e6, 6.2832  # greatest length, and greatest angle [rad]; as in the arm's file
 
 
 @dataclass(frozen=True, eq=False)

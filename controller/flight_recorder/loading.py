@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from hyperbit.controller.flight_recorder.pickling import unpickle
 from hyperbit.controller.host.keeper import LARGEST, LENGTH, MAGIC, RefusedFile, about
 
-# Takes the line of JSON of a generation; returns objects by name in place of those that are recorded by name.
+# From the line of JSON of a generation: returns the objects that are recorded by name.
 Given = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 

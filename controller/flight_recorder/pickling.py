@@ -24,7 +24,7 @@ PURE = re.compile(
     r"|hyperbit\.drivers\.canopen\.((boards|boot|run|sdo)\.\w+|faults|layout|pdo|status|wiring|wire\.(cia301|events|link))"
 )
 CORE = "hyperbit.controller.planning.core."  # its functions are pure, too
-LEFT_OUT = "left out"  # stands for an opaque value that is not None
+LEFT_OUT = "left out"  # replaces an opaque value that is not None
 OTHERS = {
     ("hyperbit.controller.flight_recorder.pickling", "method_of"),
     ("collections", "Counter"),

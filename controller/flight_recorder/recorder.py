@@ -24,7 +24,7 @@ from hyperbit.controller.host.keeper import LENGTH, SHARED, ring_paths, start_ke
 
 log = logging.getLogger(__name__)
 
-WANTED = 5_000  # events since the last checkpoint; then a new one is taken as soon as `may_checkpoint` permits
+WANTED = 5_000  # events after a checkpoint; then the next one is taken as soon as `may_checkpoint` permits
 MOST = 20_000  # events of a generation; then the next one begins, even without a checkpoint
 ENDING = 1.0  # [s] for the end of the keeper
 
@@ -213,4 +213,4 @@ def _remove_left(label: Label) -> None:
             except ProcessLookupError:
                 path.unlink(missing_ok=True)
             except OSError:
-                pass  # of another user now
+                pass  # it belongs to another user now

@@ -73,9 +73,9 @@ class FloodBrake:
 
 @dataclass(eq=False)
 class ArrivedGoal:
-    keys: list[bytes]  # by which it is recognized
+    keys: list[bytes]  # that identify a repetition
     at: float  # time of its last message [s]
-    replies: deque[Reply] = field(default_factory=deque)  # that wait for the answer
+    replies: deque[Reply] = field(default_factory=deque)  # waiting for the answer
     answer: Payload | None = None
     ended: bool = False  # no result will follow
 
@@ -96,7 +96,7 @@ class ArrivedGoal:
         while self.answer is not None and self.replies:
             try:
                 reply = self.replies.popleft()
-            except IndexError:  # another thread took it
+            except IndexError:  # another thread took the reply
                 return
             reply(self.answer)
 
@@ -126,7 +126,7 @@ class RepeatedGoals:
         goal.await_answer(reply)
         for key in keys:
             known = self._known.setdefault(key, goal)
-            if known is not goal:  # `goal` may be known by its number already; it gets the same answer
+            if known is not goal:  # the goal is already known by another key; it gets the same answer
                 known.at = self._clock()
                 known.await_answer(goal.store_answer)
                 return

@@ -23,7 +23,7 @@ class AlreadyRunning(Exception):
 class Claimant(msgspec.Struct):  # the owner of a claim, as it answers
     host: str
     pid: int
-    serves: bool = True  # false until it has looked for other claims
+    serves: bool = True  # False until the daemon has looked for other claims
     simulated: bool = False
 
 
@@ -41,7 +41,7 @@ class Claim:
         self._session, self._arm, self._own = session, arm, str(session.zid())
         self._claimant = Claimant(socket.gethostname(), os.getpid(), serves=False, simulated=simulated)
         key = f"hyperbit/{arm}/@claim/{self._own}"
-        self._queryable = session.declare_queryable(key, self._answer)  # before the token, which others then ask
+        self._queryable = session.declare_queryable(key, self._answer)  # before the token: others then query it
         self._token = session.liveliness().declare_token(key)
         self._declared_at = time.monotonic()
 

@@ -28,7 +28,7 @@ from hyperbit.controller.refusals.refusal import Refusal
 
 log = logging.getLogger(__name__)
 
-MOST_SENDER = 64  # bytes of what a sender attaches that tell it from others
+MOST_SENDER = 64  # bytes of an attachment that identify its sender
 MOST_UNANSWERED = 100  # requests on one key; a planner refuses more than 16 goals by itself, if it is not too slow
 MOST_REFUSALS = 50  # refusals of puts published in one second
 MOST_NOTES = 50  # notes in one second on refused requests
@@ -43,7 +43,7 @@ Command = Literal["stop", "cancel", "reset", "goal", "jog", "degrade", "obstacle
 ServedKey = Command | Literal["plan", "arm", "result"]
 
 
-class GatewayParts(NamedTuple):  # what answers the requests of one arm
+class GatewayParts(NamedTuple):  # parts that answer the requests of one arm
     planner: Planner
     outbox: Outbox
     goals: RepeatedGoals
@@ -178,7 +178,7 @@ class Way:
         except Undecodable as refusal:
             if self._brake.explained.admits():
                 raise
-            raise Refusal(Reason.NOT_EXPLAINED, refusal.goal) from None  # in a flood: to find the reason takes long
+            raise Refusal(Reason.NOT_EXPLAINED, refusal.goal) from None  # in a flood: finding the reason takes long
         if isinstance(message, events.CancelMessage) and message.goal is not None:
             self._check_named(received.name, named=True)
         reply, request = partial(self._answer, received), self._planner.loop.request

@@ -90,7 +90,7 @@ class JournalHandler(logging.Handler):
             self._waiting.clear()
             self._other.handle(record)
 
-    def setFormatter(self, fmt: logging.Formatter | None) -> None:  # as logging has it
+    def setFormatter(self, fmt: logging.Formatter | None) -> None:  # name from logging
         self._other.setFormatter(fmt)
 
     def close(self) -> None:

@@ -35,7 +35,7 @@ SHARED = Path("/dev/shm")  # a file system in memory
 LENGTH = struct.Struct("<I")
 LARGEST = 1 << 28  # bytes of an unpacked file
 AT_MOST_EVERY = 60.0  # [s] between two saved files of a process
-SAME_CAUSE_EVERY = 3600.0  # [s] between two files of one cause: a fault that comes back all night is saved a few times
+SAME_CAUSE_EVERY = 3600.0  # [s] between two files of one cause: a recurring fault is saved a few times a night
 KINDS = ("executor", "planner")
 ARM = re.compile(r"[A-Za-z0-9_-]{1,64}")
 KEPT = 10  # saved files of an arm's process; the oldest ones are deleted
@@ -71,7 +71,7 @@ def lock_file(path: Path, used: str, timeout: float = 0.0) -> int:
         number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
             fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.fstat(number).st_nlink:  # else the last owner has just deleted it
+            if os.fstat(number).st_nlink:  # otherwise the last owner has just deleted it
                 os.pwrite(number, b"%d\n" % os.getpid(), 0)
                 return number
         except BlockingIOError:
@@ -102,7 +102,7 @@ def write_whole(path: Path, content: bytes) -> None:
         raise
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(folder)  # the name
+        os.fsync(folder)  # writes the name to the disk
     finally:
         os.close(folder)
 
@@ -242,7 +242,7 @@ def keep(paths: Sequence[Path], folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    with contextlib.suppress(OSError):  # of a real-time executor whose unit lets children inherit its priority
+    with contextlib.suppress(OSError):  # the unit may let children inherit the executor's real-time priority
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     if sys.argv[1] == "copy":
         copy(int(sys.argv[2]), Path(sys.argv[3]), float(sys.argv[4]))

@@ -79,7 +79,7 @@ def fork(module: str) -> int:
     status = 1
     try:
         imported = importlib.import_module(module)
-        for variant in getattr(imported, "KERNEL_VARIANTS", ()):  # of a kernel that is made when it is needed
+        for variant in getattr(imported, "KERNEL_VARIANTS", ()):  # signatures of a kernel that is compiled on demand
             imported.kernel(*variant)
         status = 0
     finally:

@@ -137,7 +137,7 @@ class Manipulator:
 
 def excluded(module: Module, states: NDArray[np.generic]) -> str:
     """Returns in words the actuator states (A,) that no state of a module has, such as "left is extended"."""
-    alone = [not (module.bits[:, k] == state).any() for k, state in enumerate(states)]  # because it is locked otherwise
+    alone = [not (module.bits[:, k] == state).any() for k, state in enumerate(states)]  # no state has it: it is locked
     named = zip(module.actuators, states, alone, strict=True)
     return " and ".join(f"{name} is {STATES[bool(state)]}" for name, state, odd in named if odd or not any(alone))
 

@@ -97,7 +97,7 @@ class Client:
             for reply in replies:
                 if reply.ok is not None:
                     return decoded(reply.ok)
-                late = True  # a reply without an answer: the time is over, but the request was received
+                late = True  # an empty reply: the time is over, but the request was received
             if late:
                 break
         if self.alive():
@@ -181,7 +181,7 @@ class Client:
             while True:
                 kind, message = news.get(timeout=max(until - time.monotonic(), 0.0))
                 if name not in (message.get("id"), message.get("goal")):
-                    continue  # of another goal, or of a daemon that was restarted and does not know this goal
+                    continue  # of another goal, or of a restarted daemon that does not know this goal
                 until = time.monotonic() + silence
                 if kind == "result":
                     return message

@@ -19,10 +19,10 @@ PLACES = (OWN, BELOW)
 
 OLD = 1.5  # [s] without a state, after which the state counts as old
 MOST_ARMS = 1000  # further arms are ignored
-GONE_KEPT = 600.0  # [s] for which an arm that is gone is kept
-TOKEN_TIMEOUT = 1.0  # [s] for an answer on which tokens there are
-LIST_TIMEOUT = 10.0  # [s] for the same answer, if nothing can be done without it
-DESCRIPTION_TIMEOUT = 2.0  # [s] for an arm's answer on `arm`; it is asked again afterwards
+GONE_KEPT = 600.0  # [s] for which a gone arm is kept
+TOKEN_TIMEOUT = 1.0  # [s] for the list of tokens
+LIST_TIMEOUT = 10.0  # [s] for the list of tokens, if the caller needs it
+DESCRIPTION_TIMEOUT = 2.0  # [s] for an arm's answer on `arm`; then it is asked again
 POLL = 0.01  # [s]
 
 

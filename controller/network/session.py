@@ -6,8 +6,8 @@ from pathlib import Path
 
 import zenoh
 
-LEASE = 10.0  # [s] of silence after which a peer counts as lost; long, because busy machines stand still for seconds
-MOST_BLOCKED = 1.0  # [s] that a message waits for a peer that does not read, before the peer is disconnected
+LEASE = 10.0  # [s] of silence until a peer counts as lost; long, because busy machines stand still for seconds
+MOST_BLOCKED = 1.0  # [s] after which a peer that does not read is disconnected
 TLS = "transport/link/tls"
 TLS_FILES = (
     *("root_ca_certificate", "listen_certificate", "listen_private_key"),

@@ -11,9 +11,9 @@ import zenoh
 from hyperbit.controller.network.client import Message
 from hyperbit.controller.network.fleet import PLACES, ArmAddress, address_of, alive
 
-FIRST_WAIT, LONGEST_WAIT = 0.1, 1.0  # [s] for answers, before the arms that are silent are asked again
-ROUNDS = 2  # at least: the second finds arms that started during the first
-TIMEOUT = 5.0  # [s] until an arm that is alive counts as silent; a daemon answers within some hundredths of a second
+FIRST_WAIT, LONGEST_WAIT = 0.1, 1.0  # [s] until silent arms are asked again
+ROUNDS = 2  # least number: the second round finds arms that started during the first
+TIMEOUT = 5.0  # [s] until a live arm counts as silent; a daemon answers within hundredths of a second
 
 
 class StopReport(NamedTuple):

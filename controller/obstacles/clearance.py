@@ -8,7 +8,7 @@ from hyperbit.controller.obstacles.collision import ArmBodies, first_collisions
 from hyperbit.controller.obstacles.distance import Array, Index, Surroundings
 from hyperbit.controller.obstacles.obstacles import Obstacles
 
-# Share of the arm's length that covers rounding: bodies that come so near count as touching. The crossing of two nearly
+# Share of the arm's length that covers rounding: bodies at this distance count as touching. The crossing of two nearly
 # parallel lines has half of the digits only.
 ROUNDING = 1e-7
 

@@ -10,7 +10,7 @@ from hyperbit.controller.manipulator.frames import Frame
 from hyperbit.controller.manipulator.module import Module
 from hyperbit.controller.obstacles.distance import Array, Index
 
-FINE, COARSE = 5, 3  # samples of each displacement of a platform, if up to three actuators move, and if more do
+FINE, COARSE = 5, 3  # samples per displacement of a platform: up to three moving actuators; more
 ROUNDING = 1e-9  # relative rounding error of a bound
 MOST = 6  # actuators of one module that move at once; more have no bound
 CAPACITY = 50_000  # cached displacements

@@ -84,7 +84,7 @@ def nearest_to_box(half: Array, start: tuple[float, ...], way: tuple[float, ...]
                         high, rising = t, at
                     else:
                         low, falling = t, at
-    # Between these places the segment crosses no face, so the slope is linear.
+    # Between these places the segment crosses no face, so the slope is linear there.
     return float(low - (high - low) * falling / (rising - falling))
 
 

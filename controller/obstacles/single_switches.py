@@ -33,8 +33,8 @@ from hyperbit.controller.obstacles.swept_check import (
     write_motion,
 )
 
-DEPTH, SHALLOW, FEW = 8, 6, 8  # most halvings of a travel; if the arm's modules have more than FEW different switches
-PARTS = 256  # most parts of a travel to check; a switch that they neither prove clear nor colliding stays undecided
+DEPTH, SHALLOW, FEW = 8, 6, 8  # most halvings of a travel; SHALLOW: above FEW different switches of modules
+PARTS = 256  # most parts of a travel to check; without a result the switch stays undecided
 
 
 class ModuleSwitches(NamedTuple):

@@ -14,7 +14,7 @@ from hyperbit.controller.obstacles.swept_check import CLEAR, COLLIDING, Chains, 
 States = NDArray[np.uint8]
 
 SAMPLES = 64  # most configurations of a stage to check before the sweep
-BOXES = 512  # most boxes of displacements; a stage that they do not prove clear counts as a collision
+BOXES = 512  # most boxes of displacements; without a proof the stage counts as a collision
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ class Chains(NamedTuple):
 class Switching(NamedTuple):
     owners: Index  # module of each actuator, shape (k,)
     rates: Array  # see Displacements.rates, shape (k, 3)
-    half_widths: Array  # half the width of each box along each displacement, shape (n, k)
+    half_widths: Array  # of each box along each displacement, shape (n, k)
 
 
 class BoxMotion(NamedTuple):

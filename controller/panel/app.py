@@ -35,7 +35,7 @@ from hyperbit.controller.panel.arms.pages import Page
 from hyperbit.controller.panel.shield import LOCAL, Shield, TooLarge, policy
 
 STATIC = Path(__file__).parent / "static"
-SESSION_EVERY = 1.0  # [s] between two checks that the session of an open page goes on
+SESSION_EVERY = 1.0  # [s] between two checks of an open page's session
 NO_LOGIN, TOO_MANY, BAD = 4401, 4429, 4400  # close codes of the WebSocket
 
 

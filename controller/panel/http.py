@@ -7,7 +7,7 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-REQUEST_WITHIN = 10.0  # [s] from the connection, or from the first byte of a further request, to the request's end
+REQUEST_WITHIN = 10.0  # [s] to the end of a request, from the connection or the first byte of a further request
 
 
 def common_name(transport: Any) -> str | None:

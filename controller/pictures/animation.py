@@ -17,7 +17,7 @@ from hyperbit.controller.workspace.densities import Densities
 Array = NDArray[np.float64]
 
 SHARES = (0.25, 0.5, 0.75, 1.0)  # displacements at which a transition is drawn
-FRAME, END, PAUSE = 50, 110, 1300  # [ms] that a frame stays: in mid-travel, at the end of a transition, at a pause
+FRAME, END, PAUSE = 50, 110, 1300  # [ms], duration of a frame: in mid-travel, at the end of a transition, at a pause
 SHADES = 48  # of the palette: fewer make a smaller file
 SIDES, DOTS = (7.0, 5.9), 72.0  # of the picture [inch], and per inch
 
@@ -57,7 +57,7 @@ def animate(
     widen(axes, bodies, 2 if manipulator.planar else 3)
     lines, tips = moving(axes, manipulator)
     canvas.draw()
-    shown.set_layout_engine("none")  # stays as it is now: to lay each frame out anew takes most of the time
+    shown.set_layout_engine("none")  # no new layout for each frame: it would take most of the time
     images, durations, trail = [], list[int](), list[Array]()
     for k, step in enumerate(steps):
         for share in SHARES if k else (1.0,):

@@ -16,11 +16,11 @@ from hyperbit.controller.obstacles.obstacles import NONE, Obstacles
 from hyperbit.controller.pictures.obstacle_plots import draw_obstacles, draw_spatial_obstacles
 from hyperbit.controller.workspace.densities import Densities
 
-if TYPE_CHECKING:  # matplotlib takes half a second to import: only those who draw wait for it
+if TYPE_CHECKING:  # matplotlib takes half a second to import
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, which colour-blind readers tell apart; those that gray swallows left out.
+# Okabe and Ito's colours for colour-blind readers, without those that vanish on gray.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LIGHTEST, DARKEST = 0.88, 0.55
 # Densities within this factor of the greatest are all drawn in the darkest gray.
@@ -196,7 +196,7 @@ def add_legend(axes: Any) -> None:
     if not count:
         return
     below: dict[str, Any] = {"bbox_to_anchor": (0.5, -0.1)}
-    if axes.name != "3d":  # a length, not a part of the height: a flat picture has labels below its axes as well
+    if axes.name != "3d":  # an absolute length: a flat picture has labels below its axes, too
         down = ScaledTranslation(0.0, -LABELS / 72, axes.figure.dpi_scale_trans)
         below = {"bbox_to_anchor": (0.5, 0.0), "bbox_transform": axes.transAxes + down}
     axes.legend(loc="upper center", ncols=count if count <= 4 else 3, frameon=False, **below)

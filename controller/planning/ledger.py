@@ -30,7 +30,7 @@ from hyperbit.controller.program import Fault
 
 log = logging.getLogger(__name__)
 
-WRITE_EVERY = 5.0  # [s] between two transactions with counts alone, because each one wears flash memory
+WRITE_EVERY = 5.0  # [s] between two transactions with counts alone: each one wears flash memory
 MOST_MARKS = 1_000  # the executor stores no more results
 
 

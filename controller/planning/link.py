@@ -43,7 +43,7 @@ class Connection:
             self.socket.shutdown(socket.SHUT_RDWR)
 
     def __del__(self) -> None:
-        if hasattr(self, "socket"):  # else there were too many open files
+        if hasattr(self, "socket"):  # missing after an error for too many open files
             self.socket.close()
 
 
@@ -103,7 +103,7 @@ class ExecutorLink:
         if self._connection is not None:
             self._report(reason)
             self.close()
-            self.retry_at = self._clock() + RETRY  # the executor first notices that this connection has ended
+            self.retry_at = self._clock() + RETRY  # the executor must first notice the end of this connection
 
     def receive(self) -> list[FromExecutor | LinkDown]:
         """Returns the events since the last call; never waits."""
@@ -169,7 +169,7 @@ class ExecutorLink:
                 if len(self._queue) > MOST_QUEUED or self._clock() - self._queue[0][0] > MOST_BEHIND:
                     self.drop(UNREAD)
                 return
-            except OSError:  # `receive` finds the end, after the last messages
+            except OSError:  # `receive` detects the end, after the last messages
                 self._queue.clear()
                 return
             self._queue.popleft()
@@ -203,7 +203,7 @@ class Inbox:
     """
 
     def __init__(self) -> None:
-        # Oldest first; only the reading thread removes events. Who appends here calls `wake` after that.
+        # Oldest first; only the reading thread removes events. A thread that appends here then calls `wake`.
         self.events: deque[Event] = deque()
         self._asleep = False  # whether the reading thread must be woken
         self._wakeups = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -220,7 +220,7 @@ class Inbox:
     def wake(self) -> None:
         """Wakes the reading thread if it sleeps, which releases the GIL. For any thread."""
         if self._asleep:
-            self._asleep = False  # before the wake-up: the reading thread then sets it again
+            self._asleep = False  # before the wake-up, after which the reading thread may set it again
             os.eventfd_write(self._wakeups, 1)
 
     def end_wait(self) -> None:
@@ -237,7 +237,7 @@ class Inbox:
             if number >= 0:
                 self._epoll.register(number, select.EPOLLIN | (select.EPOLLOUT if link.sending else 0))
             self._watched = (number, link.sending)
-        self._asleep = True  # before the look at `events`, so that no event is missed
+        self._asleep = True  # before `events` is tested, so that no event is missed
         ready = self._epoll.poll(0 if self.events else timeout)
         self._asleep = False
         return any(file == number for file, _ in ready)

@@ -87,13 +87,13 @@ class RequestDecoder:
         self.tracker = tracker is not None  # whether measured tips are accepted
         self._actuators, self._dimension = manipulator.actuators, manipulator.dimension
         self._base = manipulator.base[: manipulator.dimension, 3].tolist()
-        self._farthest = manipulator.length + (tracker.clamp if tracker else 0.0)  # of a tip from the base
+        self._farthest = manipulator.length + (tracker.clamp if tracker else 0.0)  # greatest distance of a tip
         self._tolerance = arm.tolerance
 
     def decode(self, key: events.Key, payload: bytes) -> events.Message:
         """Decodes any payload in microseconds; None for keys without a content. Raises only Refusal."""
         match key:
-            case "goal" | "plan":  # positions beyond the arm's length are refused here, without a search
+            case "goal" | "plan":  # refuses positions beyond the arm's length without a search
                 goal = parse(payload)
                 check_reach(goal, self._base, self._farthest, self._tolerance)
                 return goal

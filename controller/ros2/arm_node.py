@@ -28,9 +28,9 @@ from hyperbit.controller.ros2.wire.node import Node
 from hyperbit.controller.ros2.wire.session import Session
 
 ROSOUT = qos.Qos(durability=qos.Durability.TRANSIENT_LOCAL, depth=1000)
-SAME = ("name", "frames", "base", "actuators", "dimension", "version")  # of descriptions that are of one node
+SAME = ("name", "frames", "base", "actuators", "dimension", "version")  # fields that identify the node's arm
 MOST_SAID = 20  # sentences on /rosout in a second
-MOST_LETTERS = 1000  # of a sentence: it may quote what came from the network
+MOST_LETTERS = 1000  # of a sentence, which may quote a message from the network
 ODD = re.compile(r"[^A-Za-z0-9_]")
 
 
@@ -69,7 +69,7 @@ class ArmNode:
         self.name = f"{self._namespace.rstrip('/')}/{self._node_name}"
         self._state: Mapping[str, Any] = {}
         self._alive = True
-        self._refused: int | None = None  # set-points that the daemon had refused when it was asked last
+        self._refused: int | None = None  # number of set-points that the daemon had refused at the last question
         self._faults: dict[tuple[str, str], str] = {}
         self._dropped: dict[str, Counter[str]] = {}
         self._said, self._unsaid = deque[float](maxlen=MOST_SAID), 0

@@ -35,7 +35,7 @@ class Bridge:
         self._latest: dict[str, dict[str, Any]] = {}  # the last `state` and `diagnostics`
         self._new_state = False
         self._told = ""  # the last error that was logged
-        self._asked = self._slow = -ASK_EVERY  # when the description was asked for, and the slow messages published [s]
+        self._asked = self._slow = -ASK_EVERY  # times of the last question and of slow messages [s]
 
     def run(self, ending: Callable[[], bool], beat: Callable[[], None]) -> None:
         """Runs until `ending` returns True; calls `beat` many times a second."""

@@ -11,10 +11,10 @@ import msgspec
 from hyperbit.controller.ros2.answers import GoalResult
 
 KEPT = 60.0  # [s] for which a result is kept after its goal's end
-MOST_GOALS = 64  # in the file; of more, the results that came first are forgotten
-MOST_OWED = 64  # cancels that are owed to the daemon; while there are more, no goal begins
+MOST_GOALS = 64  # in the file; the oldest results above this number are forgotten
+MOST_OWED = 64  # cancels that are owed to the daemon; above this number no goal begins
 TOPICS = ("goal_pose", "goal_path")
-LATEST = 2**31 * 10**9  # [ns since 1970] that a message of ROS 2 can hold
+LATEST = 2**31 * 10**9  # [ns since 1970], limit of a ROS 2 message
 log = logging.getLogger(__name__)
 
 

@@ -25,8 +25,8 @@ from hyperbit.controller.ros2.wire.action_server import ActionServer, GoalHandle
 from hyperbit.controller.ros2.wire.node import Node
 
 ACTION = "control_msgs/action/FollowJointTrajectory"
-ASK_EVERY = 2.0  # [s] for the result of an open goal
-CANCEL_EVERY = 1.0  # [s] until the daemon tells that a canceled goal has ended
+ASK_EVERY = 2.0  # [s] between two requests for the result of an open goal
+CANCEL_EVERY = 1.0  # [s] between two cancels of a goal, until the daemon reports its end
 ENDING_TIMEOUT = 2.0  # [s] for the answer to one cancel or question; the next goals wait meanwhile
 KNOWN_WITHIN = 15.0  # [s] after which a goal that the ledger does not have is lost; a request is on its way for 10 s
 GONE_AFTER = 60.0  # [s] without a daemon, after which its goals are lost
@@ -63,7 +63,7 @@ class ActionGoals:
         self._kinds, self._book, self._client, self._jobs, self._say = kinds, book, client, jobs, say
         self._open: dict[str, OpenGoal] = {}
         self._lock = threading.Lock()
-        self._gone: float | None = None  # since when the daemon is gone [s]
+        self._gone: float | None = None  # time at which the daemon disappeared [s]
         self._cancels = Task("cancels", self._send_cancels, say)
         self._ledger = Task("ledger", self._ask_results, say)
         policy = Policy(self._may_cancel, self._on_cancel, KEPT)
@@ -194,7 +194,7 @@ class ActionGoals:
                 status, fields = ending(booked.result, canceling=booked.canceling)
             try:
                 handle = server.restore(bytes.fromhex(booked.uuid), booked.stamp, status, fields)
-            except IllegalTransition:  # its client has just sent it again, and the daemon knows it
+            except IllegalTransition:  # its client has just repeated it, and the daemon knows it
                 if not booked.owed:
                     return
         if booked.owed or (handle and booked.result is None):

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from hyperbit.controller.ros2.answers import TIMEOUT
 from hyperbit.controller.ros2.messages import WARN
 
-MOST_WAITING = 64  # requests that ask for motion or plans, and wait for the daemon
+MOST_WAITING = 64  # waiting requests for motion or plans
 WORKERS = 4
 STOP, CANCEL = "stop", "cancel"
 

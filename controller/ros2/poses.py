@@ -11,9 +11,9 @@ from hyperbit.controller.manipulator.frames import Frame
 
 Fields = dict[str, Any]
 
-OLDEST = 5.0  # [s] of a pose's stamp, in the past and in the future
-FARTHEST = 1e6  # of a coordinate, as the daemon's; greater ones overflow in a frame
-LENGTH_ERROR = 0.01  # of a quaternion that counts as a unit quaternion
+OLDEST = 5.0  # [s], greatest age, and greatest lead, of a pose's stamp
+FARTHEST = 1e6  # greatest coordinate, as in the daemon; greater ones overflow in a frame
+LENGTH_ERROR = 0.01  # greatest error of the length of a unit quaternion
 SECOND = 1_000_000_000  # [ns]
 
 

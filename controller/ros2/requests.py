@@ -54,7 +54,7 @@ class Ending:
             waiting, self._waiting, number = self._waiting, [], self._number
         fields = FAILED
         try:
-            with self._order.sending(self._key, number):  # also if nothing is sent
+            with self._order.sending(self._key, number):  # also without a request
                 answer = request(
                     self._client, Answer, self._key, sending=lambda: self._order.sending(self._key, number)
                 )

@@ -13,7 +13,7 @@ from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, seconds, yaw
 INVALID_JOINTS = -2
 AXES = ("tip_x", "tip_y", "tip_z")
 YAW = "tip_yaw"
-NEAR = 0.01  # of a position of an actuator from 0 or 1
+NEAR = 0.01  # greatest distance of an actuator's position from 0 or 1
 MOST_POINTS = 10_000
 
 

@@ -24,9 +24,9 @@ from hyperbit.controller.workspace.nearby_counts import CountMethod, NearbyCount
 Array = NDArray[np.float64]
 
 LEAST, MOST = 512, 1 << 15  # positions
-WORK = {"listing": 1 << 15, "halves": 1 << 26, "draws": 1 << 19}  # about: positions times compared configurations
+WORK = {"listing": 1 << 15, "halves": 1 << 26, "draws": 1 << 19}  # about: most positions times compared configurations
 TESTS = 2e9  # about: most distances to compute
-PART = {"listing": 4096, "halves": 1024, "draws": 16}  # positions that are counted together, from a seed of their own
+PART = {"listing": 4096, "halves": 1024, "draws": 16}  # positions that are counted together, with their own seed
 PILOT = 64  # positions that estimate the distances to compute
 
 
@@ -53,7 +53,7 @@ class Coverage(NamedTuple):
 class WorkspaceCells(NamedTuple):
     """Cells that contain the workspace, each no smaller than the radius."""
 
-    # ln of the number of configurations in each cell by the densities, minus infinity: none, shape (z, y, x)
+    # by the densities: ln of the number of configurations in each cell, minus infinity for none, shape (z, y, x)
     logs: Array
     near: NDArray[np.bool_]  # whether a cell or a neighbour has configurations, shape (z, y, x)
     corner: Array  # least corner (x, y, z) of the first cell, shape (3,)

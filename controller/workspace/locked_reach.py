@@ -104,7 +104,7 @@ def covered_share(counts: Array) -> Array:
 
 class ChoiceReach(NamedTuple):
     reach: Reach | None  # None if the choice leaves a module without a state
-    least: Array | None  # with the last choice of a share: the least counts over the share, see `LockedReach`
+    least: Array | None  # only with the last choice of a share: the least counts over the share, see `LockedReach`
 
 
 class LocksJob(NamedTuple):

@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 CountMethod = Literal["listing", "halves", "draws"]
 
 LISTED = 1 << 21  # most tips of the last modules to list
-LISTED_FOR_DRAWS = 1 << 16  # the same if the modules before are drawn: each draw compares many
-COMPARED = 1 << 15  # most configurations of the modules before them to compare one by one
+LISTED_FOR_DRAWS = 1 << 16  # the same for drawn modules before: each draw compares many
+COMPARED = 1 << 15  # most configurations of the modules before, to compare one by one
 DRAWS = 512  # draws for a position if the modules before are drawn
 AT_ONCE = 1 << 19  # positions in frames of the listed modules, at once in memory
 

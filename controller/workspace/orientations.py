@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 ENUMERATED = 1 << 15  # most configurations of the last modules, and of the modules before them, to enumerate
-UNSURE = 0.02  # probability of a uniform choice of state instead of one by density
+UNSURE = 0.02  # probability of choosing a state uniformly instead of by density
 AT_ONCE = 2048  # samples drawn together
 ACCURACY = 0.02  # relative standard error of the count at which sampling stops
 

@@ -77,7 +77,7 @@ class Actuator:
         time = self._time(target)
         next_ = self._now + way * time
         for end in (CONTRACTED, EXTENDED):
-            rest = _OPENS - abs(self.position - end)  # of the stroke, until the switch opens
+            rest = _OPENS - abs(self.position - end)  # share of the stroke until the switch opens
             if self._closed[end] and 0.0 < rest < way and abs(target - end) > abs(self.position - end):
                 next_ = min(next_, self._now + rest * time)
         return min(next_, self._flips_at)

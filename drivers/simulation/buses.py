@@ -65,7 +65,7 @@ class SimulatedBuses:
         if bus in self._off:
             return
         boards = self._boards[bus]
-        if frame.id & ~0x7F == cia301.SDO_REQUEST:  # for one board only, as most frames of a boot
+        if frame.id & ~0x7F == cia301.SDO_REQUEST:  # for one board only; this is the case for most frames of a boot
             node = frame.id & 0x7F
             if node in boards and boards[node].node == node:  # LSS may have changed its node id
                 boards = {node: boards[node]}

@@ -25,7 +25,7 @@ from hyperbit.drivers.simulation.variants import STANDARD, Variant
 _MASTER_LOST, _SYNC_LOST = 0x8130, 0x8100
 _EMERGENCY, _INPUTS = 0x1014, 0x6000
 _PDO_PARAMETERS = range(0x1400, 0x1C00)
-_MOST_SEGMENTS, _OUT_OF_MEMORY = 64, 0x0504_0005  # most bytes of a segmented write, and the abort code for more
+_MOST_SEGMENTS, _OUT_OF_MEMORY = 64, 0x0504_0005  # most bytes of a segmented write, and the abort code above
 _MOST_REQUESTS = 8  # SDO requests that wait in a board that answers slowly
 
 
@@ -78,7 +78,7 @@ class SimulatedBoard:
         self._now = 0.0
         self._inputs = 0
         for one in self.wired:
-            if one.shared:  # another board may move it up to an arrival
+            if one.shared:  # another board may move the actuator until it arrives
                 one.actuator.observers.append(self._observe)
 
     def _read_node(self) -> None:

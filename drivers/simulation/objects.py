@@ -23,7 +23,7 @@ _MOST_BITS = 64  # of a PDO
 _HISTORY, _CONSUMER = 0x1003, 0x1016
 _TIMES = (0x100C, _CONSUMER, 0x1017)  # their low words are times [ms]
 
-# The library logs each SDO, with a traceback if it is malformed, and anybody on the bus can send such frames.
+# The library logs each SDO, a malformed one with a traceback. Anybody on the bus can send such frames.
 logging.getLogger("canopen.sdo").setLevel(logging.CRITICAL)
 
 

@@ -13,7 +13,7 @@ from hyperbit.drivers.simulation.outputs import SimulatedOutputs
 
 _RPDOS, _TPDOS = range(0x1400, 0x1600), range(0x1800, 0x1A00)
 _TOO_SHORT, _TOO_LONG, _SYNC_LENGTH = 0x8210, 0x8220, 0x8240
-_SYNC_TOLERANCE = 1.5  # periods without a SYNC until it is an error, as in CANopenNode
+_SYNC_TOLERANCE = 1.5  # an error after this number of periods without SYNC, as in CANopenNode
 _LAST_SYNCHRONOUS = 240  # transmission type
 
 

@@ -47,7 +47,7 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.events import FrameEchoed, FrameReceived
 
-LONGEST_TICK = 2 * TICK  # [s] that supervision counts at most, so that a late tick is no delay
+LONGEST_TICK = 2 * TICK  # [s], most time that supervision counts for a tick, so that a late tick is no delay
 DEFECT = ArmFault("internal-error", "executor", "internal error, see the log; the arm holds")
 
 
@@ -84,10 +84,10 @@ class Executor:
         self._requests = ClientRequests(arm, motion, locked, modes, self._act, clients)
         self.ending = Ending(arm, motion, locked, modes, self._act)
         self._last_tick: float | None = None
-        self._awake = 0.0  # until the last tick [s]
+        self._awake = 0.0  # awake time until the last tick [s]
         self._next_beat = 0.0
         self._healthy = True
-        self._handed_out = False  # this step sends frames; the snapshot comes with the next step, to not delay them
+        self._handed_out = False  # this step sends frames, so the snapshot comes with the next step
 
     @property
     def ended(self) -> bool:
@@ -157,9 +157,9 @@ class Executor:
         """Records what the event has changed on the boards."""
         at = None  # time of its frame on the bus [s]
         if isinstance(event, FrameEchoed | FrameReceived):
-            if isinstance(event, FrameEchoed) and self._master.collecting:  # one echo of many, nothing has changed
+            if isinstance(event, FrameEchoed) and self._master.collecting:  # one echo of several; nothing has changed
                 return
-            # The time of an SDO answer tells nothing: the board is asked after the end-stop has changed.
+            # An SDO answer has no useful time: the end-stop changed before the question.
             if event.frame.id & 0x780 != cia301.SDO_ANSWER:
                 at = now if event.at is None else min(event.at, now)
         self.modes.update(now)

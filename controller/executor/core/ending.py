@@ -25,7 +25,7 @@ class Ending:
         self.begun, self.timeout = False, 0.0
         self._arm, self._motion, self._locked, self._modes, self._act = arm, motion, locked, modes, act
         self._contracting = self._pulsing = False
-        self._stream: SetpointStream | None = None  # that contracts the arm, once it has begun
+        self._stream: SetpointStream | None = None  # contracts the arm; None before its start
         levels, pairs = arm.wiring.loss_levels, dict(enumerate(arm.wiring.paired, len(arm.actuators)))
         self._let_go = sum(levels[k] == 0 and k not in pairs.values() for k in range(len(arm.actuators)))
         self._let_go += sum(levels[line] == 1 for line in pairs)

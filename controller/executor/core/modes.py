@@ -13,7 +13,7 @@ from hyperbit.controller.program import Mode
 from hyperbit.drivers.canopen.faults import ArmFault
 from hyperbit.drivers.canopen.run.master import Master
 
-RETRY = 1.0  # [s] between two attempts to leave a fault that clears by itself, and before the first one
+RETRY = 1.0  # [s] before each attempt to leave a fault that clears by itself
 # Codes of faults that clear by themselves; `continue_on_stuck` adds one.
 CLEARING = frozenset({"bus-down", "bus-off", "bus-busy", "board-lost", "board-missing", "pulse-overdue"})
 
@@ -143,7 +143,7 @@ class Modes:
         actuation = self._motion.actuation
         if not actuation.pulsing(now) and not actuation.under_way:
             self._waits = False
-            actuation.told = 0  # overdue pulses are told again: the boot may fail before the next period
+            actuation.told = 0  # overdue pulses are reported again: the boot may fail before the next period
             self._master.boot(now)
 
     def _booted(self, now: float) -> None:

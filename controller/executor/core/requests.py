@@ -64,7 +64,7 @@ class ClientRequests:
         self._size = len(arm.actuators)
         self._program = self._stream = 0  # greatest numbers so far
         self.held: list[HeldAnswer] = []  # delayed answers
-        # [s] for which an answer waits, until a tick at the latest
+        # longest wait of an answer, rounded down to a tick [s]
         self._longest = arm.timing.heartbeat_timeout / 2 - 2 * TICK
 
     @property
@@ -185,7 +185,7 @@ class ClientRequests:
         )
 
     def _hold_answer(self, client: ClientId, request: int, done: str, follows: str, now: float) -> None:
-        self._motion.conclude(None, now)  # what was switched before the request is not "under way"
+        self._motion.conclude(None, now)  # switches before the request are not "under way"
         held = HeldAnswer(client, request, done, follows, self._motion.actuation.switches, now + self._longest)
         self.held.append(held)
 

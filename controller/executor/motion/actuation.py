@@ -9,8 +9,8 @@ from hyperbit.drivers.canopen.faults import ArmFault, Busy
 from hyperbit.drivers.canopen.run.master import Master
 
 BUSY_FOR = 0.25  # [s]; a bus that accepts no command for longer is a fault
-LATE = 0.1  # [s] after its end at which a pulse is overdue, and no longer waited for: its bus accepts no frames
-EARLY = 0.004  # [s] that a pulse may end early; without it a slow bus could make a pulse longer by a whole period
+LATE = 0.1  # [s] after its end a pulse is overdue. Nothing waits for it any longer: its bus accepts no frames
+EARLY = 0.004  # [s] by which a pulse may end early; otherwise a slow bus could add a whole period
 
 
 class Actuation:
@@ -31,13 +31,13 @@ class Actuation:
         self.fault: ArmFault | None = None
         self._master, self._arm, self._kinds, self._journal = master, arm, kinds, journal
         self._arrives_at = [-1e12] * len(arm.actuators)
-        self._states = 0  # last states; they count for paired actuators whose outputs are both off
+        self._states = 0  # last states, valid for paired actuators with both outputs off
         self._adopted: int | None = None  # states as adopted or switched since; None before the first adoption
         # when a bus accepted no command for the first time [s]; None: nothing waits to be switched
         self.busy_since: float | None = None
         self._pulse_ends = dict.fromkeys(kinds.pulse, -math.inf)
-        self._watched = 0  # mask of the actuators whose pulse is not known to have ended
-        self.told = 0  # mask of those that are reported as overdue
+        self._watched = 0  # mask of the actuators without a confirmed end of their pulse
+        self.told = 0  # mask of the actuators reported as overdue
         self._adopted_at = -math.inf
         self._doubtful = 0  # mask of the paired actuators that the running commit energises
         self._given_up = False  # the running commit is not wanted any more
@@ -151,7 +151,7 @@ class Actuation:
         self.missed &= ~energised
         self._doubtful &= ~energised
         self._states = states
-        if self._adopted is not None:  # a pulse that a start finds may end before the first adoption
+        if self._adopted is not None:  # a pulse found at the start may end before the first adoption
             self._adopted = states
         self._record_moved(moved, now)
         self.switches += moved.bit_count()

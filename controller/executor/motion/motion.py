@@ -245,7 +245,7 @@ class ArmMotion:
         elif now < self.actuation.free_at or self.moving:
             return None
         elif not self._begin_stage(index, stream.start, stream.stages[index], stream.strict, now):
-            stream.stages = []  # the planner's follower must find other stages
+            stream.stages = []  # the planner must find other stages
         return None
 
     def _begin_stage(self, index: int, planned: int, states: int, strict: bool, now: float) -> bool:

@@ -42,7 +42,7 @@ class MotionSupervision:
         ends = self._ends
         self._commanded, self._commanded_known = states, known
         self._reported = self._suspect = self._final = self._doubtful = 0
-        self._strayed = 0  # actuators that seem to move without a command, and whose boards were asked
+        self._strayed = 0  # mask of actuators that seem to move without a command; their boards were asked
         self._last = ends
         self._missed = [0] * len(self._places)
         self._pending = self._confirms = self._late(ends) & ~ends.extended & ~ends.contracted & known

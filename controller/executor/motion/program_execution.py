@@ -71,7 +71,7 @@ class ProgramExecution:
         self._at = [stage.at for stage in program.stages]
         self._start = locked.aligned(unpack(program.start))
         self._settles: float | None = None  # when the mark reached settles [s]
-        self._waits_since: float | None = None  # for its next stages, after all others [s, awake time]
+        self._waits_since: float | None = None  # start of the wait for further stages [s, awake time]
 
     def state(self, index: int) -> int:
         """Returns the states at the end of a stage; those from which the program was planned for stage -1."""
@@ -249,7 +249,7 @@ class ProgramResults:
             travels=tuple(execution.travels[:MOST_TRAVELS]),
             verified=execution.verified,
         )
-        if len(self.stored) > MOST_STORED:  # the planner acknowledges nothing
+        if len(self.stored) > MOST_STORED:  # the planner sends no acknowledgements
             del self.stored[min(self.stored)]
         self.send_counts()
         self._send(result)

@@ -17,8 +17,8 @@ log = logging.getLogger(__name__)
 
 OPEN_EVERY = 1.0  # [s] between two attempts to open a bus that does not exist
 POLL_EVERY = 0.002  # [s] where a bus has no file descriptor
-LISTEN, PERIODS = 0.25, 2.5  # [s] for another master before the first frame, and periods of the own heartbeat
-APART = 0.01  # [s] between two heartbeats of a master; what the kernel kept of a dead one comes at once
+LISTEN, PERIODS = 0.25, 2.5  # time to listen for another master before the first frame: [s], and in heartbeat periods
+APART = 0.01  # [s], least time between two heartbeats of a live master; frames kept by the kernel come at once
 MASTER_BEAT = cia301.heartbeat(MASTER, State.OPERATIONAL)
 
 

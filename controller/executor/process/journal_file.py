@@ -24,7 +24,7 @@ from hyperbit.controller.host.keeper import SHARED, lock_file, start_keeper, wri
 
 log = logging.getLogger(__name__)
 
-INTERVAL = 60.0  # [s] between two copies, which a power failure loses
+INTERVAL = 60.0  # [s] between two copies; a power failure loses the counts since the last one
 LAST_COPY = 2.0  # [s] for the last copy after an earlier executor
 ENDING = 1.0  # [s] for the last copy
 PAGE = mmap.PAGESIZE

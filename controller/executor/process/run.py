@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("executor")
 
-SOON = 0.001  # [s] before diagnostics are due at which a tick asks for the figures of the process
-CLOSE = 0.0007  # [s] before a tick in which no message is handled; a program takes about as long
+SOON = 0.001  # [s] before due diagnostics, a tick requests the figures of the process
+CLOSE = 0.0007  # [s] before a tick no message is handled; a program takes about as long
 MOST_ROUNDS = 32  # polls of the buses in a row, before the tick is checked
 MOST_PENDING = 1_000  # recorded events that wait for the end of a tick
-CHECKPOINTING = 0.005  # [s] left before the next tick; 24 boards with 48 actuators take 0.002 s
+CHECKPOINTING = 0.005  # [s], least time before the next tick for a checkpoint; 24 boards with 48 actuators take 0.002 s
 CHECKPOINT_AT = 10_000  # events since the last checkpoint
 CLOSING = 0.25  # [s] for the running stage at the end
 FLUSHING = 0.5  # [s] for the messages that wait at the end

@@ -29,7 +29,7 @@ BACKLOG = 128  # connections that wait to be accepted
 MOST_ACCEPTED = 16  # connections in one poll, so that a flood of them does not block the loop
 MOST_MESSAGES = 64  # of all clients in one poll, about, so that a flood does not block the loop
 LEAST_MESSAGES = 4  # of one client in one poll
-MOST_QUEUED = 1_000  # messages that wait for a client that does not read; it is disconnected with more
+MOST_QUEUED = 1_000  # waiting messages of a client; above this number it is disconnected
 HELLO_TIMEOUT = 1.0  # [s] from the connection to its Hello
 PLACES = {"silent": 16, "operator": 15}  # the core refuses a second planner, and its connection ends at once
 LINES_EVERY = 1.0  # [s] between two lines of the log
@@ -82,7 +82,7 @@ def superfluous(connections: Iterable[ClientConnection]) -> Iterator[ClientConne
         group = [connection for connection in every if connection.place == place]
         counts = Counter(connection.client.pid for connection in group)
         for _ in range(len(group) - places):
-            first = max(group, key=lambda connection: counts[connection.client.pid])  # of equals the oldest
+            first = max(group, key=lambda connection: counts[connection.client.pid])  # the oldest of equals
             group.remove(first)
             counts[first.client.pid] -= 1
             yield first
@@ -106,7 +106,7 @@ class ExecutorServer:
     def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
         self.dropped = 0  # number of dropped snapshots and diagnostics
         self._clock = clock
-        self._next_line, self._omitted = 0.0, 0  # when the next line of the log is written, and lines until then
+        self._next_line, self._omitted = 0.0, 0  # earliest time of the next log line, and number of omitted lines
         self._path, self._number = path, 0
         self._connections: dict[ClientId, ClientConnection] = {}
         self._gone: list[ClientId] = []
@@ -116,7 +116,7 @@ class ExecutorServer:
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         try:
             self._listening.bind(str(path))
-        except OSError as error:  # of a path of more than 107 bytes, or a full disk; it names no file
+        except OSError as error:  # the path has more than 107 bytes, or the disk is full; the error names no file
             raise OSError(f"the socket {path} cannot be made: {error}") from None
         path.chmod(0o660)  # the folder decides who may connect
         self._listening.listen(BACKLOG)

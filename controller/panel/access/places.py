@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 from hyperbit.controller.panel.access.people import Person, Role
 
-MOST_PAGES, MOST_VIEWERS = 100, 60  # open pages in all, and of viewers; the other places are the operators'
+MOST_PAGES, MOST_VIEWERS = 100, 60  # open pages of all people, and of viewers; the rest is for operators
 MOST_OF_PERSON = 30
-MOST_OF_ADDRESS = 50  # of each role, because a viewer at the operator's address must not take the operator's places
+MOST_OF_ADDRESS = 50  # of each role: a viewer at an operator's address must not take the operator's places
 
 
 class PagePlace(NamedTuple):

@@ -136,7 +136,7 @@ class ArmView:
         faults = advised(state.get("faults", ()))
         changed = self.history.state(state)
         before, self.state, self._heard, self.known = self.state, state, at, True  # the state can be read
-        described = ("goal", "obstacles", "poses", "mode")  # on a change of these, the description has changed as well
+        described = ("goal", "obstacles", "poses", "mode")  # the description changes with these
         if before is None or any(state.get(name) != before.get(name) for name in described):
             self._ask("running", *(() if self.drawing else ("drawing", "density")))
         if changed:

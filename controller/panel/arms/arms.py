@@ -20,9 +20,9 @@ log = logging.getLogger(__name__)
 
 TICK = 0.05  # [s] between two updates from the received states
 PRESENCE_EVERY = 0.5  # [s] between two updates of presence, and of arms that no page shows
-MOST_ARMS = 256  # further arms take the places of arms that are gone
-MOST_ALIVE = 10_000  # names of daemons that are there, of which some may have no place yet
-GONE_SHOWN = 600.0  # [s] for which an arm that is gone stays in the list
+MOST_ARMS = 256  # further arms take the places of gone arms
+MOST_ALIVE = 10_000  # names of live daemons; some may have no place yet
+GONE_SHOWN = 600.0  # [s] for which a gone arm stays in the list
 MOST_PENDING = 1000  # messages that wait for the loop; further messages are dropped
 MOST_MESSAGE = 16_000_000  # bytes
 KEYS = ("feedback", "result", "diagnostics", "request", "timeline")

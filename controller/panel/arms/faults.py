@@ -115,5 +115,5 @@ def advised(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def common_advice(codes: Sequence[str]) -> FaultAdvice:
     """Returns one advice for the faults of one source, at least one."""
     advices = [ADVICE.get(code, UNKNOWN) for code in codes]
-    urgent = next((it for it in advices if it.after is After.ITSELF), advices[0])  # what must be mended first
+    urgent = next((it for it in advices if it.after is After.ITSELF), advices[0])  # the fault to mend first
     return urgent._replace(after=After.RESET) if any(it.after is After.RESET for it in advices) else urgent

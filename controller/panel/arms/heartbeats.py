@@ -4,11 +4,11 @@ import itertools
 import time
 from collections.abc import Callable
 
-PERIOD = 0.25  # [s] between two heartbeats, at most
-LONGEST = 2.0  # [s] age of the heartbeat that a command names, at most
+PERIOD = 0.25  # [s], longest time between two heartbeats
+LONGEST = 2.0  # [s], greatest age of the heartbeat that a command names
 KEPT = 1000  # heartbeats of a page whose times are known
 
-_numbers = itertools.count(1)  # a page's number is none of another page
+_numbers = itertools.count(1)  # unique among all pages
 
 
 class Heartbeats:

@@ -139,11 +139,11 @@ class ExecutorView:
         self.state: ArmState | None = None  # at the latest snapshot
         self.diagnostics: Diagnostics | None = None  # the latest; None while not connected
         self.instance: int | None = None  # of the latest executor; None before the first connection
-        self.connected, self.problem = False, "waiting for the executor"  # why there is no connection
+        self.connected, self.problem = False, "waiting for the executor"  # the problem: why there is no connection
         self.counted: int | None = None  # switches of all actuators when the first executor was met
         self.simulation: Payload | None = None  # of simulated boards, for `arm`; None: real boards, or no connection
         self._travel, self._pace = travel, pace
-        self._switched_at = np.full(len(manipulator.actuators), -np.inf)  # according to the snapshots
+        self._switched_at = np.full(len(manipulator.actuators), -np.inf)  # time of the last switch, from snapshots [s]
         self._was_connected = False
         self._sentence, self._shown_for = "", ""
 

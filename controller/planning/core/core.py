@@ -33,14 +33,14 @@ if TYPE_CHECKING:
     from hyperbit.controller.arm.arm import Arm
     from hyperbit.controller.motion.stages.pacing import Pace
 
-# Fields that the core does not look inside: the flight recorder leaves them out.
+# Opaque fields for the core; the flight recorder omits them.
 OPAQUE: dict[type, str] = {Tables: "solvers", VersionedScene: "keep_out", ImprovePlan: "plan", Planned: "plan"}
 CALM = 0.003  # [s] after an action that is not a report, before the next report
 LAST_RESULTS_WITHIN = 1.0  # [s] at the end for the executor to end the running goal
 
 
 class Beginning(NamedTuple):
-    name: str  # of this process, distinct from those of all others; a part of ids
+    name: str  # of this process, unique; a part of ids
     tables: Tables  # for the locks of the arm's file
     scene: VersionedScene  # the obstacles of the arm's file
     obstacles: int  # their number
@@ -129,7 +129,7 @@ class Core:
             case events.Recorded(entry):
                 self._programs.recorded(entry)
                 self._results.recorded(entry)
-            case events.LinkDown(reason):  # or there is no connection for another reason than before
+            case events.LinkDown(reason):  # or the reason has changed
                 was = self._view.connected
                 self._view.lost(reason)
                 if was:
@@ -141,7 +141,7 @@ class Core:
                 self._requests.unsent(number, reason)
             case events.Warned(warnings):
                 self._status.warnings = warnings
-            case Quit() if self._quit_at is None:  # refuses what waits, ends the running goal, and stays connected
+            case Quit() if self._quit_at is None:  # refuses waiting requests, ends the goal, stays connected
                 self._quit_at = self._moment.now + LAST_RESULTS_WITHIN
                 self._goals.quitting = True
                 self._queries.end_queries()

@@ -40,19 +40,19 @@ class Goal:
     job: int | None = None  # number of the task that plans, checks or improves it
 
     # --- while it waits
-    basis: Basis | None = None  # what the plan holds for
+    basis: Basis | None = None  # premises of the plan
     planned: Planned | States | None = None  # plan, or stages (k, A) of a jog; None: none for the present basis
-    waits: ArmState | None = None  # the snapshot after which it is offered again; None: it does not wait for one
+    waits: ArmState | None = None  # it is offered again after a newer snapshot; None: it does not wait
     plan_by: float | None = None  # end of its planning by its own deadline [s]; None: it has not begun, or has none
-    why: Refusal | None = None  # why it was planned or offered again, and would be refused then
+    why: Refusal | None = None  # reason for the last repetition; becomes the refusal if time runs out
 
     # --- from its offer on, see `make_program`
     program: Program = field(init=False)  # as it was sent
     report: GoalReport | None = None  # None: a jog has no path and no feedback
     feed: Feed = field(init=False)
-    answer: dict[str, Any] = field(init=False)  # waits until the ledger has the acceptance
+    answer: dict[str, Any] = field(init=False)  # sent when the ledger has the acceptance
     delay: float = 0.0  # the trajectory's t = 0 in the program's time [s]
-    unchecked: bool = False  # whether it cannot be checked, because it is not known where the arm is
+    unchecked: bool = False  # it cannot be checked: the arm's position is unknown
 
     # --- from its acceptance on
     begin: float = 0.0  # the program's zero of time [s]
@@ -61,7 +61,7 @@ class Goal:
     deviates: bool = False  # whether the deviations of its points are still awaited
     held: deque[Settled | Ended] = field(default_factory=deque)  # reports that wait for the deviations, in order
     checking: int | None = None  # number of the task that checks its next stages
-    switches: int = 0  # as the executor told last
+    switches: int = 0  # as last reported by the executor
 
 
 def jog_stages(parts: Parts, state: ArmState, wanted: dict[int, int]) -> States:

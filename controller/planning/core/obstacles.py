@@ -19,8 +19,8 @@ from hyperbit.controller.program import Clearance, Question
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
 
-CHECKED_AGAIN = 1.0  # [s] after a check of where the arm stands that has failed
-LONGEST = 5.0  # [s] for which the answer to new obstacles waits for the checks of what is in flight
+CHECKED_AGAIN = 1.0  # [s] until a failed check of the resting arm is repeated
+LONGEST = 5.0  # [s], longest wait of the answer to new obstacles for checks of programs in flight
 
 
 @dataclass(eq=False)
@@ -42,7 +42,7 @@ class ObstacleOwner:
         self._built_of: SentObstacles | None = None  # its message
         self._changes: list[Change] = []
         self._questions: list[Question] = []
-        self._standing_seen: tuple[int, bytes, bytes] | None = None  # what the last check depends on
+        self._standing_seen: tuple[int, bytes, bytes] | None = None  # inputs of the last check
         self._standing_job: int | None = None
         self._standing_from = -math.inf  # time of the next check [s]
 
@@ -94,7 +94,7 @@ class ObstacleOwner:
             return
         if isinstance(answer, SceneBuilt):
             self._built, self._built_of = answer, self._sent
-        else:  # the obstacles before stay in force, as a new generation, because what is in flight was parked
+        else:  # the previous obstacles stay valid, as a new generation, because all programs were parked
             self.generation += 1
             self._built = self._built._replace(scene=self._built.scene._replace(generation=self.generation))
             self._sent = self._built_of

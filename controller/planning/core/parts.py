@@ -19,9 +19,9 @@ from hyperbit.controller.planning.core.tasks import Answer, PrepareSearch, Task
 if TYPE_CHECKING:
     from hyperbit.controller.motion.stages.pacing import Pace
 
-HUNG = 60.0  # [s] after which a worker that was told to abandon its task counts as hung
-MOST_UNRESOLVED = 256  # tickets without an epoch; without an executor each stream of set-points leaves one
-MOST_CANCELED = 256  # ids whose cancels are kept for requests that arrived before and reach the core after them
+HUNG = 60.0  # [s] after which a worker with an abandoned task counts as hung
+MOST_UNRESOLVED = 256  # tickets without an epoch; each stream of set-points without an executor leaves one
+MOST_CANCELED = 256  # remembered cancels of ids, for requests that arrived earlier but reach the core later
 OnAnswer = Callable[[Answer], None]
 
 
@@ -169,7 +169,7 @@ class Parts:
         self, view: ExecutorView, pace: Pace, name: str, act: Callable[[Action], None], simulated: bool = False
     ) -> None:
         self.view, self.pace, self.act = view, pace, act
-        self.name = name  # of this process, distinct from those of all others; a part of ids
+        self.name = name  # of this process, unique; a part of ids
         self.simulated = simulated  # whether the boards of the arm are simulated
         self.moment, self.admission = Moment(), Admission()
         self.jobs = Jobs(self.moment, act)

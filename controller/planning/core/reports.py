@@ -25,7 +25,7 @@ class Context(msgspec.Struct, frozen=True, omit_defaults=True):
 
     id: str
     waypoints: int = 1  # their number
-    last_mark: int = 0  # mark of the last waypoint, which the next five attributes describe as in `GoalTarget`
+    last_mark: int = 0  # mark of the last waypoint; the next five fields describe it, as in `GoalTarget`
     position: list[float] = []  # empty for a jog, which has no target
     tolerance: float = 0.0
     rotation: list[float] = []  # nine numbers, row by row; empty: any orientation serves
@@ -45,7 +45,7 @@ class Context(msgspec.Struct, frozen=True, omit_defaults=True):
         return GoalTarget(np.array(self.position), self.tolerance, rotation, angle, self.configuration)
 
 
-class GoalOutcome(NamedTuple):  # the end of a goal, as its result tells it
+class GoalOutcome(NamedTuple):  # the end of a goal for its result
     status: str
     code: int
     message: str

@@ -97,7 +97,7 @@ class ExecutorRequests:
         self._parts, self._view, self._act = parts, parts.view, parts.act
         self._locks, self._goals, self._programs, self._queries = premises.locks, goals, programs, queries
         self._pending: dict[int, float] = {}  # time of each request that is not answered yet [s]
-        self._resets: dict[int, Ticket] = {}  # those of them whose epoch is not known yet
+        self._resets: dict[int, Ticket] = {}  # pending resets without a known epoch
 
     def receive_request(self, request: Request) -> None:
         number, admission, now = request.number, self._parts.admission, self._parts.moment.now

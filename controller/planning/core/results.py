@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from hyperbit.controller.manipulator.manipulator import Manipulator
 
 LOST = "the executor ended before it told how this goal ended; where the arm is now, `state` says"
-SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting, the executor has sent the results that it stores
+SENT_AGAIN_WITHIN = 5.0  # [s] after its greeting; by then the executor has sent its stored results
 
 
 @dataclass(eq=False)
@@ -36,8 +36,8 @@ class Untold:
     """A result that is not yet acknowledged."""
 
     identity: Identity
-    result: int | None  # number at the executor, which waits for its acknowledgement; None: it does not know the result
-    accepted: AcceptanceEntry  # for a ledger that may not have it
+    result: int | None  # number at the executor, for the acknowledgement; None: unknown to the executor
+    accepted: AcceptanceEntry  # in case the ledger lacks it
     payload: Payload
 
 
@@ -60,7 +60,7 @@ class Results:
         self._last = 0  # number of a publication or of an entry of the ledger
         self._publishing: dict[int, Untold] = {}
         self._recording: dict[int, Untold] = {}
-        # By entry of the acceptance, which the ledger must have before.
+        # By entry of the acceptance, which the ledger must have first.
         self._deferred: dict[int, events.PublishResult] = {}
 
     @property

@@ -32,7 +32,7 @@ class Status:
         self._premises, self._programs = premises, programs
         self._goals, self._queries, self._stream = goals, queries, stream
         self.warnings: tuple[Fault, ...] = ()  # of the shell, which logs them itself
-        # The fields of `state` that depend on measured actuator states only, and the packed states they are made from.
+        # The fields of `state` that depend only on measured states, and these states, packed.
         self._measured: tuple[tuple[bytes, bytes] | None, Payload] | None = None
         self.changed = True  # whether `state` may have changed since it was published
         self._published = self._diagnosed = -math.inf

@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from hyperbit.controller.arm.arm import Arm
 
 POLL = 0.005  # [s] between two considerations, at least
-ALIVE_EVERY = 0.02  # [s] between commands without news, which keep the stream alive
+ALIVE_EVERY = 0.02  # [s] between unchanged commands, which keep the stream alive
 NOTE_EVERY = 1.0  # [s] between changes of the note in `state`
-RETRY = 0.1  # [s] after a search that found nothing within tolerance, which takes longest
+RETRY = 0.1  # [s] after a search without result, which takes longest
 SEARCH_TIME = 0.005  # [s] expected for the first search
 SMOOTHING = 0.1  # weight of the latest value in running means
 LONGEST = 1_000  # characters of a reason
-MOST_SENDERS = 16  # of set-points whose pauses are told apart
+MOST_SENDERS = 16  # of set-points with separately detected pauses
 MOST_DELAY = 0.2  # [s] of a set-point between its arrival and the core
 
 
@@ -53,13 +53,13 @@ class Stream:
         self._admission, self._dimension = parts.admission, arm.manipulator.dimension
         self._default_tolerance = self._tolerance = arm.tolerance
         self._tracker, self._timeout = GoalTracker(self._dimension, tracking), tracking.timeout
-        self._lead = arm.travel_time + TICK  # of a stage
+        self._lead = arm.travel_time + TICK  # longest time of a stage [s]
         self._ticket: Ticket | None = None  # of the first set-point; None: no stream is followed
         self._sender = ""  # of the present stream
         self._senders: dict[str, tuple[Ticket, float]] = {}  # first ticket and last time [s] of each, until it pauses
         self._number, self._offset, self._searching = 0, 0.0, SEARCH_TIME
         self._heard = self._fitted = self._next_look = self._next_alive = self._next_note = self._retry = -math.inf
-        self._next_search = -math.inf  # as of the last consideration
+        self._next_search = -math.inf  # state at the last consideration
         self._job: int | None = None  # number of the search under way
         self._answer: tuple[Basis, Followed] | None = None  # not considered yet
         self._found: tuple[Basis, tuple[bytes, ...]] | None = None  # stages of the last search

@@ -37,7 +37,7 @@ from hyperbit.controller.search.solver import Solver, search_time
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.mapping import map_densities
 
-MOST_THREADS = 2  # of one plan: to search a way around obstacles, and to prove that there is none
+MOST_THREADS = 2  # of one plan: one searches a way around obstacles, one a proof that there is none
 
 # Called between two parts of a task. Returns whether the task must end soon. Raises Abandoned if the task is no longer
 # needed, Refusal if its time is over.
@@ -123,7 +123,7 @@ def build_scene(arm: Arm, task: tasks.BuildScene) -> tasks.SceneBuilt:
 # --- goals
 
 
-class PlannedGoal(NamedTuple):  # a plan with what its improvement needs; `Planned.plan`
+class PlannedGoal(NamedTuple):  # a plan with data for its improvement; `Planned.plan`
     plan: TrajectoryPlan  # from the configuration of `start.states`
     first: Staged  # transition to the first point from `start.commanded`
     points: tuple[PlannedPoint, ...]  # of `Planned`

@@ -28,9 +28,9 @@ from hyperbit.controller.workspace.densities import Densities
 log = logging.getLogger(__name__)
 
 LONG = 1.0  # [s]: a plan with a later deadline is long
-POLL = 0.05  # [s] between two looks whether a plan is still wanted
+POLL = 0.05  # [s] between two tests whether a plan is still wanted
 START = 60.0  # [s] for a process to start and to send its answer, on a busy machine
-NICE = 10  # goals and set-points go first, where the service lets a process lower its priority
+NICE = 10  # goals and set-points have priority, if the service permits a lower priority
 SPAWN = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
 
 

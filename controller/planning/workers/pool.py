@@ -69,7 +69,7 @@ class Workers:
         self._arm, self._densities, self._weights, self._post, self._fatal = arm, densities, weights, post, fatal
         self._for_goals, self._for_queries = ArmModel(arm, "goals"), ArmModel(arm, "queries")
         self._for_setpoints = ArmModel(arm, "setpoints")
-        self._queued: dict[int, QueuedTask] = {}  # not answered; a worker removes its own
+        self._queued: dict[int, QueuedTask] = {}  # unanswered tasks; a worker removes its own
         self._queues = {name: queue.SimpleQueue[QueuedTask | None]() for name in (*THREADS, LONG_PLANS)}
         self._processes = [LongPlanner(arm, weights) for _ in range(arm.settings.planning.workers)]
         carriers = [*((name, None) for name in THREADS), *((LONG_PLANS, process) for process in self._processes)]
@@ -115,7 +115,7 @@ class Workers:
                 last = self._answer(queued, process)
                 self._queued.pop(queued.number, None)
                 self._post(Answered(queued.number, last, True))
-        except BaseException as error:  # SystemExit too, which would end a thread without a word
+        except BaseException as error:  # also SystemExit, which would end a thread silently
             log.critical("the thread for %s has ended", name, exc_info=True)
             self._fatal(f"the planner's thread for {name} has ended: {error!r}")
 

@@ -34,10 +34,10 @@ from hyperbit.controller.ros2.wire.action_events import (
 
 NO_UUID = bytes(16)
 RESTORED = -1  # number of the request of a restored goal, which was answered before
-MOST_GOALS = 64  # that are known at once; ended ones are forgotten early if there are more
+MOST_GOALS = 64  # known at once; above this number ended goals are forgotten early
 ACTIVE = (Status.ACCEPTED, Status.EXECUTING, Status.CANCELING)
 CANCELABLE = (Status.ACCEPTED, Status.EXECUTING)
-# From which states a goal may come to a state.
+# Permitted earlier states by new state.
 BEFORE: dict[Status, tuple[Status, ...]] = {
     Status.EXECUTING: (Status.ACCEPTED,),
     Status.SUCCEEDED: (Status.EXECUTING, Status.CANCELING),
@@ -148,7 +148,7 @@ class ActionCore:
     def _change(self, event: StatusChanged, now: float) -> Iterator[Action]:
         old = self.status(event.uuid)
         if event.status is Status.EXECUTING and old is Status.CANCELING:
-            return  # a cancel came between acceptance and execution, of which the program need not know
+            return  # a cancel came between acceptance and execution; the program need not know
         if old not in BEFORE[event.status]:
             raise IllegalTransition(f"goal {event.uuid.hex()} is {old.name}, it cannot become {event.status.name}")
         goal = self.goals[event.uuid]

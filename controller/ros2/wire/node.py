@@ -24,8 +24,8 @@ class Closable(Protocol):
 
 T = TypeVar("T", bound=Closable)
 MOST_QUOTED = 200  # letters of a type and its hash
-MOST_TOLD = 100  # tokens that are remembered because they were told
-# Which kind of endpoint exchanges messages with which.
+MOST_TOLD = 100  # remembered tokens of reported conflicts
+# Kinds of endpoints that exchange messages.
 OPPOSITE = {
     Kind.PUBLISHER: Kind.SUBSCRIBER,
     Kind.SUBSCRIBER: Kind.PUBLISHER,
@@ -58,7 +58,7 @@ class Node:
         enclave: str = "/",
     ) -> None:
         names.check_node(name, namespace)
-        self.types = Types(distro)  # of its distribution; `types.register` adds others
+        self.types = Types(distro)  # types of the distribution; `types.register` adds others
         self._session = session
         number = session.next_number()
         self.token = Token(domain, session.zid, number, number, Kind.NODE, name, namespace, enclave or "/")

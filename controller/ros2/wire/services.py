@@ -62,7 +62,7 @@ class Service:
         self._key, self._name, self._handler, self._types = key, name, handler, types
         self._lock, self._numbers = threading.Lock(), itertools.count()
         self._open: dict[int, zenoh.Query] = {}
-        # Clients of rmw_zenoh query services that are complete only.
+        # Clients of rmw_zenoh query only services that are declared complete.
         self._queryable = session.declare_queryable(key, self._on_query, complete=True)
         self._token = session.liveliness().declare_token(token.text)
 

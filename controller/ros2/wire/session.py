@@ -13,7 +13,7 @@ import zenoh
 from hyperbit.controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Token, parse
 
 ROUTER = "tcp/localhost:7447"
-MOST_FRAGMENTS = 2_000_000  # bytes that Zenoh puts together to one message, roughly; it drops longer ones
+MOST_FRAGMENTS = 2_000_000  # bytes, about: longest message that Zenoh assembles; it drops longer ones
 LONGEST_PAUSE = 4.0  # [s] between two attempts to reach the router
 
 
@@ -67,7 +67,7 @@ class Session:
             domain: ROS_DOMAIN_ID.
             timeout: longest time to wait for the answer [s].
         """
-        found: dict[Token, None] = {}  # the session's own come twice
+        found: dict[Token, None] = {}  # the session's own tokens come twice
         for reply in self.zenoh.liveliness().get(f"{ADMIN_SPACE}/{domain}/**", timeout=timeout):
             if reply.ok is not None:
                 try:

@@ -16,7 +16,7 @@ from hyperbit.controller.ros2.wire.qos import History, Qos
 from hyperbit.controller.ros2.wire.tokens import Token
 from hyperbit.controller.ros2.wire.types import Types
 
-HEARTBEAT = 0.5  # [s]; how often a publisher tells the number of its last sample, as rmw_zenoh
+HEARTBEAT = 0.5  # [s] between two reports of a publisher's last sample number, as in rmw_zenoh
 log = logging.getLogger(__name__)
 
 

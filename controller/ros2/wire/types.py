@@ -43,7 +43,7 @@ class Types:
         self._version = VERSIONS[distribution]
         self.store = get_typestore(Stores.ROS2_JAZZY)  # rosbags' store; a service or action is stored as its messages
         self.hashes: dict[str, str] = {}  # RIHS01 hash by name of a message, of a service, or of an action's part
-        for path in sorted(DEFINITIONS.glob("*/*/*.*"), key=lambda it: it.suffix != ".msg"):  # others refer to these
+        for path in sorted(DEFINITIONS.glob("*/*/*.*"), key=lambda it: it.suffix != ".msg"):  # others refer to it
             stem, _, version = path.stem.partition(".")
             if version in ("", self._version):
                 name = "/".join((*path.parts[-3:-1], stem))
@@ -102,7 +102,7 @@ class Types:
         found: Typesdict = {}
         try:
             for part, lines in texts.items():
-                # rosbags names what is in a folder `srv` as if it were in `msg`, so the name is set here.
+                # rosbags names a type in a folder `srv` as if it were in `msg`. So the name is set here.
                 (found[part],) = get_types_from_msg(lines, part).values()
             known = self.store.fielddefs.keys() | found.keys()
             if unknown := {it for _, fields in found.values() for it in _references(fields)} - known:
