@@ -130,7 +130,7 @@ class Manipulator:
 
     @cached_property
     def _codes(self) -> list[dict[bytes, int]]:
-        """For each module, its first state for each code: actuator states as bytes of int64."""
+        """For each module: its first state by code. A code is the actuator states as bytes of int64."""
         every = [module.bits.astype(np.int64) for module in self.modules]
         return [{code.tobytes(): k for k, code in reversed(list(enumerate(codes)))} for codes in every]
 

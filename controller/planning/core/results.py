@@ -139,7 +139,7 @@ class Results:
             self.lost(identity, context, outcome, 0 if mark is None else mark.switches, None)
 
     def _told_outcome(self, identity: Identity) -> GoalOutcome | None:
-        """Returns the outcome that an earlier planner process has published, perhaps in vain; otherwise None."""
+        """Returns the outcome that an earlier planner process has published, if any; clients may have missed it."""
         mark = self._doubtful.get(identity)
         return None if mark is None else GoalOutcome(mark.status, mark.code, mark.message)
 

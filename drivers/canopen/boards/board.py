@@ -16,8 +16,8 @@ from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import STATES, Command, State
 from hyperbit.drivers.canopen.wire.link import Link
 
-_INPUT_TIMEOUT = 0.3  # [s] for the inputs
-_WINDOW = 10  # periods of the heartbeat in which it is counted
+_INPUT_TIMEOUT = 0.3  # [s] for the answer with the inputs
+_WINDOW = 10  # length of a counting window in heartbeat periods
 
 
 @dataclass
@@ -72,13 +72,13 @@ class Board:
         self.runner = Runner(layout.node, link)
         self.questioning = self._question_again = False  # whether a question for its inputs waits for the answer
         self.state: State | None = None  # NMT state; None: unknown
-        self.frames = self.boots = 0  # that were understood; boot-up messages among them
+        self.frames = self.boots = 0  # number of understood frames, and of boot-up messages among them
         self.guarded = False  # the master polls it by remote frames: it sends no heartbeats
         self.emergency: int | None = None  # code of the last one; None after its end
-        self.emergency_register = 0  # error register that came with it
+        self.emergency_register = 0  # error register in that emergency
         self.ignored_errors = 0  # bits of 1001h that are no fault, or stood already at the boot
         self.history: int | None = None  # newest entry of 1003h at the boot; None: not asked, or there is none
-        self.unverified = 0  # counts switches and reads whose outputs could not be read back
+        self.unverified = 0  # number of switches and reads whose outputs could not be read back
         self.warnings: tuple[str, ...] = ()  # limits of the board
         self.expected: tuple[Need, ...] = ()  # values of its objects at the end of the last boot
         self.beats = BeatCount()
@@ -89,7 +89,7 @@ class Board:
         self.held: bool | None = None
         self._image, self.report = image, report
         self._inputs = 0
-        self._brought = 0  # mask of the input bits that TPDOs have brought since `begin_input_read`
+        self._brought = 0  # mask of the input bits received by TPDO since `begin_input_read`
         self._ready = self._booted = self._lost = False
         self._frames_before = 0  # number of frames when the board was lost
         self._beat_at: float | None = None
@@ -124,7 +124,7 @@ class Board:
 
     def forget(self) -> None:
         """Marks outputs, inputs and NMT state as unknown until the next boot."""
-        self.released &= not self._booted  # an attempt that failed is not the last start
+        self.released &= not self._booted  # a failed boot does not count as a start
         self.ready = self._booted = False
         self.state = self.history = None
 
@@ -232,7 +232,7 @@ class Board:
             self.boots += 1
             self.restarted = True
             self._toggle = None
-        if state is State.BOOT_UP and self._booted:  # also if it was lost before that
+        if state is State.BOOT_UP and self._booted:  # also after a loss
             self._booted = self.released = False
             what = "it has restarted, its outputs are unknown: check its supply, then reset"
             self.fail("board-rebooted", f"board {self.name}: {what}")
@@ -246,7 +246,7 @@ class Board:
             self.emergency, self.emergency_register = None, 0
             return
         self.emergency, self.emergency_register, self.held = code, register, None
-        if self._ready:  # before, it may be old: the boot reads 1001h
+        if self._ready:  # before that, the emergency may be old: the boot reads 1001h
             self._fault("emergency", f"it reports {cia301.emergency_words(code)}: remove the cause, then reset")
 
     def _receive_inputs(self, data: bytes, size: int, carried: Iterable[Carried]) -> bool:

@@ -56,10 +56,10 @@ class OutputLines:
     """The output lines of all boards, as masks. Bits of frames without a line keep the value that was read back."""
 
     def __init__(self, layout: Layout, pulsed: int) -> None:
-        self.pulsed = pulsed  # on for a pulse only
+        self.pulsed = pulsed  # mask of the lines with pulses
         self.states = 0  # levels after the last SYNC
-        self.unread = 0  # switched, and not read back with this level since
-        self.missed = 0  # whose pulse was not read back while it was on; the caller clears it
+        self.unread = 0  # mask of the lines not read back since their last switch
+        self.missed = 0  # mask of the lines whose pulse was not read back while on; the caller clears it
         # May be on: the bus was lost while a SYNC was being sent, or the end of a pulse was not read back.
         self.doubtful = 0
         self._moved = [0] * len(layout.boards)  # lines of each board that may have changed since `begin_read`
@@ -71,7 +71,7 @@ class OutputLines:
         self._image: dict[Key, int] = {}
         # The bytes that the boards apply at the next SYNC. None: unknown, so the frame is sent before any SYNC.
         self._latched: dict[Key, int | None] = {}
-        self._uncertain: set[Key] = set()  # frames that may have been sent: the next SYNC may apply them
+        self._uncertain: set[Key] = set()  # frames with unconfirmed sending: the next SYNC may apply them
         self._assemble()
 
     @property

@@ -56,14 +56,14 @@ def boot_board(
             yield from undo.recorded(_steps(boot))
             return
         except BoardError as error:
-            if error.fault.code != "board-missing":  # node guarding goes on, so that its outputs stay as they are
+            if error.fault.code != "board-missing":  # node guarding continues, so that its outputs stay unchanged
                 yield from undo.restore()
                 raise
-            if boot.kind >= 0:  # perhaps it has stopped since it told its state, and answers only node guarding
+            if boot.kind >= 0:  # the board may have stopped after its last state, and answer only node guarding
                 board.state = None
                 board.guard()
                 yield Wait(lambda: board.state is not None, 2 * timing.heartbeat)
-                if board.stopped and stops_left:  # polls go on: the first one has begun the life time of the board
+                if board.stopped and stops_left:  # polls continue: the first one has started the board's life time
                     undo.begin_again()
                     continue
             board.guarded = False
@@ -193,7 +193,7 @@ def _enter_pre_operational(boot: Boot) -> Procedure:
         yield from _write_error_mode(it, {place: 0 for place in before}, unmet)
         board.state = None
         yield from _learn_state(boot)
-        if not unsure and board.state is not State.OPERATIONAL:  # perhaps it had left operational before the write
+        if not unsure and board.state is not State.OPERATIONAL:  # the board may have left operational before the write
             yield from _write_error_mode(it, before, unmet)
     boot.undo.left(board.state)
     yield from _order(board.layout, Command.PRE_OPERATIONAL)
@@ -243,7 +243,7 @@ def _check_errors(boot: Boot) -> Procedure:
     for _ in range(6):
         register, text, lost = yield from inspection.read_errors(it, board)
         if not register:
-            board.emergency, board.emergency_register = None, 0  # its end was missed
+            board.emergency, board.emergency_register = None, 0  # the end of this emergency was missed
             return
         yield Wait(lambda: False, _ERROR_TIMEOUT / 5)
     if not lost:
@@ -270,7 +270,7 @@ def _read_back(boot: Boot) -> Procedure:
     board.warnings, board.ignored_errors = tuple(it.warnings), it.quirk.ignored_errors | it.standing_errors
     board.expected = _expected(it, rpdos + tpdos)
     board.beats.period = 0.0 if it.guarded else it.values[0x1017, 0] / 1000
-    if it.standing_errors:  # only a new entry of the history tells a further error in these bits
+    if it.standing_errors:  # a further error in these bits shows only as a new entry of the history
         newest = yield Transfer(0x1003, 1, fresh=True)
         empty = 0 if newest.abort == objects.NO_DATA else None
         board.history = empty if newest.data is None else int.from_bytes(newest.data, "little")

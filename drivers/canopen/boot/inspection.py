@@ -22,7 +22,7 @@ from hyperbit.drivers.canopen.wiring import MASTER, ErrorState, Timing
 _PROFILE, _HAS_INPUTS, _HAS_OUTPUTS = 0x191, 1 << 16, 1 << 17  # of 1000h (CiA 401, 6.2)
 _NO_PROFILE = (0, 0xFFFF)  # low words of 1000h: no profile, or several devices (CiA 301, 7.5.2.1)
 _MASTER_LOST, _GENERIC, _COMMUNICATION = 0x8130, 0x01, 0x10  # error code, and the bits of 1001h that it sets
-_MOST_ENTRIES = 8  # of the error history that are read
+_MOST_ENTRIES = 8  # entries of the error history to read
 _NO_HISTORY = objects.ABSENT - {objects.NO_SUB_INDEX, objects.NO_DATA}  # abort codes of a board without 1003h
 
 
@@ -102,7 +102,7 @@ def read_errors(it: Inspection, board: Board | None) -> Generator[Step, SdoOutco
         cause: int | None = entry & 0xFFFF
     elif place is None:
         text += "; it has no 1003h (error history)"
-        cause = _MASTER_LOST if reported is None else reported  # the likely cause, as it has just lost a master
+        cause = _MASTER_LOST if reported is None else reported  # the likely cause: the board has just lost a master
     else:
         cause = None
     if reported is not None:
@@ -220,7 +220,7 @@ def _outputs(it: Inspection, error_state: ErrorState | None) -> Reading:
     """Checks polarity, filter and error mode of the outputs; a maker's object has none of these."""
     layout = it.layout
     state = layout.settings.error_state or error_state
-    goes_off = state == "off" and layout.loss_is_off  # by itself, as it must
+    goes_off = state == "off" and layout.loss_is_off  # goes off by itself, as required
     if layout.settings.object == OUTPUTS:
         yield from _read(it, configuration.polarity(layout) + configuration.filters(layout))
         yield from _read(it, configuration.error_mode(layout, required=not goes_off), it.error_mode)

@@ -16,7 +16,7 @@ from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
 from hyperbit.drivers.canopen.wire import cia301
 from hyperbit.drivers.canopen.wire.cia301 import INVALID
 
-_MOST_PDOS = 32  # PDOs of one direction that are searched
+_MOST_PDOS = 32  # PDOs of one direction to search
 _MOST_USED = 4  # PDOs of one direction
 _LAST_TRIED = 8  # a board without this PDO has none after it
 

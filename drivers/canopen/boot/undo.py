@@ -20,8 +20,8 @@ class Undo:
         self.pins_known = False  # whether 6200h has the known levels of the pins, so that START changes none
         self._spared = spared
         self._seen: dict[tuple[int, int], bytes] = {}  # last value of each object
-        self._state_known = False  # whether the NMT state that was found is recorded, or was pre-operational
-        self._back: list[Transfer | Order] = []  # the steps that take each change back
+        self._state_known = False  # the initial NMT state is recorded, or was pre-operational
+        self._back: list[Transfer | Order] = []  # steps that undo each change
 
     def recorded(self, procedure: Procedure) -> Procedure:
         """Runs a procedure, and records its writes. Reads an object of unknown value before its write."""

@@ -11,7 +11,7 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wire.link import Link
 
 _SYNC = Frame(cia301.SYNC)
-_LONGEST = 1.0  # [s] from the begin of a commit, within which its frames are sent, or its bus is lost
+_LONGEST = 1.0  # [s] from the begin of a commit, until its frames are sent or its bus is lost
 
 
 class BusCommit:
@@ -29,12 +29,12 @@ class BusCommit:
         self.link, self.bus = link, link.name
         self.states = 0  # levels of all lines after the commit
         self.began = 0.0  # [s, real time]
-        self.collecting = False  # no SYNC was handed out, so that nothing has switched but boards without SYNC
+        self.collecting = False  # no SYNC was handed out: only boards without SYNC have switched
         self.waiting: dict[Frame, Key | None] = {}  # RPDOs and NMT commands that were handed out and not sent yet
         self.failed: str | None = None  # why, as a sentence
         self._outputs, self._record = outputs, record
         self._syncing = False  # SYNC was handed out and not sent yet
-        self._leaving: dict[Frame, Key] = {}  # frames of a commit given up that switch without SYNC
+        self._leaving: dict[Frame, Key] = {}  # frames of an abandoned commit that switch without SYNC
 
     @property
     def under_way(self) -> bool:
@@ -110,7 +110,7 @@ class BusCommit:
             self._leaving.pop(frame, None)
 
     def tick(self, clock: float) -> None:
-        if self.unknown and clock - self.began > _LONGEST:  # in doubt: nothing may wait for a frame for ever
+        if self.unknown and clock - self.began > _LONGEST:  # unknown result: nothing may wait for a frame for ever
             self.lost()
         if not self.link.echoes:  # frames that did not fail count as sent
             for frame in [*self.waiting, *self._leaving, *([_SYNC] if self._syncing else ())]:

@@ -293,7 +293,7 @@ class Master:
                 here = [board for board in self._boards if board.layout.bus == bus]
                 for each in (board for board in here if data[1] in (0, board.layout.node)):
                     each.obey(data[0])
-                    if data[0] == Command.START:  # the pins are as 6200h says, so its boot begins again
+                    if data[0] == Command.START:  # the pins now match 6200h, so its boot begins again
                         self._booting.rebooted(each, time)
             return True
         board = self._by_id.get((bus, cob_id & 0x7F))

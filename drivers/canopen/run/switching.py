@@ -15,7 +15,7 @@ from hyperbit.drivers.canopen.wire.cia301 import Command, Frame
 from hyperbit.drivers.canopen.wire.link import Link
 from hyperbit.drivers.canopen.wiring import Timing
 
-_RECENT = 0.01  # [s] from the begin of a stage, within which nearly all of its frames are sent
+_RECENT = 0.01  # [s] from the begin of a stage, until nearly all of its frames are sent
 
 
 class OutputSwitching:
@@ -37,7 +37,7 @@ class OutputSwitching:
         # A commit that takes longer is cancelled, since its SYNC would be too late [s].
         self._longest = timing.heartbeat_timeout / 2
         self._stage: list[BusCommit] = []
-        self._releases: dict[str, int] = {}  # of each bus, mask of the lines that its last release switches off
+        self._releases: dict[str, int] = {}  # by bus: mask of the lines that its last release switches off
 
     @property
     def under_way(self) -> bool:
@@ -149,7 +149,7 @@ class OutputSwitching:
         self._releases[bus] = off
         commit.begin(states, orders, keys, now, time)
         for board in left_out.values():
-            if board.heard:  # it was told to leave operational, in which its boot may have put it
+            if board.heard:  # the master has ordered it to leave operational, which its boot may have entered
                 self._booting.rebooted(board, time)
 
     def _ends(self, commit: BusCommit, off: int, now: float) -> bool:

@@ -20,9 +20,9 @@ _SHARE, _SHORTEST = 0.01, 0.05  # share of the bit rate, and shortest time betwe
 _ALL_WITHIN = 1.0  # [s] for the outputs of all boards of a bus after a switch
 _ANSWER = 0.1  # [s] for one answer; longer for a board that answers slowly
 _PAUSE, _TRIES = 0.05, 8  # [s] between two reads of outputs that are not yet right, and number of reads
-_PULSE_PAUSE, _PULSE_TRIES = 0.01, 2  # the same inside a pulse: as many wrong reads prove that it did not begin
-_MOST_SILENT = 3  # reads in a row without a result
-_MOST_MISSED = 3  # pulses in a row that were over before they were read
+_PULSE_PAUSE, _PULSE_TRIES = 0.01, 2  # the same inside a pulse: so many wrong reads prove that it did not begin
+_MOST_SILENT = 3  # successive reads without a result
+_MOST_MISSED = 3  # successive pulses that ended before their read
 _INPUTS_EVERY = 1.5  # [s] between two reads of the inputs; with the answer, a lost TPDO is noticed within 2 s
 
 Reads = Generator[Step, SdoOutcome, None]
@@ -40,15 +40,15 @@ class Verification:
         self._boards, self._outputs, self._commits = boards, outputs, commits
         sensed = union(board.layout.sensed for board in boards)
         self._urgent = ~sensed | outputs.pulsed  # lines that are read at once
-        self._fragile = outputs.pulsed & ~sensed  # lines of which only a read inside the pulse tells
+        self._fragile = outputs.pulsed & ~sensed  # lines that only a read inside the pulse can verify
         count = len(boards)
-        self._silent = [0] * count  # reads in a row without a result, while the board was heard
-        self._heard = [0] * count  # number of its frames at the last of them
-        self._wrong = [0] * count  # wrong reads since the lines of `_stays` last changed
-        self._stays = [0] * count  # lines that were read wrong, and had no other level since
+        self._silent = [0] * count  # successive reads without a result, while the board sends other frames
+        self._heard = [0] * count  # number of the board's frames at the last silent read
+        self._wrong = [0] * count  # number of wrong reads since the last change of `_stays`
+        self._stays = [0] * count  # lines that were read wrong, and have had the same level since
         self._levels = [0] * count  # their levels
-        self._missed = [0] * count  # pulses in a row that were not read back, though the board answers
-        self._answers = [False] * count  # whether it has answered since the last of them
+        self._missed = [0] * count  # successive pulses that were not read back, although the board answers
+        self._answers = [False] * count  # whether the board has answered since the last missed pulse
         self._pause = [0.0] * count  # until the next read of outputs [s]
         self._next_read = [0.0] * count  # time of this read
         self._asked_at = [0.0] * count  # time of the last read
@@ -159,7 +159,7 @@ class Verification:
         outputs.missed |= wrong & off & ~released  # another program has switched it on
         self._pause[i] = (_PULSE_PAUSE if wrong & outputs.pulsed & ~off else _PAUSE) if wrong else 0.0
         wrong &= ~released
-        # Counts a wrong read. Only another level than at a wrong read shows that a line follows, if late.
+        # Counts a wrong read. Only a different level than at an earlier wrong read shows that a line follows late.
         levels = outputs.states ^ wrong
         self._stays[i] = self._stays[i] & ~((right | wrong) & (levels ^ self._levels[i])) | wrong
         self._levels[i] = self._levels[i] & ~wrong | levels & wrong

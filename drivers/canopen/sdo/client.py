@@ -16,8 +16,8 @@ _SLOW_FACTOR, _LONGEST_TIMEOUT = (
     3.0,
 )  # timeout of a slow board: factor on its longest answer time, and its limit [s]
 _LATE = 4.0  # [s] for which an answer to an earlier request may still come
-_MOST_SEGMENTS = 8  # of one answer; a number of four bytes takes one
-_WINDOW, _MOST_TWICE = 20, 15  # transfers, and of them those that one board alone never has answered twice
+_MOST_SEGMENTS = 8  # of one answer; a number of four bytes needs one
+_WINDOW, _MOST_TWICE = 20, 15  # transfers in a window; double answers above which there are two boards
 _TIMED_OUT, _TOO_LONG = 0x0504_0000, 0x0504_0005  # abort codes
 
 
@@ -61,14 +61,14 @@ class SdoClient:
         self._segments: bytes | None = None  # received so far; None outside a segmented answer
         self._expected = 0  # segments received
         self._asked = 0  # requests of this transfer
-        self._asked_at = 0.0  # time of the first of them
+        self._asked_at = 0.0  # time of the first request
         self._slowest = 0.0  # longest answer time [s]
-        self._owed: dict[bytes, tuple[int, float]] = {}  # by object: late answers that may come, and until when
+        self._owed: dict[bytes, tuple[int, float]] = {}  # by object: late answers to expect, until [s]
         self._skip = 0  # late answers to ignore
         # whether three of four transfers were answered twice though asked once: two boards have the node id
         self.twice = False
-        self._answered = self._doubled = 0  # transfers asked once, and those of them that were answered twice
-        self._last = b""  # object of the last of them, until its second answer
+        self._answered = self._doubled = 0  # transfers with one request; those with two answers
+        self._last = b""  # object of the last such transfer, until its second answer
 
     def begin(self, transfer: Transfer, now: float) -> None:
         """Starts a transfer; a running one is cancelled."""
@@ -103,7 +103,7 @@ class SdoClient:
         if data[1:4] != self._multiplexer:
             self._receive_late(data[1:4])
             return
-        if self._skip > 0:  # late or not: the answer to a new request is right in both cases
+        if self._skip > 0:  # perhaps late; the answer to a new request is right
             self._skip -= 1
             self._receive_late(data[1:4])
             self._link.answered(outgoing, now)

@@ -12,7 +12,7 @@ from hyperbit.drivers.canopen.sdo.procedure import BoardError, Step
 # SDO abort codes (CiA 301, 7.2.4.3.17).
 NO_OBJECT, NO_SUB_INDEX, READ_ONLY = 0x0602_0000, 0x0609_0011, 0x0601_0002
 UNSUPPORTED, GENERAL, NO_DATA = 0x0601_0000, 0x0800_0000, 0x0800_0024
-# Stacks answer a read of an absent object with each of these. CANopenNode answers NO_DATA to an empty history.
+# Codes of stacks for a read of an absent object. CANopenNode answers NO_DATA to an empty history.
 ABSENT = frozenset({NO_OBJECT, NO_SUB_INDEX, UNSUPPORTED, GENERAL, NO_DATA})
 
 _ROUNDING = 10  # [ms] by which a board may round a time, at most half of it

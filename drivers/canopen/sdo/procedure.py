@@ -61,7 +61,7 @@ class Runner:
         self._ended: Callable[[ArmFault | None, float], None] | None = None
         self._step: Step | None = None
         self._outgoing: Outgoing | None = None  # frame of an NMT command
-        self._since = 0.0  # when the step began
+        self._since = 0.0  # start of the step [s]
 
     @property
     def running(self) -> bool:

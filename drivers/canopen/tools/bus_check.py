@@ -25,8 +25,8 @@ _MOST_CHANGES = 4  # changes that the answer lists
 @dataclass(frozen=True)
 class CheckedBoard:
     board: str  # name, e.g. "can0/5"
-    text: str  # its device type, the values that the boot will write, and its limits; or what is wrong
-    code: str = ""  # of what is wrong, as of a fault; "": it can be booted and reports no error
+    text: str  # device type, values that the boot will write, and limits; or the fault
+    code: str = ""  # code of the fault; "": the board can be booted and reports no error
 
 
 def check_bus(session: Session, wiring: Wiring, timing: Timing) -> list[CheckedBoard]:
@@ -72,7 +72,7 @@ def _ask(
     yield from pdo_search.read_pdos(it, in_full=True)
     unmet = it.unmet(it.needs) + it.unmet(it.error_mode)
     changes = [f"{n.place} {n.words(it.values[n.index, n.sub])} -> {n.words(n.corrected(0))}" for n in unmet]
-    for need in unmet:  # writes its present value, which changes nothing, to find an object that cannot be written
+    for need in unmet:  # writing the present value changes nothing; a refusal shows a read-only object
         value = it.values[need.index, need.sub]
         if (abort := (yield from objects.write(it.name, need, value))) == objects.READ_ONLY:
             raise objects.refused(it.name, need, value, abort)

@@ -75,7 +75,7 @@ class EdsBoard:
         entry = self._eds.find(index, sub)
         if entry is None:
             return index not in self._eds.of_modules
-        counted = sub == 0 and not is_mapping(index)  # the number of entries follows from their sections
+        counted = sub == 0 and not is_mapping(index)  # the sections give the number of entries
         valued = counted or entry.value is not None or (index, sub) in self._values
         return entry.access is not None and entry.size > 0 and (valued or not read)
 

@@ -120,7 +120,7 @@ def _lack(eds: Eds, board: BoardLayout, cause: EdsTransfer, named: list[EdsTrans
     text = refusal.removeprefix(f"board {board.name}: ")
     if text.startswith(own := f"board {board.name} "):
         text = f"the board {text.removeprefix(own)}"
-    # A value that cannot be written may be right, if the EDS does not tell it.
+    # An unwritable value may be right if the EDS does not give it.
     unknown = cause.abort == objects.READ_ONLY and not all(one.told for one in named)
     return Lack(f"{index:04X}h sub {sub}", eds.says(index, sub), text, cause.told and not unknown)
 

@@ -15,7 +15,7 @@ _REQUEST, _ANSWER = 0x7E5, 0x7E4  # COB-IDs
 _SWITCH, _SELECT, _SELECTED, _SCAN, _SCANNED = 0x04, (0x40, 0x41, 0x42, 0x43), 0x44, 0x51, 0x4F
 _NODE_ID, _BIT_TIMING, _STORE, _INQUIRE, _INQUIRE_NODE_ID = 0x11, 0x13, 0x17, (0x5A, 0x5B, 0x5C, 0x5D), 0x5E
 _WAITING, _CONFIGURATION = 0, 1
-_ANY, _WITHOUT_ID = 0x80, 0xFF  # bit check of a scan that each board answers, and node id of a board without one
+_ANY, _WITHOUT_ID = 0x80, 0xFF  # bit check that each board answers in a scan; node id of an unconfigured board
 _TIMEOUT, _TRIES = 1.0, 3  # [s] for an answer, and attempts
 _SCAN_TIMEOUT = 0.2  # [s] for an answer in a fast scan, where silence is an answer
 _PAUSE = 0.02  # [s] after a request without an answer: some boards keep only one request
@@ -71,7 +71,7 @@ class Lss:
                 try:
                     self._switch(one)
                     found[one] = self._ask("inquire node id", _INQUIRE_NODE_ID)[1]
-                except LssSilent:  # nobody has this identity: a selected board has answered
+                except LssSilent:  # no unselected board has this identity: a selected board has answered
                     break
         finally:
             self.release()

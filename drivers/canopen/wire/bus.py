@@ -23,7 +23,7 @@ _GONE = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # the interface is down or 
 _NOTHING = (errno.EAGAIN, errno.EINTR)  # no frame waits
 
 # Error frames of SocketCAN, from linux/can/error.h.
-_CONTROLLER, _COUNTERS = 0x04, 0x200  # a class, and whether the error counters are told, in the identifier
+_CONTROLLER, _COUNTERS = 0x04, 0x200  # bits of the identifier: a class, and "has error counters"
 _OVERRUN = 0x01  # a detail: the receive buffer of the controller ran over
 _WARNING, _PASSIVE, _ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40  # details, in data[1]
 
@@ -43,7 +43,7 @@ def read_error(identifier: int, data: bytes) -> tuple[str | None, tuple[int, int
     if identifier & BUS_OFF:
         state = "bus-off"
     controller = bool(identifier & _CONTROLLER)
-    # Drivers before Linux 6.1 tell the counters with a state, and without the flag.
+    # Drivers before Linux 6.1 send the counters with a state, without the flag.
     told = identifier & _COUNTERS or (controller and (state is not None or any(data[6:8])))
     return state, (data[6], data[7]) if told else None, controller and bool(data[1] & _OVERRUN)
 
@@ -75,7 +75,7 @@ def lock_interface(channel: str) -> socket.socket:
 class CanBus:
     """One CAN bus. No method blocks, and only `open` raises.
 
-    A bus that goes down is opened again by `poll`, with a growing pause between attempts; `clock` tells its time [s].
+    A bus that goes down is opened again by `poll`, with a growing pause between attempts; `clock` returns the time [s].
     """
 
     def __init__(self, wiring: BusWiring, clock: Callable[[], float] = time.monotonic) -> None:
@@ -98,7 +98,7 @@ class CanBus:
             self._lock = lock_interface(s.channel)
         try:
             self._bus = self._open()
-        except Exception as error:  # python-can passes on whatever the interface raises
+        except Exception as error:  # python-can passes on any exception of the interface
             raise BusError(f"{s.name}: cannot open {s.channel} of the interface {s.interface}: {error}") from error
         self._closed = self._down = False
         self._events.append(BusChanged(self.name, "active", "", None))

@@ -14,7 +14,7 @@ from hyperbit.drivers.canopen.wire.cia301 import REMOTE, Frame, wire_bits
 from hyperbit.drivers.canopen.wiring import BusWiring
 
 _MOST_UNSENT = 4  # queued frames handed out at once; a SocketCAN interface holds 10 by default
-_ECHOED = 0.03  # [s] within which nearly all commands are sent
+_ECHOED = 0.03  # [s] until nearly all commands are sent
 
 
 class TxPending:
@@ -104,8 +104,8 @@ class Outgoing:
 
     frame: Frame
     first_at: float | None = None  # when it was handed out first [s]; None while it waits
-    sent: bool = False  # as far as is known
-    cancelled: bool = False  # it will not be sent any more
+    sent: bool = False  # sending was confirmed
+    cancelled: bool = False  # will not be sent any more
 
 
 class Link:
@@ -128,7 +128,7 @@ class Link:
         self._sent_since_tick = self._failed_since_tick = False
         self._queue: deque[Outgoing] = deque()
         self._urgent: deque[Outgoing] = deque()
-        self._unsent: dict[Frame, Outgoing] = {}  # from the queue, handed out and not yet sent
+        self._unsent: dict[Frame, Outgoing] = {}  # frames of the queue that were handed out and not yet sent
         self._errors = 0, 0
         self._dropped = self._tx_frames = self._rx_frames = self._bits = 0
         self._counted: tuple[float, int, int] | None = None  # time, frames and bits when the rates were computed
@@ -226,7 +226,7 @@ class Link:
         if state == "down":
             return self._lose(state, "bus-down", why or "the interface is down", now)
         if state is not None:
-            if self.state in ("down", "closed"):  # it was opened again
+            if self.state in ("down", "closed"):  # the bus was opened again
                 self.pending.forget()
                 self._clear()
             self.state = state
@@ -238,7 +238,7 @@ class Link:
         if self._sent_since_tick and not self._failed_since_tick:
             self._failing_since = None
         self._sent_since_tick = self._failed_since_tick = False
-        if not self.echoes:  # frames that have not failed count as sent
+        if not self.echoes:  # without echoes, frames that have not failed count as sent
             for outgoing in self._unsent.values():
                 outgoing.sent = True
             self._unsent.clear()
