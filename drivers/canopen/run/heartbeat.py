@@ -51,6 +51,11 @@ class Heartbeat:
             self._polls[board.index] = at, outgoing
             board.link.queue(outgoing, now, urgent=True)
 
+    def answered(self, board: Board, now: float) -> None:
+        """Records a frame that shows that a guarded board got its poll, also if the echo of the poll was lost."""
+        if (poll := self._polls.get(board.index)) is not None:
+            board.link.answered(poll[1], now)
+
     def send_failed(self, bus: str, frame: Frame) -> None:
         """Records that a frame could not be sent; the next tick repeats a heartbeat."""
         if frame == BEAT:

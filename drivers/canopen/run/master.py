@@ -303,6 +303,8 @@ class Master:
         understood = board.receive_frame(cob_id, data, time)
         if board.boots != boots:
             self._booting.rebooted(board, time)
+        elif cob_id & ~0x7F == cia301.HEARTBEAT:
+            self._heartbeat.answered(board, time)
         board.runner.check(time)
         return understood
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from random import Random
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,7 @@ KINDS = {
 
 DAEMON_KINDS = {
     **{"planner is restarted": 2.0, "both are killed": 1.0, "planner is slow": 0.8, "planner dies": 3.0},
+    **{"executor dies in motion": 2.0, "planner dies in motion": 2.0},
     **{
         "searches are late": 1.0,
         "searches fail": 0.8,
@@ -181,6 +183,10 @@ class Trouble:
         match kind:
             case "planner is restarted":
                 daemon.end_in_order()
+            case "executor dies in motion":
+                self._in_motion(self._world.executor.kill)
+            case "planner dies in motion":
+                self._in_motion(daemon.die)
             case "both are killed":
                 daemon.die()
                 self._world.executor.kill_after(random.randint(0, 20))
@@ -227,7 +233,7 @@ class Trouble:
         """Lets something happen soon after the begin of each second stage that must be clear, until the calm."""
         turn = self._round
 
-        def consider() -> None:
+        def consider(bus: BusModel) -> None:
             if not self._active or turn != self._round:
                 return
             account = self._world.judge.account
@@ -235,11 +241,10 @@ class Trouble:
             strict |= account.stream is not None and account.stream.message.strict
             if strict and self._random.random() < 0.9:
                 self._world.agenda.after(self._random.uniform(0.0, 0.05), happen)
-            for bus in self._world.buses.values():
-                bus.at_next_rpdo(consider)
+            bus.at_next_rpdo(partial(consider, bus))
 
         for bus in self._world.buses.values():
-            bus.at_next_rpdo(consider)
+            bus.at_next_rpdo(partial(consider, bus))
 
     def _loosen(self) -> None:
         """Cuts the wires of an extended actuator for a moment, while its board answers late.
@@ -258,6 +263,18 @@ class Trouble:
         world.boards.fault("cut_wires", channel.actuator)
         self._later(1.0, lambda: world.boards.fault("restore_sensor", channel.actuator))
         self._later(1.0, bus.restore)
+
+    def _in_motion(self, happen: Callable[[], None]) -> None:
+        """Lets something happen once, soon after the next stage has begun."""
+        turn, delay = self._round, self._random.uniform(0.0, 0.2)
+        waits = [True]
+
+        def perform() -> None:
+            if self._active and turn == self._round and waits and waits.pop():
+                self._world.agenda.after(delay, happen)
+
+        for bus in self._world.buses.values():
+            bus.at_next_rpdo(perform)
 
     def _stop_in_mid_commit(self, bus: BusModel) -> None:
         """Keeps the frames of a commit in the controller for a while, and halts the arm."""
