@@ -106,11 +106,7 @@ class Arm:
 
 
 def load(path: Path) -> Arm:
-    """Returns the arm that a YAML file describes.
-
-    Raises:
-        InputFaults: the file is missing or wrong; one line per fault, each with its line and the path of its field.
-    """
+    """Returns the arm that a YAML file describes. Raises InputFaults: one line for each fault, with its place."""
     with placed_faults(path):
         settings, faults = read_settings(path)
         return replace(build(settings, path, faults), path=path)

@@ -27,12 +27,9 @@ PLATFORMS: dict[tuple[int, ...], str] = {(6, 3): "six in space", (3, 3): "three 
 
 
 def build_modules(groups: Sequence[ModuleSettings], folder: Path, faults: list[str]) -> list[Module]:
-    """Returns the valid modules of the chain.
+    """Returns the valid modules of the chain from `modules` of the file; `folder` is that of the tables.
 
-    Args:
-        groups: `modules` of the file.
-        folder: of the tables.
-        faults: a sentence is appended for each wrong field.
+    A sentence is appended to `faults` for each wrong field.
     """
     modules: list[Module] = []
     for g, group in enumerate(groups):

@@ -105,11 +105,7 @@ class LeastSquares:
 
 
 def fit(model: Model, samples: Samples, length: float) -> Fit:
-    """Returns the parameters that best fit the samples of an arm of some length, without outliers.
-
-    Raises:
-        CannotFit: there are too few samples, or the least squares fail.
-    """
+    """Returns the parameters that best fit the samples of an arm of some length, without outliers. Raises CannotFit."""
     problem = LeastSquares(model, samples, length)
     x = np.zeros(len(model.parameters))
     check_enough(problem, x)

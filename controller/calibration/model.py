@@ -54,18 +54,15 @@ class Model:
     def tips(self, samples: Samples, steps: Array) -> Frame:
         """Returns the tips (n, 4, 4) of the samples' configurations.
 
-        Raises:
-            ValueError: there is no such arm: a truss does not close, or a platform has no assembly.
+        Raises ValueError if there is no such arm: a truss does not close, or a platform has no assembly.
         """
         return self._chain(samples, self._frames(self.changed(steps)))[-1]
 
     def residuals(self, samples: Samples, steps: Array) -> Array:
         """Returns the residuals (n, C), computed minus measured: coordinates, then rotations if they were measured.
 
-        A rotation residual is the sine of the angle between both, times the axis; a planar arm has only its z.
-
-        Raises:
-            ValueError: there is no such arm.
+        A rotation residual is the sine of the angle between both, times the axis; a planar arm has only its z. Raises
+        ValueError like `tips`.
         """
         tips = self.tips(samples, steps)
         return self._compared(samples, tips - samples.tips, tips)
@@ -140,10 +137,9 @@ def parts(description: Description) -> list[Description]:
 
 
 def frames_of(part: Description, near: list[Frame] | None = None) -> list[Frame]:
-    """Returns the frames (K, 4, 4) of each kind of module in a part; `near` are the frames of a similar part.
+    """Returns the frames (K, 4, 4) of each kind of module in a part; `near`: those of a similar part.
 
-    Raises:
-        ValueError: there is no such module.
+    Raises ValueError if there is no such module.
     """
     if "type" not in part:
         return [frame_of(part)[None]]

@@ -39,10 +39,7 @@ def read_samples(path: Path, manipulator: Manipulator) -> Samples:
 
     The first line names the columns, in any order. The state is `configuration`, as `hyperbit fk` takes it, or
     `actuators`, a 0 or 1 for each actuator in the arm's order. The tip is x, y with an optional th [rad] for a planar
-    arm. For a spatial arm it is x, y, z with an optional quaternion qx, qy, qz, qw.
-
-    Raises:
-        InputFaults: the file cannot be read, or lines have faults.
+    arm. For a spatial arm it is x, y, z with an optional quaternion qx, qy, qz, qw. Raises InputFaults with all faults.
     """
     faults: list[str] = []
     found: list[tuple[Configuration, Frame, int]] = []

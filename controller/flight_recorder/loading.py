@@ -31,12 +31,7 @@ class Generation(NamedTuple):
 
 
 def load(path: Path, given: Given = lambda about: {}) -> list[Generation]:
-    """Reads a saved file.
-
-    Raises:
-        RefusedFile: the file is damaged, no file of events, or contains anything else.
-        OSError: the file cannot be read.
-    """
+    """Reads a saved file. Raises RefusedFile if it is damaged, or contains anything but events; may raise OSError."""
     content = path.read_bytes()
     if not content.startswith(MAGIC):
         raise RefusedFile(

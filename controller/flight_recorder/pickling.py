@@ -95,11 +95,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def unpickle(content: bytes, given: Mapping[str, Any] = MappingProxyType({})) -> Any:
-    """Unpickles data, without code; `given`: objects that were recorded by name.
-
-    Raises:
-        RefusedFile: the pickle is damaged, or contains anything else.
-    """
+    """Unpickles data without code; `given`: objects recorded by name. Raises RefusedFile for any other pickle."""
     try:
         return _Unpickler(content, given).load()
     except RefusedFile:

@@ -48,10 +48,8 @@ class Claim:
     def confirm(self, timeout: float = CLAIM_TIMEOUT) -> None:
         """Returns when this process may serve the arm, GRACE after its claim at the earliest.
 
-        A daemon that does not answer may keep its token for `timeout` [s].
-
-        Raises:
-            AlreadyRunning: another daemon serves the arm, or will.
+        A daemon that does not answer may keep its token for `timeout` [s]. Raises AlreadyRunning if another daemon
+        serves the arm, or will.
         """
         time.sleep(max(self._declared_at + GRACE - time.monotonic(), 0.0))
         until = time.monotonic() + timeout

@@ -84,11 +84,7 @@ def lock_file(path: Path, used: str, timeout: float = 0.0) -> int:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Writes a file, readable by the same user only. After a failure, also of the power, it has its old content.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Writes a file for this user only. After a failure, also of power, it has its old content. May raise OSError."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -108,15 +104,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def start_keeper(job: str, *arguments: object, files: Sequence[int] = ()) -> subprocess.Popen[bytes]:
-    """Starts a keeper, whose pipes do not block.
-
-    Args:
-        job: "copy" or "events".
-        files: descriptors that the keeper inherits.
-
-    Raises:
-        OSError: it cannot be started.
-    """
+    """Starts a keeper with the job "copy" or "events", and pipes that do not block. May raise OSError."""
     command = [sys.executable, "-I", "-S", __file__, job, *map(str, arguments)]
     told = subprocess.PIPE if job == "copy" else subprocess.DEVNULL
     errors = subprocess.DEVNULL if job == "copy" else None
@@ -171,8 +159,7 @@ def read_generation(path: Path) -> bytes:
 def about(content: bytes) -> dict[str, Any]:
     """Returns the line of JSON at the beginning of a generation.
 
-    Raises:
-        RefusedFile: there is none, or its values are wrong: its arm and kind become names of files.
+    Raises RefusedFile if there is none, or its values are wrong: its arm and kind become names of files.
     """
     try:
         found: dict[str, Any] = json.loads(content[: content.index(b"\n")])

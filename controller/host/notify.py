@@ -12,8 +12,7 @@ FIRST = 3  # number of the first file that systemd passes on, see sd_listen_fds(
 class Notifier:
     """Sends assignments to $NOTIFY_SOCKET; sends nothing if systemd did not start the process.
 
-    Attributes:
-        watchdog: longest time between two watchdog messages [s]; None if the watchdog is off.
+    `watchdog` is the longest time between two watchdog messages [s]; None if the watchdog is off.
     """
 
     def __init__(self) -> None:

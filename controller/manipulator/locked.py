@@ -61,11 +61,7 @@ def lock_actuators(manipulator: Manipulator, locked: LockedStates) -> Manipulato
 
 
 def transferred(configuration: Configuration, source: Manipulator, target: Manipulator) -> Configuration:
-    """Returns a configuration (B,) of one arm as a configuration of another with other locked actuators.
-
-    Raises:
-        ValueError: the target has no configuration with these actuator states.
-    """
+    """Returns a configuration (B,) of one arm as one of another with other locks. Raises ValueError if none."""
     if source is target:
         return configuration
     return target.configuration(source.actuator_states(configuration))

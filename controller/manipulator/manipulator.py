@@ -89,11 +89,7 @@ class Manipulator:
         return np.asarray(self.bits[self._rows, np.asarray(configuration)][..., self._filled])
 
     def configuration(self, actuator_states: ArrayLike) -> Configuration:
-        """Returns the configuration (B,) of actuator states (A,).
-
-        Raises:
-            ValueError: the number of states is wrong, or a module has no configuration with its states.
-        """
+        """Returns the configuration (B,) of actuator states (A,). Raises ValueError if there is none."""
         states = np.asarray(actuator_states)
         if states.shape != (len(self.actuators),):
             raise ValueError(f"the arm has {len(self.actuators)} actuator states, got an array of shape {states.shape}")

@@ -45,18 +45,13 @@ class Truss:
     def assemble(self, lengths: Iterable[tuple[float, float, float]]) -> tuple[Frame, Array]:
         """Returns frames (n, 4, 4) and bodies (n, L, 2, 3) for lengths of left leg, diagonal and right leg.
 
-        Raises:
-            ValueError: the two triangles of a state do not close.
+        Raises ValueError if the two triangles of a state do not close.
         """
         states = [self.assemble_state(*three) for three in lengths]
         return np.array([frame for frame, _ in states]), np.array([body for _, body in states])
 
     def assemble_state(self, ac: float, across: float, bd: float) -> tuple[Frame, Array]:
-        """Returns the frame (4, 4) and body (L, 2, 3) for the lengths of left leg, diagonal and right leg.
-
-        Raises:
-            ValueError: the two triangles do not close.
-        """
+        """Returns the frame (4, 4) and body (L, 2, 3) for lengths of left leg, diagonal and right leg."""
         width = self.width
         a, b = np.array([-width / 2, 0.0]), np.array([width / 2, 0.0])
         try:

@@ -31,11 +31,8 @@ class Client:
     """A client of one arm's daemon.
 
     A request without any reply is repeated, because Zenoh's routes may be stale. Each request has a number, so that the
-    daemon does not run a goal twice.
-
-    Args:
-        reopen: opens a new session for the last attempt; None: all attempts use `session`.
-        prefix: of all keys.
+    daemon does not run a goal twice. `reopen` opens a new session for the last attempt; None: all attempts use
+    `session`. `prefix` is that of all keys.
     """
 
     def __init__(

@@ -40,8 +40,7 @@ def configuration(mode: str, *, listen: str | None = None, connect: str | None =
 def from_file(path: Path) -> zenoh.Config:
     """Returns the configuration in a Zenoh file; relative paths of certificates and keys start at the file's folder.
 
-    Raises:
-        ValueError: the file is missing or no Zenoh configuration, or a certificate or key cannot be read.
+    Raises ValueError if the file, a certificate or a key cannot be read, or is no Zenoh configuration.
     """
     try:
         config = zenoh.Config.from_file(str(path))

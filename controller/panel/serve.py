@@ -94,10 +94,8 @@ def listening(address: Address) -> list[socket.socket]:
 def zenoh_configuration(endpoints: Sequence[str], file: Path | None) -> zenoh.Config:
     """Returns a Zenoh configuration that connects to daemons as soon as they start.
 
-    A Zenoh client connects to one endpoint only, which must exist. So the panel is a peer that does not listen.
-
-    Raises:
-        ValueError: the file is no Zenoh configuration.
+    A Zenoh client connects to one endpoint only, which must exist. So the panel is a peer that does not listen. Raises
+    ValueError if the file is no Zenoh configuration.
     """
     config = session.configuration("peer") if file is None else session.from_file(file)
     if file is None:

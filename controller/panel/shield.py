@@ -24,10 +24,8 @@ def policy(scripts: str) -> str:
 class Shield:
     """Checks each request and sets the headers of each answer.
 
-    Args:
-        csp: content security policy.
-        secure: whether the page is served over TLS.
-        hosts: accepted host names, which prevents DNS rebinding; None: any.
+    `csp` is the content security policy, `secure` whether TLS is used. `hosts` are accepted host names, which prevents
+    DNS rebinding; None: any.
     """
 
     def __init__(self, app: ASGIApp, csp: str, *, secure: bool, hosts: Sequence[str] | None) -> None:

@@ -39,11 +39,7 @@ def animate(
 ) -> None:
     """Writes an endless animation, in the format of the path's suffix: .gif, .png (APNG) or .webp.
 
-    A spatial arm needs no densities.
-
-    Raises:
-        OSError: the file cannot be written.
-        ValueError: Pillow knows no such suffix.
+    A spatial arm needs no densities. Raises OSError, or ValueError for a suffix that Pillow does not know.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image

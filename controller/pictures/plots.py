@@ -51,11 +51,7 @@ def save(
     """Writes a picture of the subplots side by side, in the format of the path's suffix.
 
     A planar arm is drawn without densities if they are None, a spatial arm always. `unit` is that of length, for the
-    axes.
-
-    Raises:
-        OSError: the file cannot be written.
-        ValueError: matplotlib knows no such suffix.
+    axes. Raises OSError, or ValueError for a suffix that matplotlib does not know.
     """
     figure(manipulator, densities, subplots, unit, obstacles).savefig(path, dpi=150, bbox_inches="tight")
 

@@ -28,13 +28,9 @@ PARTS = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts
 
 
 class FoxgloveScene:
-    """Draws an arm in any state.
+    """Draws an arm in any state, from the payload of `arm` with `drawing`.
 
-    Args:
-        arm: payload of `arm`, with `drawing`.
-
-    Raises:
-        LookupError, TypeError, ValueError: the payload has another form, as of another version.
+    Raises LookupError, TypeError or ValueError if the payload has another form, as of another version.
     """
 
     def __init__(self, arm: Message) -> None:

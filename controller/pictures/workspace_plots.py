@@ -67,10 +67,8 @@ def draw_workspace(
 ) -> Figure:
     """Returns the picture of a workspace: one row for a planar arm, a row of slices for each field of a spatial arm.
 
-    Args:
-        point: position in the world to mark, through which slices go; None: the densest pixel of the first field.
-        orientations: at the point; None to draw none.
-        unit: of length, for the axes.
+    `point` is a position in the world to mark, through which slices go; None: the densest pixel of the first field.
+    `orientations` are those at the point, if they are to be drawn. `unit` is that of length, for the axes.
     """
     from matplotlib.figure import Figure
 

@@ -118,14 +118,10 @@ def request(
     sending: Sending = contextlib.nullcontext,
     timeout: float = TIMEOUT,
 ) -> Form:
-    """Sends a request to the daemon and returns its answer; waits up to `timeout` [s].
+    """Sends a request to the daemon and returns its answer, of the class `form`.
 
-    Args:
-        form: class of the answer.
-        sending: entered while the request is sent.
-
-    Raises:
-        Unanswered: no answer came in time, or it has another form.
+    Raises Unanswered if no answer of this form came within `timeout` [s]. `sending` is entered while the request is
+    sent.
     """
     try:
         return msgspec.convert(client.request(key, payload, timeout, sending), form)

@@ -45,13 +45,9 @@ class Settings(NamedTuple):
 
 
 class ArmNode:
-    """The node of one arm.
+    """The node of one arm. `arm` is the daemon's description, with its `drawing`.
 
-    Args:
-        arm: the daemon's description, with its `drawing`.
-
-    Raises:
-        LookupError, TypeError, ValueError: the description has another form, or a name is not allowed.
+    Raises LookupError, TypeError or ValueError if the description has another form, or a name is not allowed.
     """
 
     def __init__(
@@ -78,11 +74,7 @@ class ArmNode:
         self._markers = messages.Markers(self._scene, str(arm["name"]), self._manipulator.length, self._world)
 
     def open(self) -> None:
-        """Declares the node, publishes the constant messages, and accepts requests.
-
-        Raises:
-            zenoh.ZError: the session is closed. Nothing of the node is left.
-        """
+        """Declares the node, publishes constant messages, accepts requests. A zenoh.ZError leaves nothing open."""
         settings = self._settings
         with contextlib.ExitStack() as undoing:
             self._node = Node(self._session, self._node_name, self._namespace, settings.domain, settings.distro)

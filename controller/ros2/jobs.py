@@ -71,9 +71,7 @@ class Order:
 class Passage:
     """The way of one motion request, from its arrival on.
 
-    Args:
-        barring: the kinds that bar it.
-        wait: longest time until earlier stops and cancels are sent [s].
+    The kinds `barring` bar it; earlier stops and cancels delay it by at most `wait` [s].
     """
 
     def __init__(self, order: Order, barring: tuple[str, ...] = (STOP, CANCEL), wait: float = TIMEOUT) -> None:

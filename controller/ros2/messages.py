@@ -49,13 +49,7 @@ def transforms(scene: FoxgloveScene, state: Message, world: str) -> list[Fields]
 
 
 class Markers:
-    """The markers of an arm, its goal and its obstacles.
-
-    Args:
-        arm: name of the arm, and namespace of its markers.
-        length: of the arm, in its unit of length.
-        world: name of the world's frame.
-    """
+    """The markers of an arm of some length, its goal and its obstacles, in the frame `world`."""
 
     def __init__(self, scene: FoxgloveScene, arm: str, length: float, world: str) -> None:
         self.scene, self._arm, self._width, self._world = scene, arm, length * THIN, world
@@ -90,10 +84,7 @@ class Markers:
 def diagnostics(arm: str, state: Message, told: Message | None, *, alive: bool = True) -> Fields:
     """Returns the diagnostic_msgs/msg/DiagnosticArray of an arm.
 
-    Args:
-        state: payload of `state`.
-        told: payload of `diagnostics`, if one came.
-        alive: whether the daemon is there; otherwise its last messages are stale.
+    `told` is the latest payload of `diagnostics`. The latest messages are stale unless the daemon is `alive`.
     """
     words, level = f"{state['mode']}: {state['reason']}", LEVELS.get(state["mode"], STALE)
     entries = [

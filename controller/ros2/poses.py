@@ -32,11 +32,7 @@ class Place(NamedTuple):
     dimension: int
 
     def frame(self, name: str, where: str) -> Frame:
-        """Returns a named frame in the world, shape (4, 4); "" is the world.
-
-        Raises:
-            BadGoal: the name is neither that of the world nor of the arm's base.
-        """
+        """Returns a named frame (4, 4) in the world; "" is the world. Raises BadGoal unless it is world or base."""
         if name in ("", self.world):
             return np.eye(4)
         if name == f"{self.arm}/0":
@@ -44,11 +40,7 @@ class Place(NamedTuple):
         raise BadGoal(f"{where}.header.frame_id: {name[:100]!r}, expected {self.world!r} or '{self.arm}/0'")
 
     def position(self, frame: Frame, point: Sequence[float], where: str) -> list[float]:
-        """Returns the world coordinates of a point (3,) in a frame (4, 4).
-
-        Raises:
-            BadGoal: a coordinate is farther than the daemon accepts.
-        """
+        """Returns the world coordinates of a point (3,) in a frame (4, 4). Raises BadGoal if one is too great."""
         if any(abs(x) > FARTHEST for x in point):
             raise BadGoal(f"{where}: {max(point, key=abs):g}, expected at most {FARTHEST:g}")
         found: list[float] = (frame @ [*point, 1.0])[: self.dimension].tolist()

@@ -69,9 +69,7 @@ class Ending:
 class Requests:
     """The services `stop`, `cancel`, `reset` and `plan`, and the topics `goal_pose`, `goal_path` and `setpoint`.
 
-    Args:
-        goals: goals of the actions; they cancel goals of topics that the daemon may run.
-        oriented: whether the orientation of goals counts.
+    `goals` cancel goals of topics that the daemon may run. `oriented`: whether the orientation of goals counts.
     """
 
     def __init__(

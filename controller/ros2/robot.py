@@ -13,12 +13,7 @@ from hyperbit.controller.manipulator.manipulator import Manipulator
 
 
 def urdf(arm: str, world: str, manipulator: Manipulator) -> str:
-    """Returns the URDF of an arm.
-
-    Args:
-        arm: its name; links of module frames are "<arm>/0" to "<arm>/B", as in /tf, then "<arm>/tip".
-        world: name of the root link.
-    """
+    """Returns the URDF of an arm. Links of module frames are "<arm>/0" to "<arm>/B", as in /tf, then "<arm>/tip"."""
     robot = ElementTree.Element("robot", name=arm)
     ElementTree.SubElement(robot, "link", name=world)
     frames = [manipulator.base, *(module.frames[0] for module in manipulator.modules), np.eye(4)]

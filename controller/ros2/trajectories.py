@@ -56,11 +56,7 @@ def trajectory(goal: Any) -> Trajectory:
 
 
 def tip_goal(goal: Any, place: Place) -> Fields:
-    """Returns the daemon's goal of a trajectory of the tip.
-
-    Raises:
-        BadGoal: the joints are not tip_x, tip_y, and so on; or an error of `trajectory`.
-    """
+    """Returns the daemon's goal of a trajectory of the tip. Raises BadGoal if the joints are not tip_x, tip_y, ..."""
     found = trajectory(goal)
     axes = AXES[: place.dimension]
     if set(found.joints) - {YAW} != set(axes):

@@ -158,9 +158,7 @@ def reach_when_locked(
     """Returns reach and redundancy over choices of locked actuators, which `spread` maps.
 
     The box of the workspace is that of the densities; `tolerance` is the greatest distance of the tip from a goal.
-
-    Raises:
-        ValueError: the arm has fewer actuators with two states.
+    Raises ValueError if the arm has fewer actuators with two states.
     """
     chosen, every = choices(manipulator, *locks)
     job = LocksJob(manipulator, *densities.box(0), float(densities.pixels[0]), tolerance)
@@ -180,11 +178,7 @@ def reach_when_locked(
 
 
 def choices(manipulator: Manipulator, locks: int, samples: int, seed: int) -> tuple[list[LockedStates], bool]:
-    """Returns choices of locked states, each (A,), and whether they are all choices.
-
-    Raises:
-        ValueError: the arm has fewer actuators with two states.
-    """
+    """Returns choices of locked states, each (A,), and whether these are all. Raises ValueError for too many locks."""
     rows = [module.bits for module in manipulator.modules]
     moving = np.flatnonzero(np.concatenate([bits.min(axis=0) < bits.max(axis=0) for bits in rows])).tolist()
     if not 1 <= locks <= len(moving):

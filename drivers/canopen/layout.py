@@ -72,12 +72,7 @@ class Layout:
 
 
 class Unfit(ValueError):
-    """A board's outputs or inputs do not fit in its PDOs.
-
-    Attributes:
-        kind: "output" or "input".
-        byte: index of the first byte that does not fit, counted from 0.
-    """
+    """A board's outputs or inputs do not fit in its PDOs. `byte` is the first that does not fit, counted from 0."""
 
     def __init__(self, board: BoardId, kind: str, subs: tuple[int, ...]) -> None:
         super().__init__(f"board {board}: its {kind}s are in {len(subs)} bytes; {MOST_BYTES} fit in four PDOs")

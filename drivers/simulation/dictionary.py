@@ -40,10 +40,8 @@ def array(index: int, values: Iterable[int], size: int = 1, **rights: bool) -> C
 def pdo(index: int, cob_id: int, entries: Iterable[int], *, fixed: bool = False) -> Changes:
     """Returns the communication parameters of a PDO, from 1400h or 1800h, and its mapping 200h above.
 
-    Args:
-        cob_id: without the node id; bit 31 alone is a disabled PDO without a COB-ID.
-        entries: of the mapping.
-        fixed: whether the mapping is read-only.
+    `cob_id` has no node id; bit 31 alone is a disabled PDO without a COB-ID. `entries` are of the mapping, read-only if
+    `fixed`.
     """
     mapped = list(entries)
     filled = mapped if fixed else mapped + [0] * (8 - len(mapped))

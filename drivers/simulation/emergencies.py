@@ -18,10 +18,8 @@ _ERROR_NUMBERS = {0x8130: 0x1B}  # CANopenNode's number of an error, in the high
 class Emergencies:
     """Sends one emergency when an error begins, and one when it ends.
 
-    Args:
-        objects: object dictionary with 1001h and 1003h.
-        send: takes the 8 bytes of an emergency.
-        logs_ends: whether the end of an error is an entry of 1003h too, with the error code 0000h.
+    `objects` has 1001h and 1003h; `send` takes 8 bytes. `logs_ends`: whether the end of an error is an entry of 1003h
+    too, with the error code 0000h.
     """
 
     def __init__(self, objects: Objects, send: Callable[[bytes], None], *, logs_ends: bool) -> None:

@@ -45,11 +45,8 @@ class Wired(NamedTuple):
 class SimulatedBoard:
     """One board with NMT, supervision, SDO server, PDOs, SYNC and emergencies according to CiA 301 and 401.
 
-    It has no I/O and no clock: `receive` takes frames, `step` takes the time, and `send` gets the board's frames.
-
-    Args:
-        send: takes COB-ID and data of a frame.
-        variant: differences from the standard board.
+    It has no I/O and no clock: `receive` takes frames, `step` takes the time, and `send` gets the COB-ID and data of
+    the board's frames.
     """
 
     def __init__(

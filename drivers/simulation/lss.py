@@ -21,12 +21,9 @@ _TIMINGS = range(9)  # indices of the table of bit rates
 
 
 class LssSlave:
-    """Node id and bit rate of a board, which an LSS master can change.
+    """Node id, or `UNCONFIGURED`, and bit rate of a board, which an LSS master can change.
 
-    Args:
-        identity: vendor, product, revision and serial number.
-        node: in use; `UNCONFIGURED` if there is none.
-        send: takes COB-ID and data of an answer.
+    `identity` is vendor, product, revision and serial number; `send` takes COB-ID and data of an answer.
     """
 
     def __init__(self, identity: Sequence[int], node: int, send: Callable[[int, bytes], None]) -> None:

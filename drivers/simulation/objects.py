@@ -30,9 +30,7 @@ logging.getLogger("canopen.sdo").setLevel(logging.CRITICAL)
 class Objects:
     """Values by index and sub-index. canopen's SDO server uses this class in place of a LocalNode.
 
-    Args:
-        node: node id, which is part of COB-IDs.
-        on_write: called with index and sub-index after an SDO write.
+    `on_write` is called with index and sub-index after an SDO write.
     """
 
     object_dictionary = None  # the SDO server reads this attribute, and does not use it

@@ -31,13 +31,7 @@ class _Pdo:
 
 
 class Pdos:
-    """All PDOs of an operational board.
-
-    Args:
-        objects: with the parameters and mappings.
-        send: takes COB-ID and data of a TPDO.
-        pads: whether TPDOs are filled up to 8 bytes.
-    """
+    """All PDOs of an operational board; `pads`: whether TPDOs are filled up to 8 bytes."""
 
     def __init__(
         self,

@@ -234,10 +234,8 @@ VARIANTS: Mapping[str, Variant] = {
 def choose(words: Iterable[str], boards: Iterable[str]) -> dict[str, Variant]:
     """Returns the variants that words name: "NAME" for all boards, or "can0/5=NAME" for one.
 
-    A word for one board overrides a word for all boards; a later word overrides an earlier one.
-
-    Raises:
-        ValueError: there is no such board or variant.
+    A word for one board overrides a word for all boards; a later word overrides an earlier one. Raises ValueError for
+    an unknown board or variant.
     """
     named = [word.rpartition("=")[::2] for word in words]
     names = list(boards)

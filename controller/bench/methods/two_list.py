@@ -48,10 +48,7 @@ FOUND_PAIR: Any = types.UniTuple(int64, 3)  # type: ignore[no-untyped-call]
 class HalfList:
     """The list of all configurations of half an arm within a number of switches, each with the image of a point.
 
-    Args:
-        motions: of all modules, shape (B, K, 4).
-        modules: those of the half, in the order in which they move the point.
-        switches: most switches.
+    `motions` (B, K, 4) are those of all modules. `modules` of the half are in the order in which they move the point.
     """
 
     def __init__(self, arm: Planar, motions: Array, modules: Index, switches: int) -> None:

@@ -10,16 +10,10 @@ from hyperbit.drivers.canopen.faults import ArmFault
 
 
 class LockedActuators:
-    """The locked actuators of one arm.
+    """The locked actuators of one arm: their mask, and their states, 0 elsewhere. `number` grows with each change.
 
     An actuator is locked by the arm's file, by a request, or after a stuck fault. An end-stop reading overrides a
-    declared state.
-
-    Attributes:
-        mask: of the locked actuators.
-        states: their states; 0 elsewhere.
-        number: grows with each change.
-        stuck: mask of the actuators that `lock_as_measured` locks.
+    declared state. `lock_as_measured` locks the actuators of the mask `stuck`.
     """
 
     def __init__(self, labels: Sequence[str], mask: int = 0, states: int = 0) -> None:

@@ -16,9 +16,7 @@ from hyperbit.controller.program import Setpoint, pack
 class Ending:
     """Contracts the arm before the executor ends, with `on_stop: contract`; otherwise warns what the boards will do.
 
-    Attributes:
-        begun: whether the end was requested.
-        timeout: longest time of the contraction [s].
+    `begun`: the end was requested. `timeout`: longest time of the contraction [s].
     """
 
     def __init__(self, arm: ExecutedArm, motion: ArmMotion, locked: LockedActuators, modes: Modes, act: Act) -> None:

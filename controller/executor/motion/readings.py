@@ -57,10 +57,8 @@ class TravelTimes:
     """Measures travel times from the SYNC that switched an actuator to the frame that reports its end-stop.
 
     Times are those of the frames on the bus, so that a late loop measures the same. A travel is not measured if its
-    SYNC is not echoed, if its end-stop is read by SDO, or if the end-stop reads 1 from the beginning.
-
-    Attributes:
-        travelling: masks of the actuators with a measured travel to the contracted, and to the extended end.
+    SYNC is not echoed, if its end-stop is read by SDO, or if the end-stop reads 1 from the beginning. `travelling` are
+    the masks of the actuators with a measured travel to the contracted, and to the extended end.
     """
 
     def __init__(self) -> None:

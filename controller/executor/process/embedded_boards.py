@@ -24,11 +24,7 @@ MOST_STEPS = 500  # of the boards in one poll; a socket buffers a limited number
 
 
 def simulated_boards(arm: ExecutedArm, board: Sequence[str]) -> "EmbeddedBoards":
-    """Returns the simulated boards of an arm, with variants in the notation of `choose`.
-
-    Raises:
-        InputFaults: a board or variant is unknown.
-    """
+    """Returns the simulated boards of an arm, with variants as in `choose`. Raises InputFaults for an unknown name."""
     try:
         variants = choose(board, board_names(arm.wiring))
     except ValueError as error:

@@ -89,18 +89,12 @@ def superfluous(connections: Iterable[ClientConnection]) -> Iterator[ClientConne
 
 
 class ExecutorServer:
-    """Listens on a Unix socket of the type SOCK_SEQPACKET.
+    """Listens on a Unix socket of the type SOCK_SEQPACKET. A locked file "<path>.lock" excludes a second executor.
 
     Snapshots and diagnostics are dropped for a client that does not read; other messages are queued. Connections before
     their Hello, operators, and the planner have places of their own, see `PLACES`.
 
-    Args:
-        path: of the socket. A locked file beside it, with the suffix ".lock", excludes a second executor.
-        clock: of the event loop [s].
-
-    Raises:
-        FileInUse: another executor listens there; the text names its process.
-        OSError: the socket cannot be created.
+    Raises FileInUse, which names the other executor's process, or OSError.
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:

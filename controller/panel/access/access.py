@@ -10,12 +10,9 @@ from hyperbit.controller.panel.access.sessions import Sessions
 
 
 class Access:
-    """Checks tokens, cookies and names of certificates. Not thread-safe.
+    """Checks tokens, cookies and names of certificates of people with distinct names. Not thread-safe.
 
-    Args:
-        people: people who may open the page, with distinct names.
-        file: keeps the sessions over a restart; None: they end with the process.
-        clock: returns UNIX time [s].
+    `file` keeps the sessions over a restart; None: they end with the process. `clock` returns UNIX time [s].
     """
 
     def __init__(

@@ -26,10 +26,7 @@ class Session(msgspec.Struct, frozen=True):
 class Sessions:
     """The sessions. A cookie is a random text; only its SHA-256 is kept. Not thread-safe.
 
-    Args:
-        people: people who may open the page, by name.
-        file: keeps the sessions over a restart; None: they end with the process.
-        clock: returns UNIX time [s].
+    `file` keeps the sessions over a restart; None: they end with the process. `clock` returns UNIX time [s].
     """
 
     def __init__(

@@ -34,11 +34,8 @@ class Drawing:
     def of_actuators(self, states: Sequence[int | None], guesses: Sequence[int | None] = ()) -> list[float] | None:
         """Returns the coordinates of all line segments for actuator states, flat; None if there are no states.
 
-        A module is drawn in the state that agrees with most of its `states`, then with most of its `guesses`.
-
-        Args:
-            states: of the actuators, shape (A,); None where unknown.
-            guesses: likely states, such as the last known ones, shape (A,); None where there is no guess.
+        A module is drawn in the state that agrees with most of its `states` (A,), then with most of its `guesses` (A,),
+        such as the last known states. None: unknown.
         """
         if len(states) != self._starts[-1] or all(state is None for state in (*states, *guesses)):
             return None

@@ -89,12 +89,7 @@ class Control:
 
 
 class RateLimit:
-    """A rate limit (token bucket).
-
-    Args:
-        rate: actions per second [1/s].
-        most: most actions in a burst.
-    """
+    """A rate limit (token bucket): `rate` actions per second [1/s], at most `most` in a burst."""
 
     def __init__(self, rate: float, most: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._rate, self._most, self._clock = rate, most, clock

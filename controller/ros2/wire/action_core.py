@@ -62,12 +62,7 @@ class Goal:
 
 
 class ActionCore:
-    """All goals of one action server.
-
-    Args:
-        result_timeout: how long the result of an ended goal is kept [s].
-        most_goals: number of goals that are known at once.
-    """
+    """All goals of one action server, at most `most_goals`. Results are kept for `result_timeout` [s]."""
 
     def __init__(self, result_timeout: float = 10.0, most_goals: int = MOST_GOALS) -> None:
         self.goals: dict[bytes, Goal] = {}  # by id, in the order of their requests
@@ -75,14 +70,9 @@ class ActionCore:
         self._closed = False
 
     def step(self, event: Event, now: float) -> list[Action]:
-        """Returns the actions that follow from an event.
+        """Returns the actions that follow from an event; `now` is monotonic [s].
 
-        Args:
-            event: what happened.
-            now: time on a monotonic clock [s].
-
-        Raises:
-            IllegalTransition: an event of the program does not suit the goal's state. No goal has changed.
+        Raises IllegalTransition if an event of the program does not suit the goal's state. No goal has changed then.
         """
         for uuid in [uuid for uuid, goal in self.goals.items() if self._expired(goal, now)]:
             del self.goals[uuid]

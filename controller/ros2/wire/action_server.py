@@ -26,14 +26,10 @@ log = logging.getLogger(__name__)
 
 
 class GoalHandle:
-    """One goal, for the program that executes it. Thread-safe.
+    """One goal, for the program that executes it. Thread-safe. `uuid` has 16 bytes.
 
     `accept` or `reject` comes first, then `execute`, then one of `succeed`, `abort` and, once `on_cancel` was called,
     `canceled`. Each raises IllegalTransition if the goal's state does not allow it.
-
-    Attributes:
-        uuid: 16 bytes.
-        goal: the goal's message.
     """
 
     def __init__(self, uuid: bytes, goal: Any, server: ActionServer) -> None:

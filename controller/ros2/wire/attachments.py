@@ -24,11 +24,7 @@ class Attachment(NamedTuple):
 
 
 def parse(data: bytes | None) -> Attachment:
-    """Parses an attachment.
-
-    Raises:
-        BadAttachment: there is none, or it has another form: before 2025 rmw_zenoh wrote a name before each value.
-    """
+    """Parses an attachment. Raises BadAttachment: before 2025 rmw_zenoh wrote a name before each value."""
     if data is None:
         raise BadAttachment("a message of rmw_zenoh has an attachment, this one has none")
     if len(data) != FORM.size:

@@ -25,15 +25,7 @@ class BadMessage(ValueError):
 
 
 def serialize(value: Any, name: str, types: Types) -> bytes:
-    """Returns the bytes of a message.
-
-    Args:
-        value: a message, or its fields by name, see `message`.
-
-    Raises:
-        BadMessage: a field is missing, or its value does not fit.
-        UnknownType: the type is not known.
-    """
+    """Returns the bytes of a message or its fields, see `message`. Raises BadMessage or UnknownType."""
     if isinstance(value, Mapping):
         value = message(value, name, types)
     expected = types.message_class(name)

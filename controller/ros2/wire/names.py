@@ -17,15 +17,9 @@ class BadName(ValueError):
 
 
 def resolve(name: str, namespace: str, node: str) -> str:
-    """Returns the absolute name of a topic, service or action.
+    """Returns the absolute name of a topic, service or action; raises BadName.
 
-    Args:
-        name: absolute ("/tf"), relative to the namespace ("goal") or private to the node ("~/goal").
-        namespace: absolute name of the node's namespace; "/" if it has none.
-        node: the node's name.
-
-    Raises:
-        BadName: `name` is no name of ROS 2.
+    `name` is absolute ("/tf"), relative to the namespace ("goal") or private to the node ("~/goal").
     """
     if not NAME.fullmatch(name) or len(name) > MOST_LETTERS:
         raise BadName(f"{name!r} is no name of a topic, service or action: {RULE}")
@@ -61,11 +55,5 @@ def dds_type(name: str) -> str:
 
 
 def data_key(domain: int, name: str, type_name: str, type_hash: str) -> str:
-    """Returns the key of a topic's samples or of a service's queries.
-
-    Args:
-        name: absolute.
-        type_name: such as std_msgs/msg/String.
-        type_hash: RIHS01.
-    """
+    """Returns the key of a topic's samples or of a service's queries; `name` is absolute, `type_hash` is RIHS01."""
     return f"{domain}/{name.strip('/')}/{dds_type(type_name)}/{type_hash}"

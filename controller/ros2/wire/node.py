@@ -109,8 +109,7 @@ class Node:
     ) -> ActionServer:
         """Returns an action server. Arguments and errors are those of `publisher`.
 
-        Args:
-            on_goal: called with each new goal, in a thread of Zenoh's; accepts or rejects the goal, then or later.
+        `on_goal` is called with each new goal, in a thread of Zenoh's; it accepts or rejects the goal, then or later.
         """
         return self._keep(ActionServer(self, name, type_name, on_goal, policy))
 

@@ -34,8 +34,7 @@ class Request:
     def reply(self, value: Any) -> None:
         """Sends the response, or the response with these fields by name. Further replies are ignored.
 
-        Raises:
-            BadMessage: a field is missing, or its value does not fit; the request stays open.
+        Raises BadMessage if a field is missing, or its value does not fit. The request stays open then.
         """
         self._reply(value)
 

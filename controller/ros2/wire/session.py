@@ -61,12 +61,7 @@ class Session:
         return bool(self.zenoh.info.routers_zid())
 
     def tokens(self, domain: int = 0, timeout: float = 2.0) -> list[Token]:
-        """Returns the tokens of all nodes and endpoints in a domain. Keys of another form are left out.
-
-        Args:
-            domain: ROS_DOMAIN_ID.
-            timeout: longest time to wait for the answer [s].
-        """
+        """Returns the tokens of all nodes and endpoints in a domain, known within `timeout` [s]; ignores other keys."""
         found: dict[Token, None] = {}  # the session's own tokens come twice
         for reply in self.zenoh.liveliness().get(f"{ADMIN_SPACE}/{domain}/**", timeout=timeout):
             if reply.ok is not None:

@@ -64,11 +64,7 @@ class Publisher:
         self._token = session.liveliness().declare_token(token.text)
 
     def publish(self, value: Any) -> None:
-        """Publishes a message, or the message with these fields by name. Does nothing on a closed session.
-
-        Raises:
-            BadMessage: a field is missing, or its value does not fit.
-        """
+        """Publishes a message, or its fields by name; does nothing on a closed session. Raises BadMessage."""
         data = serialize(value, self._name, self._types)
         with self._lock:
             self._sequence += 1
@@ -86,10 +82,8 @@ class Publisher:
 class Subscriber:
     """Hands the messages of one topic to a callback, one after another, in a thread of Zenoh's.
 
-    While the callback runs, up to 256 messages wait; then the session waits.
-
-    Attributes:
-        dropped: number of dropped messages, by reason: attachment, size, content, or callback if it raised.
+    While the callback runs, up to 256 messages wait; then the session waits. `dropped` counts dropped messages by
+    reason: attachment, size, content, or callback if it raised.
     """
 
     def __init__(

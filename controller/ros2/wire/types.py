@@ -24,14 +24,7 @@ class UnknownType(ValueError):
 
 
 class Types:
-    """The types of one distribution.
-
-    Args:
-        distribution: jazzy, kilted or lyrical.
-
-    Raises:
-        UnknownType: the distribution is another.
-    """
+    """The types of one distribution: jazzy, kilted or lyrical. Raises UnknownType for another."""
 
     def __init__(self, distribution: str) -> None:
         if distribution == "humble":

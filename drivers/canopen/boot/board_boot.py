@@ -78,9 +78,7 @@ def _steps(boot: Boot) -> Procedure:
 def find(layout: BoardLayout, timeout: float, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, bool]]:
     """Reads the device type, 1000h, until the board answers; returns it, and whether the board was in state stopped.
 
-    Args:
-        timeout: longest time until the answer [s].
-        board: records the board's frames; None: nobody listens.
+    It waits up to `timeout` [s]. `board` records the board's frames; None: nobody listens.
     """
     name, kind, ordered = layout.name, None, False
     before = 0 if board is None else board.frames
@@ -280,8 +278,7 @@ def _read_back(boot: Boot) -> Procedure:
 def _carried_values(board: Board, rpdos: Iterable[Pdo]) -> Generator[Step, SdoOutcome, dict[int, int]]:
     """Reads the values of RPDOs' mapped objects, by mapping entry; words and single bits of outputs as bytes.
 
-    Raises:
-        BoardError: an object cannot be read. The RPDO would overwrite its unknown value.
+    Raises BoardError if an object cannot be read: the RPDO would overwrite its unknown value.
     """
     base, bytes_read, values = board.layout.settings.object, dict[int, int](), dict[int, int]()
     for entry in {entry for pdo in rpdos for entry in pdo.mapping if entry >> 16 > _LAST_DUMMY}:

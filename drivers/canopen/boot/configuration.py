@@ -44,8 +44,7 @@ def synchronisation() -> list[Need]:
 def heartbeats(timing: Timing, entry: int = 1) -> list[Need]:
     """Supervision by heartbeats in both directions, 1016h and 1017h.
 
-    Args:
-        entry: sub-index of 1016h that watches the master; two entries must not watch one node.
+    `entry` is the sub-index of 1016h that watches the master; two entries must not watch one node.
     """
     watched = MASTER << 16 | _ms(timing.heartbeat_timeout)
     return [
@@ -72,8 +71,7 @@ def guarding(timing: Timing) -> list[Need]:
 def on_master_lost(board: BoardLayout, required: bool = True) -> Need:
     """Error behaviour, 1029h: the board's NMT state after the loss of the master.
 
-    Args:
-        required: whether a board whose outputs must go off needs the object.
+    `required`: whether a board whose outputs must go off needs the object.
     """
     # A board that lost the master must leave operational: otherwise RPDOs and SYNC of a dying master still switch it.
     # Boards that hold enter pre-operational, in which they answer SDO. Boards that contract enter stopped, the only
@@ -106,8 +104,7 @@ def hold_outputs(board: BoardLayout) -> list[Need]:
 def error_mode(board: BoardLayout, required: bool = True) -> list[Need]:
     """Error mode and value, 6206h and 6207h: the outputs take their loss level when the board loses the master.
 
-    Args:
-        required: whether a board whose outputs must go off needs the objects.
+    `required`: whether a board whose outputs must go off needs the objects.
     """
     bits, (taken, levels), why = board.output_bits, board.loss, _CONTRACT if required else None
     needs = [

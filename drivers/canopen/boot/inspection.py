@@ -63,12 +63,8 @@ Reading = Generator[Step, SdoOutcome, None]
 def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState | None) -> Reading:
     """Reads all relevant objects except PDOs; writes nothing.
 
-    Args:
-        kind: device type, 1000h.
-        error_state: of the arm's file, for boards without an error mode.
-
-    Raises:
-        BoardError: the board cannot meet a need of its wiring, or does not answer.
+    `kind` is the device type, 1000h; `error_state` that of the arm's file, for boards without an error mode. Raises
+    BoardError if the board cannot meet a need of its wiring, or does not answer.
     """
     yield from _identify(it)
     yield from _check_type(it, kind)
@@ -86,9 +82,8 @@ def inspect(it: Inspection, kind: int, timing: Timing, error_state: ErrorState |
 def read_errors(it: Inspection, board: Board | None) -> Generator[Step, SdoOutcome, tuple[int, str, bool]]:
     """Reads the error register and, if it is set, the newest entry of the error history.
 
-    Returns:
-        The bits of 1001h that are a fault; a sentence with 1001h, 1003h and the last emergency; and whether the error
-            is the loss of the master, which ends when its heartbeats return.
+    Returns the bits of 1001h that are a fault; a sentence with 1001h, 1003h and the last emergency; and whether the
+    error is the loss of the master, which ends when its heartbeats return.
     """
     register = yield from objects.read(it.name, 0x1001, 0, fresh=True)
     register &= ~it.quirk.ignored_errors

@@ -24,8 +24,7 @@ _LAST_TRIED = 8  # a board without this PDO has none after it
 def read_pdos(it: Inspection, in_full: bool) -> Reading:
     """Reads the PDOs for the process data.
 
-    Args:
-        in_full: read all entries of mappings, even if their number shows that they differ.
+    `in_full`: read all entries of mappings, even if their number shows that they differ.
     """
     for wanted, found in ((it.layout.rpdos, it.rpdos), (it.layout.tpdos, it.tpdos)):
         found.clear()
@@ -42,13 +41,9 @@ def read_pdos(it: Inspection, in_full: bool) -> Reading:
 def cover(
     it: Inspection, pdos: list[tuple[Pdo, PdoState]]
 ) -> Generator[Step, SdoOutcome, tuple[list[tuple[Pdo, PdoState]], list[Need]] | None]:
-    """Searches PDOs whose present mappings together carry the process data.
+    """Searches PDOs whose present mappings together carry the process data; `pdos` refuse the wanted mapping.
 
-    Args:
-        pdos: the RPDOs, or the TPDOs, which refuse the wanted mapping.
-
-    Returns:
-        The PDOs to set up in their place, and needs to meet before; None if there are no such PDOs.
+    Returns the PDOs to set up in their place, and needs to meet before; None if there are no such PDOs.
     """
     first = pdos[0][0].parameters & 0xFF00
     base, bits = (
@@ -150,8 +145,7 @@ def _find_pdo(
 ) -> Generator[Step, SdoOutcome, PdoState | None]:
     """Searches a PDO for the bits of the wanted one.
 
-    Returns:
-        The first PDO that carries the bits, else RPDO1 or TPDO1 if it is the wanted one, else a free one; or None.
+    Returns the first PDO that carries the bits, else RPDO1 or TPDO1 if it is the wanted one, else a free one; or None.
     """
     first = wanted.parameters & 0xFF00
     base, bits = _carried_object(it, first)

@@ -62,14 +62,10 @@ class PdoState(NamedTuple):
 
 
 def read_pdo(board: str, parameters: int, most: int = _MOST_ENTRIES) -> Generator[Step, SdoOutcome, PdoState | None]:
-    """Reads a PDO; returns None if the board has no such PDO.
+    """Reads a PDO, and at most `most` entries of its mapping; returns None if the board has no such PDO.
 
-    Args:
-        parameters: index of its communication parameters.
-        most: greatest number of mapping entries to read.
-
-    Raises:
-        BoardError: the board does not answer, or its answer is not according to CiA 301.
+    `parameters` is the index of its communication parameters. Raises BoardError if the board does not answer, or not
+    according to CiA 301.
     """
     cob_id = yield from objects.find(board, parameters, 1, 4)
     if cob_id is None:
@@ -123,13 +119,8 @@ def set_up(
 ) -> Generator[Step, SdoOutcome, PdoState]:
     """Writes what differs in a PDO; returns the resulting state, which may carry more than `wanted`.
 
-    The order is: disable, unmap, map, type and times, enable. A refused value stays as it was.
-
-    Args:
-        synchronous: whether the board receives SYNC.
-
-    Raises:
-        BoardError: the PDO cannot be used, or the board does not answer.
+    The order is: disable, unmap, map, type and times, enable. A refused value stays as it was. `synchronous`: whether
+    the board receives SYNC. Raises BoardError if the PDO cannot be used, or the board does not answer.
     """
     name, parameters = board.name, wanted.parameters
     rpdo = parameters < 0x1800

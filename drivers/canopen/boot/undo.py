@@ -10,10 +10,9 @@ _COMMANDS = {State.OPERATIONAL: Command.START, State.STOPPED: Command.STOP}
 
 
 class Undo:
-    """Records the changes of a boot.
+    """Records the changes of a boot. Objects of the index `spared`, the outputs, are never written back.
 
-    Args:
-        spared: index of the outputs. They are never written back: nothing must be energised.
+    Nothing must be energised.
     """
 
     def __init__(self, spared: int) -> None:

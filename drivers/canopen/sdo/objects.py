@@ -91,8 +91,7 @@ class Need:
 def read(board: str, index: int, sub: int, size: int = 1, fresh: bool = False) -> Generator[Step, SdoOutcome, int]:
     """Reads an unsigned value of `size` bytes; `board` is the name for messages.
 
-    Raises:
-        BoardError: the board refuses, does not answer, or answers in another size.
+    Raises BoardError if the board refuses, does not answer, or answers in another size.
     """
     outcome = yield Transfer(index, sub, fresh=fresh)
     return number(board, index, sub, size, outcome)
@@ -150,8 +149,7 @@ def refused(board: str, need: Need, present: int, abort: int) -> BoardError:
 def check(board: str, need: Need) -> Generator[Step, SdoOutcome, int | None]:
     """Reads an object; returns its value, or None if the board has no such object.
 
-    Raises:
-        BoardError: the object is required and absent, or its value is wrong and must not be written.
+    Raises BoardError if the object is required and absent, or its value is wrong and must not be written.
     """
     present = yield from find(board, need.index, need.sub, need.size)
     if present is None and need.required is not None:

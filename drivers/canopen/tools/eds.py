@@ -53,14 +53,7 @@ def is_mapping(index: int) -> bool:
 
 
 class Eds:
-    """The object dictionary of an EDS.
-
-    Args:
-        node: node id, which is part of COB-IDs.
-
-    Raises:
-        UnreadableEds: the file is missing, or describes no object.
-    """
+    """The object dictionary of an EDS; `node` is part of COB-IDs. Raises UnreadableEds."""
 
     def __init__(self, path: Path, node: int) -> None:
         self._file = read(path)

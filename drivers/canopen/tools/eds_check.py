@@ -42,9 +42,7 @@ def unmet(eds: Eds, board: BoardLayout, timing: Timing, error_state: ErrorState 
 
     The boot refuses a board at the first unmet need. This need is noted and then taken as met: an absent object as
     present, a refusing one as writable, and a wrong value as right. The boot is tried again until it succeeds.
-
-    Args:
-        error_state: of the arm's file, for boards without an error mode.
+    `error_state` is that of the arm's file, for boards without an error mode.
     """
     found: dict[str, Lack] = {}
     assumed = _identity(eds, board)

@@ -94,9 +94,7 @@ def _section(name: str, objects: dict[int, dict[int | None, Section]], others: d
 def parse_number(text: str, node: int) -> int | None:
     """Parses a number of CiA 306-1; returns None if it is invalid.
 
-    Args:
-        text: decimal, hexadecimal with 0x, or octal with 0, and `$NODEID`, added by `+`.
-        node: value of `$NODEID`.
+    It is decimal, hexadecimal with 0x, or octal with 0, and may have `$NODEID`, added by `+`, which stands for `node`.
     """
     total = 0
     for part in text.lower().removeprefix("+").split("+"):
