@@ -38,7 +38,7 @@ class Sweep:
         counts = [len(module.actuators) for module in self._modules]
         self._starts = np.cumsum([0, *counts])
         self._owners = np.repeat(np.arange(len(counts)), counts)
-        self._weights = np.zeros((len(self._owners), len(counts)))  # of each actuator's state in its module's code
+        self._weights = np.zeros((len(self._owners), len(counts)))  # weight of an actuator's state in its module's code
         actuators = np.arange(len(self._owners))
         self._weights[actuators, self._owners] = 1 << (actuators - self._starts[self._owners])
         known = [states_of(module.bits) for module in self._modules]

@@ -14,7 +14,7 @@ from hyperbit.controller.program import MOST_BYTES, VERSION, Down, Goodbye, Hell
 
 RETRY = 0.5  # [s] between two attempts to connect, and after the end of a connection
 SEND_TIMEOUT = 0.2  # [s] that `send_now` waits for an executor that does not read
-MOST_BEHIND = 1.0  # [s] that a message waits in the queue
+MOST_BEHIND = 1.0  # [s], longest wait of a message in the queue
 MOST_QUEUED = 1_000  # messages in the queue
 MOST_RECEIVED = 256  # packets in one call, so that a flood of them does not block the loop
 UNREAD = "the executor does not read its messages"

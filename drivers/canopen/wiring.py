@@ -197,7 +197,7 @@ class Wiring:
 
     @cached_property
     def ended(self) -> tuple[int, ...]:
-        """Indices of the actuators with an `input_contracted`; input line A + i is that of the i-th of them."""
+        """Indices of the actuators with an `input_contracted`; input line A + i belongs to the i-th of them."""
         return tuple(k for k, channel in enumerate(self.channels) if channel.input_contracted is not None)
 
     @cached_property

@@ -30,7 +30,7 @@ class ExecutedArm:
     rest: float = 0.0  # of an actuator between two travels [s]
     planner_timeout: float = 1.0  # after this silence of the planner the program ends and the arm holds [s]
     locked: int = 0  # mask of the actuators that the file declares stuck
-    locked_states: int = 0  # of those actuators
+    locked_states: int = 0  # their states
     continue_on_stuck: bool = False  # lock a stuck actuator and continue, instead of staying in fault
     contract_on_stop: bool = False  # contract all actuators before the executor ends
     ending: float = 10.0  # longest time of that contraction [s]

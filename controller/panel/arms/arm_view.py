@@ -21,7 +21,7 @@ Message = dict[str, Any]
 
 ASK_AGAIN = 2.0  # [s] after an arm did not answer
 SILENT = 5.0  # [s] without a state, after which an arm without liveliness token counts as gone
-SHOWN = (  # of the payload of `arm`
+SHOWN = (  # fields of the payload of `arm` for the page
     *("name", "version", "dimension", "length", "base", "actuators", "states", "tolerance", "travel_time", "rest_time"),
     *("inrush", "method", "on_stop", "on_loss", "obstacles", "sent_obstacles", "body_radius", "limits", "daemon"),
     *("poses", "simulated", "simulation"),
