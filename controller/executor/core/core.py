@@ -188,6 +188,7 @@ class Executor:
         self._master.tick(now)
         self._conclude(event, now)
         self.motion.actuation.tick(now)
+        self.modes.update(now)  # a pulse that was missed may be a fault
         for fault in self.motion.actuation.find_overdue(now):
             self.modes.fail(fault, now)
         for actuator, fault in self.motion.supervision.tick(self.motion.clock, now):

@@ -103,7 +103,7 @@ class Ending:
         message = Setpoint(0, 0, pack(states, size), tuple(stages), 1e15, strict=False, reason=reason)
         stream = SetpointStream(message, self._arm.most, self._locked, size)
         if not stages and not self._motion.readings.homing:
-            self._contracting = False
+            self._contracting = self._motion.moving  # a program may have contracted the last actuator just before
             return
         if not stages:  # only actuators of unknown state: homing them is enough
             stream.stages = [stream.start]

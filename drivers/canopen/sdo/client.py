@@ -64,7 +64,7 @@ class SdoClient:
         self._asked_at = 0.0  # time of the first request
         self._slowest = 0.0  # longest answer time [s]
         self._owed: dict[bytes, tuple[int, float]] = {}  # by object: late answers to expect, until [s]
-        self._skip = 0  # late answers to ignore
+        self._skip = self._skipped = 0  # late answers to ignore, and answers that were ignored
         # whether three of four transfers were answered twice though asked once: two boards have the node id
         self.twice = False
         self._answered = self._doubled = 0  # transfers with one request; those with two answers
@@ -75,7 +75,7 @@ class SdoClient:
         self.cancel()
         self._transfer, self._tries = transfer, transfer.tries
         self._multiplexer = struct.pack("<HB", transfer.index, transfer.sub)
-        self._asked = 0
+        self._asked = self._skipped = 0
         owed, until = self._owed.get(self._multiplexer, (0, 0.0))
         self._skip = owed if now < until and (transfer.data is not None or transfer.fresh) else 0
         self._request(now)
@@ -105,15 +105,15 @@ class SdoClient:
             return
         if self._skip > 0:  # perhaps late; the answer to a new request is right
             self._skip -= 1
-            self._receive_late(data[1:4])
+            self._skipped += 1  # if it was not late, the late one may still come: it stays owed, for no longer
             self._link.answered(outgoing, now)
             self._request(now)
             return
         self._link.answered(outgoing, now)
         self._slowest = max(self._slowest, now - (self._asked_at if self._asked > 1 else outgoing.first_at))
-        if self._asked > 1:
-            self._owe(self._asked - 1, now)
-        else:
+        if repeated := self._asked - 1 - self._skipped:
+            self._owe(repeated, now)
+        elif self._asked == 1:
             self._count_answer()
         if kind == 0x80:
             self._end(SdoOutcome(abort=int.from_bytes(data[4:], "little")))
@@ -145,7 +145,7 @@ class SdoClient:
         if self._tries > 0:
             self._request(now)
         else:
-            self._owe(self._asked, now)
+            self._owe(self._asked - self._skipped, now)
             self._end(SdoOutcome(silence=f"no SDO answer within {transfer.timeout:g} s, asked {transfer.tries} times"))
 
     def _request(self, now: float) -> None:
@@ -164,8 +164,8 @@ class SdoClient:
 
     def _owe(self, answers: int, now: float) -> None:
         """Records answers that may still come."""
-        owed = self._owed.get(self._multiplexer, (0, 0.0))[0]
-        self._owed[self._multiplexer] = owed + answers, now + _LATE
+        owed, until = self._owed.get(self._multiplexer, (0, 0.0))
+        self._owed[self._multiplexer] = owed * (now < until) + answers, now + _LATE
 
     def _receive_late(self, multiplexer: bytes) -> None:
         """Takes a late answer to another object, or to an earlier request."""
