@@ -24,11 +24,8 @@ def policy(scripts: str) -> str:
 class Shield:
     """Checks each request and sets the headers of each answer.
 
-    Args:
-        app: the application behind the shield.
-        csp: content security policy.
-        secure: whether the page is served over TLS.
-        hosts: names that are accepted as host, which prevents DNS rebinding; None: any.
+    `csp` is the content security policy, `secure` whether TLS is used. `hosts` are accepted host names, which prevents
+    DNS rebinding; None: any.
     """
 
     def __init__(self, app: ASGIApp, csp: str, *, secure: bool, hosts: Sequence[str] | None) -> None:
@@ -47,7 +44,6 @@ class Shield:
             self._headers["strict-transport-security"] = "max-age=31536000"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serves a request."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -68,7 +64,6 @@ class Shield:
         await self._app(scope, receive, answer)
 
     def _refusal(self, scope: Scope) -> tuple[int, str] | None:
-        """Returns status and message of a refusal; None if the request is accepted."""
         headers = Headers(scope=scope)
         hosts = headers.getlist("host")
         if len(hosts) != 1:
@@ -91,11 +86,7 @@ class TooLarge(Exception):
 
 
 def limited(receive: Receive) -> Receive:
-    """Returns a function that receives a body of bounded size in bounded time.
-
-    Raises:
-        TooLarge: the body is too large or too slow.
-    """
+    """Returns a function that receives a body of bounded size in bounded time, or raises TooLarge."""
     size = 0
 
     async def bounded() -> Message:
