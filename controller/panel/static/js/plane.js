@@ -36,7 +36,7 @@ export class PlaneView extends View {
       this.picture = image;
       this.draw();
     };
-    image.src = `/arms/${this.arm.name}/density`;
+    image.src = `arms/${this.arm.name}/density`;
   }
 
   // Fits the view to the workspace, or to a square of the arm's length.

@@ -1,7 +1,7 @@
 // A spatial arm in three.js. The server computes the line segments.
 
 import * as THREE from "three";
-import { OrbitControls } from "/static/vendor/OrbitControls.js";
+import { OrbitControls } from "../vendor/OrbitControls.js";
 import { NOTHING } from "./bodies.js";
 import { listenInSpace } from "./space-input.js";
 import { Bars, capsule, cloud, frameOf, obstacleMesh } from "./space-parts.js";
@@ -51,7 +51,7 @@ export class SpaceView extends View {
 
   async loadDensity() {
     if (!this.arm.density) return;
-    const response = await fetch(`/arms/${this.arm.name}/density`);
+    const response = await fetch(`arms/${this.arm.name}/density`);
     if (!response.ok) return;
     this.cloud = cloud(await response.json(), this.arm.density.pixel * 2, 0x808890);
     this.cloud.applyMatrix4(frameOf(this.arm.base));
