@@ -31,7 +31,7 @@ export function showHeader(name, connection, notify) {
     document.body.classList.toggle("viewer", viewer);
   });
   pressToStop(part("stop"), { path: `arms/${name}/stop`, what: "Stop", notify, connection });
-  onHold(part("reset"), async () => notify(await connection.ask({ do: "reset" }), "Reset"));
+  onHold(part("reset"), async () => notify(await connection.ask({ do: "reset" }), "Reset"), notify);
   const watch = setInterval(() => {
     if (!part("silence")) return clearInterval(watch); // the login form is shown
     const silent = connection.silence();

@@ -19,6 +19,7 @@ export class PlaneView extends View {
     this.sketch = null; // an obstacle that is being drawn
     this.canvas = document.createElement("canvas");
     this.canvas.tabIndex = 0;
+    this.canvas.className = "plane";
     this.canvas.setAttribute("role", "img");
     this.canvas.setAttribute("aria-label", "The arm in the plane; arrow keys move the goal");
     stage.replaceChildren(this.canvas);

@@ -19,7 +19,7 @@ export class SpaceView extends View {
     this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
     this.canvas = this.renderer.domElement;
     this.canvas.tabIndex = 0;
-    this.canvas.setAttribute("aria-label", "The arm in space");
+    this.canvas.setAttribute("aria-label", "The arm in space; arrow keys move the view, with Shift they turn it");
     stage.replaceChildren(this.canvas);
     this.scene = new THREE.Scene();
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8890a0, 2.6));
@@ -29,6 +29,7 @@ export class SpaceView extends View {
     this.camera = new THREE.PerspectiveCamera(1, 1, arm.length / 500, arm.length * 50);
     this.camera.up.set(0, 0, 1);
     this.orbit = new OrbitControls(this.camera, this.canvas);
+    this.orbit.listenToKeyEvents(this.canvas);
     this.orbit.addEventListener("change", () => this.draw());
     const thin = arm.length / 260;
     this.bars = { measured: new Bars(this.scene, thin), unknown: new Bars(this.scene, thin, 0.6), commanded: new Bars(this.scene, thin * 0.7, 0.55), ghosts: [] };
