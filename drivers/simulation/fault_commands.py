@@ -64,13 +64,13 @@ def described() -> str:
 
 
 def play(boards: SimulatedBuses, text: str) -> str:
-    """Causes or ends the fault of a command; returns the answer. "help" returns all verbs.
+    """Causes or ends the fault of a command; returns the answer. "help" returns all verbs, short enough for one answer.
 
     Raises:
         ValueError: the text is no command; the message names the choices.
     """
     if text.split() == ["help"]:
-        return f"faults:\n{described()}"
+        return "faults:\n" + "\n".join(f"  {usage(verb)} " for verb in VERBS)
     perform(boards, *text.split())
     return f"done: {' '.join(text.split())}"
 

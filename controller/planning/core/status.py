@@ -57,7 +57,8 @@ class Status:
         self._act(Publish("state", payload))
         for (code, source), fault in active.items():
             if (code, source) not in self._logged:
-                level = logging.WARNING if code == "degraded" else logging.ERROR  # an operator may have locked it
+                fatal = payload["mode"] == "fault" and code != "degraded"  # an operator may have locked it
+                level = logging.ERROR if fatal else logging.WARNING
                 self._act(Log(level, f"{code}: {fault.message}", fields_of_fault(code, source)))
         for code, source in self._logged.keys() - active.keys():
             fields = {**fields_of_fault(code, source), "MESSAGE_ID": message_id("fault-over")}

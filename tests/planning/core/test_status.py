@@ -270,6 +270,13 @@ def test_faults_are_logged_once_with_their_fields(bench: StatusBench) -> None:
     assert begun.fields["MESSAGE_ID"] != over.fields["MESSAGE_ID"]
 
 
+def test_what_does_not_keep_the_arm_from_moving_is_logged_as_a_warning(bench: StatusBench) -> None:
+    bench.show(mode="ready", faults=(Fault("board-limits", "can0/3", "its heartbeat time is rounded"),))
+    bench.run(0.3)
+    (begun,) = bench.take(Log)
+    assert (begun.level, begun.text) == (logging.WARNING, "board-limits: its heartbeat time is rounded")
+
+
 def test_locks_are_logged_as_warnings_because_an_operator_may_want_them(bench: StatusBench) -> None:
     bench.locks.states[0] = 1
     bench.show()
