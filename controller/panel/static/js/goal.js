@@ -5,6 +5,7 @@ import { el, fill, number } from "./dom.js";
 import { situation } from "./editor.js";
 import { incomplete, showFields } from "./goal-fields.js";
 import { showPoses } from "./poses.js";
+import { showProgress } from "./progress.js";
 
 const CERTIFICATES = {
   optimal: "proven optimal: no collision-free configuration costs less",
@@ -21,10 +22,13 @@ export function showGoal(connection, editor, notify) {
   const go = el("button", { type: "button", id: "go", class: "primary" }, "Go");
   const cancel = el("button", { type: "button", id: "cancel" }, "Hold now");
   const clear = el("button", { type: "button" }, "Clear");
-  const brief = el("span", { class: "brief" }); // the plan in a line, beside Go on a small screen
-  const bar = el("div", { class: "go-bar" }, brief, go);
+  const brief = el("span", {}); // the plan in a line, beside Go on a small screen
+  const pace = el("b", {}); // the progress in a line
+  const bar = el("div", { class: "go-bar" }, el("span", { class: "brief" }, pace, brief), go);
   const upload = el("input", { type: "file", accept: ".json,.yaml,.yml", id: "upload" });
+  const progress = showProgress(connection, pace);
   card.append(
+    progress,
     el("div", { class: "buttons" }, bar, cancel, clear),
     why,
     el("label", { class: "upload" }, "Goal file ", upload),
