@@ -18,6 +18,7 @@ from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, none_locked
 from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import tipped
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.notation import parse_obstacles
 from hyperbit.controller.obstacles.obstacles import NONE, Obstacles, together
@@ -35,6 +36,7 @@ class Arm:
         wiring: where each actuator is, in the order of `manipulator.actuators`; empty if the file maps none.
         obstacles: the file's obstacles, which no module may touch.
         path: path of the file; None if the arm was not read from a file.
+        tip: frame (4, 4) of the tool's tip in the last module's frame; None: the tip is the last module's frame.
     """
 
     settings: ArmSettings
@@ -42,6 +44,7 @@ class Arm:
     wiring: tuple[ActuatorSettings, ...]
     obstacles: Obstacles = NONE
     path: Path | None = None
+    tip: NDArray[np.float64] | None = None
 
     @cached_property
     def locked(self) -> LockedStates:
@@ -137,14 +140,17 @@ def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:
     """
     modules = build_modules(settings.modules, path.parent, faults)
     base = build_frame(settings.base, "base", faults)
+    tip = None if settings.tip is None else build_frame(settings.tip, "tip", faults)
     if faults or not modules or base is None:
         raise InputFaults(path, faults)
+    if tip is not None:
+        modules[-1] = tipped(modules[-1], tip)
     manipulator = Manipulator(modules, base)
     wiring = map_actuators(settings, [module.actuators for module in modules], faults)
     if faults:
         raise InputFaults(path, faults)
     obstacles = parse_obstacles(settings.obstacles, manipulator.dimension, "obstacles", faults)
-    arm = Arm(settings, manipulator, wiring, obstacles)
+    arm = Arm(settings, manipulator, wiring, obstacles, tip=tip)
     if not faults and (walled := walled_in(arm)) is not None:
         faults.append(f"obstacles: {walled} in every state; the arm could not move")
     try:

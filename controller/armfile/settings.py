@@ -284,6 +284,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     # Silence of the planner until the executor holds.
     planner_timeout: Annotated[float, Meta(ge=0.5, le=60, description="in seconds")] = 1.0
     base: FrameSettings = FrameSettings([0.0, 0.0])
+    tip: FrameSettings | None = None
     workspace: WorkspaceSettings = WorkspaceSettings()
     planning: PlanningSettings = PlanningSettings()
     method: Method = MINIMUM_SWITCH

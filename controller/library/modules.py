@@ -180,9 +180,9 @@ def in_plane(frame: frames.Frame) -> bool:
     return bool(np.allclose(frame[2], (0.0, 0.0, 1.0, 0.0), atol=1e-12))
 
 
-def base_settings(base: ArrayLike | None) -> FrameSettings:
-    """Returns the base of an arm: a position (2,) or (3,), or a frame (4, 4); the origin if None."""
-    return checked(FrameSettings, placement((0.0, 0.0) if base is None else base), "base")
+def frame_settings(frame: ArrayLike, name: str) -> FrameSettings:
+    """Returns a position (2,) or (3,), or a frame (4, 4), as the field `name` of an arm's file."""
+    return checked(FrameSettings, placement(frame), name)
 
 
 def build(settings: ArmSettings, path: Path) -> config.Arm:

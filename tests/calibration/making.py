@@ -40,12 +40,22 @@ FRAMES = [
         ],
     }
 ]
-ARMS = {"trusses": TRUSSES, "joints": JOINTS, "platforms": PLATFORMS, "frames": FRAMES, "mixed": TRUSSES + JOINTS}
+TOOLED = [{"type": "vgt", "count": 4, "width": 0.2, "lengths": [0.2, 0.25]}]  # with this tip:
+TIP = {"position": [0.05, 0.2], "orientation": 0.3}
+ARMS = {
+    "trusses": TRUSSES,
+    "joints": JOINTS,
+    "platforms": PLATFORMS,
+    "frames": FRAMES,
+    "mixed": TRUSSES + JOINTS,
+    "tooled": TOOLED,
+}
 
 
 def arm_of(folder: Path, modules: list[dict], **more: object) -> Arm:
     """The arm of a file arm.yaml with these modules, in a folder."""
     file = folder / "arm.yaml"
+    more |= {"tip": TIP} if modules is TOOLED else {}
     file.write_text(yaml.safe_dump({"name": "a", "modules": modules, "tolerance": {"position": 0.002}, **more}))
     return load(file)
 
