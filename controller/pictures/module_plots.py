@@ -48,7 +48,7 @@ def save_types(path: Path) -> None:
         axes[3], prismatic((0, 1, 0), (0.0, 0.08, 0.16), frames.planar(0, 0.1)), "prismatic: lengths 0, 0.08, 0.16"
     )
     draw_platform(axes[4])
-    states = [frames.planar(0, 0.2), frames.planar(0.08, 0.22, -0.5), frames.planar(-0.06, 0.26, 0.4)]
+    states = [frames.planar(0, 0.2), frames.planar(0.08, 0.22, -0.5), frames.planar(-0.1, 0.25, 0.4)]
     draw_joint(axes[5], transforms(states, planar=True), "transforms: any frames")
     figure.savefig(path, dpi=100)
 
