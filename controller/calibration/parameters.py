@@ -105,10 +105,11 @@ def parameters(description: Description, length: float, modules: int) -> tuple[P
         found += of_frame(("tip",), description["tip"], LENGTHS * length / modules, ANGLES)
     for g, entry in enumerate(description["modules"]):
         where, size = ("modules", g), LENGTHS * length / modules
-        for name in ("width", "lengths", "base", "top"):
-            if name in entry:
-                found += [Parameter(leaf, size) for leaf in leaves((*where, name), entry[name])]
-        found += [Parameter(leaf, ANGLES) for leaf in leaves((*where, "angles"), entry.get("angles", []))]
+        for name in ("width", "lengths", "base", "top", "angles", "cylinders"):
+            turns = entry["type"] == "revolute" and name != "width"
+            found += [
+                Parameter(leaf, ANGLES if turns else size) for leaf in leaves((*where, name), entry.get(name) or [])
+            ]
         if "link" in entry:
             found += of_frame((*where, "link"), entry["link"], size, ANGLES)
         for k, state in enumerate(entry.get("states", [])):

@@ -42,6 +42,10 @@ FRAMES = [
 ]
 TOOLED = [{"type": "vgt", "count": 4, "width": 0.2, "lengths": [0.2, 0.25]}]  # with this tip:
 TIP = {"position": [0.05, 0.2], "orientation": 0.3}
+SERIES = [
+    {"type": "revolute", "count": 3, "cylinders": [[-0.3, 0.1], [-0.1, 0.4]], "link": {"position": [0, 0.2]}},
+    {"type": "prismatic", "axis": [0, 1], "cylinders": [[0.1, 0.15], [0.0, 0.1]]},
+]
 ARMS = {
     "trusses": TRUSSES,
     "joints": JOINTS,
@@ -49,6 +53,7 @@ ARMS = {
     "frames": FRAMES,
     "mixed": TRUSSES + JOINTS,
     "tooled": TOOLED,
+    "series": SERIES,
 }
 
 
