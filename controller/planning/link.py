@@ -33,6 +33,12 @@ class Connection:
         """Sends one packet, which is atomic. For any thread. Raises BlockingIOError if the socket is full."""
         self.socket.send(data, socket.MSG_NOSIGNAL)
 
+    def wait_writable(self, timeout: float) -> None:
+        """Waits until a packet can be sent, at most `timeout` seconds."""
+        writable = select.poll()
+        writable.register(self.socket, select.POLLOUT)
+        writable.poll(timeout * 1000)
+
     def shut(self) -> None:
         with contextlib.suppress(OSError):
             self.socket.shutdown(socket.SHUT_RDWR)
@@ -182,9 +188,7 @@ class ExecutorLink:
             with contextlib.suppress(BlockingIOError):
                 connection.send(data)
                 return None
-            writable = select.poll()
-            writable.register(connection.socket, select.POLLOUT)
-            writable.poll(SEND_TIMEOUT * 1000)
+            connection.wait_writable(SEND_TIMEOUT)
             connection.send(data)
         except BlockingIOError:
             return UNREAD
