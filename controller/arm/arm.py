@@ -18,6 +18,7 @@ from hyperbit.controller.armfile.settings import ActuatorSettings, ArmSettings, 
 from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, none_locked
 from hyperbit.controller.manipulator.manipulator import Manipulator
+from hyperbit.controller.manipulator.module import tipped
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.obstacles.notation import parse_obstacles
 from hyperbit.controller.obstacles.obstacles import NONE, Obstacles, together
@@ -35,6 +36,8 @@ class Arm:
     wiring: tuple[ActuatorSettings, ...]
     obstacles: Obstacles = NONE  # of the file; no module may touch them
     path: Path | None = None  # of the file; None if the arm was not read from one
+    # frame (4, 4) of the tool's tip in the last module's frame; None: the tip is the last module's frame
+    tip: NDArray[np.float64] | None = None
 
     @cached_property
     def locked(self) -> LockedStates:
@@ -124,14 +127,17 @@ def build(settings: ArmSettings, path: Path, faults: list[str]) -> Arm:
     """
     modules = build_modules(settings.modules, path.parent, faults)
     base = build_frame(settings.base, "base", faults)
+    tip = None if settings.tip is None else build_frame(settings.tip, "tip", faults)
     if faults or not modules or base is None:
         raise InputFaults(path, faults)
+    if tip is not None:
+        modules[-1] = tipped(modules[-1], tip)
     manipulator = Manipulator(modules, base)
     wiring = map_actuators(settings, [module.actuators for module in modules], faults)
     if faults:
         raise InputFaults(path, faults)
     obstacles = parse_obstacles(settings.obstacles, manipulator.dimension, "obstacles", faults)
-    arm = Arm(settings, manipulator, wiring, obstacles)
+    arm = Arm(settings, manipulator, wiring, obstacles, tip=tip)
     if not faults and (walled := walled_in(arm)) is not None:
         faults.append(f"obstacles: {walled} in every state; the arm could not move")
     try:

@@ -28,6 +28,7 @@ def description(arm: Arm) -> Payload:
         "states": manipulator.states.tolist(),
         "frames": [module.frames.tolist() for module in manipulator.modules],
         "base": manipulator.base.tolist(),
+        "tip": np.eye(4).tolist() if arm.tip is None else arm.tip.tolist(),
         "actuators": list(manipulator.actuators),
         "contracted": format_configuration(manipulator, [0] * len(manipulator.modules)),
         "tolerance": {"position": arm.tolerance, "orientation": arm.angle_tolerance},

@@ -31,8 +31,8 @@ NUDGE = 1e-6  # step of finite differences, as a share of a parameter's prior
 class Model:
     """An arm's description with P parameters that may change.
 
-    Part 0 is the base, part g + 1 is entry g of `modules`. A part has one kind of module, or two kinds that alternate,
-    each with frames (K, 4, 4).
+    Part 0 is the base, part g + 1 is entry g of `modules`, part -1 the tip if there is one. A part has one kind of
+    module, or two kinds that alternate, each with frames (K, 4, 4).
 
     Attributes:
         description: description of the arm, as in the file or with another base.
@@ -47,6 +47,7 @@ class Model:
         self._places = [(0, 0)]
         for g, entry in enumerate(description["modules"], 1):
             self._places += [(g, k % len(self._first[g])) for k in range(entry["count"])]
+        self._places += [(-1, 0)] * ("tip" in description)
 
     def changed(self, steps: Array) -> Description:
         return changed(self.description, self.parameters, steps)
@@ -98,8 +99,8 @@ class Model:
         return np.hstack([coordinates, turns[:, 2:] if planar else turns])
 
     def _chosen(self, samples: Samples) -> NDArray[np.int64]:
-        """Returns the states (n, B + 1) of the base, always 0, and of the modules."""
-        return np.pad(samples.configurations, ((0, 0), (1, 0)))
+        """Returns the states (n, C) of the base, always 0, of the modules, and of the tip, always 0."""
+        return np.pad(samples.configurations, ((0, 0), (1, int("tip" in self.description))))
 
     def _chain(self, samples: Samples, stacks: list[list[Frame]]) -> list[Frame]:
         """Returns the frames (n, 4, 4) below each place of the chain, and the tips."""
@@ -133,7 +134,7 @@ def slopes(frames_at: Callable[[float], list[Frame]], step: float) -> list[Array
 
 
 def parts(description: Description) -> list[Description]:
-    return [description["base"], *description["modules"]]
+    return [description["base"], *description["modules"], *([description["tip"]] if "tip" in description else [])]
 
 
 def frames_of(part: Description, near: list[Frame] | None = None) -> list[Frame]:

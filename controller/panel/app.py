@@ -2,6 +2,7 @@ import asyncio
 import base64
 import contextlib
 import hashlib
+import html
 import json
 import re
 import time
@@ -13,7 +14,7 @@ import zenoh
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection, Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
@@ -32,7 +33,7 @@ from hyperbit.controller.panel.arms.arm_view import ArmView
 from hyperbit.controller.panel.arms.arms import Arms
 from hyperbit.controller.panel.arms.metrics import endpoint
 from hyperbit.controller.panel.arms.pages import Page
-from hyperbit.controller.panel.shield import LOCAL, Shield, TooLarge, policy
+from hyperbit.controller.panel.shield import LOCAL, PublicAddress, Shield, TooLarge, policy
 
 STATIC = Path(__file__).parent / "static"
 SESSION_EVERY = 1.0  # [s] between two checks of an open page's session
@@ -46,8 +47,9 @@ class PanelServer:
         open_session: opens the Zenoh session; called when the server starts.
         access: checks who may view and command.
         prefix: of all Zenoh keys.
-        secure: whether the page is served over TLS.
+        tls: whether the page itself is served over TLS.
         hosts: accepted host names; None: any.
+        public: address at a reverse proxy; None: there is no proxy.
         clock: returns the time of the pages' heartbeats [s].
     """
 
@@ -57,13 +59,23 @@ class PanelServer:
         access: Access,
         *,
         prefix: str = "hyperbit",
-        secure: bool = False,
+        tls: bool = False,
         hosts: Sequence[str] | None = LOCAL,
+        public: PublicAddress | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._open_session, self._access, self._prefix, self._secure = open_session, access, prefix, secure
-        self._clock = clock
-        self._cookie = "__Host-hyperbit" if secure else "hyperbit"
+        self._open_session, self._access, self._prefix, self._clock = open_session, access, prefix, clock
+        self._path = "/" if public is None else public.path
+        secure = tls or (public is not None and public.origin.startswith("https:"))
+        self._cookie = "hyperbit" if not secure else "__Host-hyperbit" if self._path == "/" else "__Secure-hyperbit"
+        self._cookie_kind: dict[str, Any] = {
+            "path": self._path,
+            "httponly": True,
+            "samesite": "strict",
+            "secure": secure,
+        }
+        text = (STATIC / "index.html").read_text(encoding="utf-8")
+        self._page = text.replace('<base href="/" />', f'<base href="{html.escape(self._path)}" />')
         self._places, self._wrong = Places(), WrongTokens()
         self._arms: Arms | None = None
         self._threads = RequestThreads()
@@ -82,7 +94,8 @@ class PanelServer:
         ]
         handlers = {HTTPException: refuse, TooLarge: too_large}
         inner = Starlette(routes=routes, lifespan=self._lifespan, exception_handlers=handlers)
-        self.app: ASGIApp = Shield(inner, policy(inline_scripts()), secure=secure, hosts=hosts)
+        scheme = "https" if tls else "http"
+        self.app: ASGIApp = Shield(inner, policy(inline_scripts(text)), scheme=scheme, hosts=hosts, public=public)
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
@@ -112,7 +125,7 @@ class PanelServer:
         """Answers with the page itself. It needs no login, because it contains no data."""
         if not is_name(request.path_params.get("name", "a")):
             raise HTTPException(404, "There is no such arm.")
-        return FileResponse(STATIC / "index.html")
+        return HTMLResponse(self._page)
 
     async def _density(self, request: Request) -> Response:
         if self._person(request) is None:
@@ -175,15 +188,13 @@ class PanelServer:
             raise HTTPException(403, "This token is nobody's.")
         person = self._access.person(cookie)
         response = JSONResponse({"name": person.name if person else "", "role": person.role if person else ""})
-        response.set_cookie(
-            self._cookie, cookie, max_age=int(LASTS), httponly=True, samesite="strict", secure=self._secure
-        )
+        response.set_cookie(self._cookie, cookie, max_age=int(LASTS), **self._cookie_kind)
         return response
 
     async def _leave(self, request: Request) -> Response:
         self._access.leave(request.cookies.get(self._cookie))
         response = Response(status_code=204)
-        response.delete_cookie(self._cookie, httponly=True, samesite="strict", secure=self._secure)
+        response.delete_cookie(self._cookie, **self._cookie_kind)
         return response
 
     async def _delay(self, request: Request) -> None:
@@ -251,9 +262,8 @@ def address_of(connection: HTTPConnection) -> str:
     return connection.client.host if connection.client else ""
 
 
-def inline_scripts() -> str:
-    """Returns the hashes of the page's inline scripts (the import map) for the content security policy."""
-    text = (STATIC / "index.html").read_text(encoding="utf-8")
+def inline_scripts(text: str) -> str:
+    """Returns the hashes of a page's inline scripts (the import map) for the content security policy."""
     parts = re.findall(r"<script type=\"importmap\">(.*?)</script>", text, re.DOTALL)
     return " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(part.encode()).digest()).decode()}'" for part in parts)
 

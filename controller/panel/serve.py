@@ -4,10 +4,11 @@ import asyncio
 import errno
 import ipaddress
 import json
+import re
 import socket
 import ssl
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from hyperbit.controller.panel.access.sessions import sessions_file
 from hyperbit.controller.panel.app import PanelServer
 from hyperbit.controller.panel.http import CertifiedWebSocket, GuardedHttp
 from hyperbit.controller.panel.requests import MOST_BYTES
-from hyperbit.controller.panel.shield import LOCAL
+from hyperbit.controller.panel.shield import LOCAL, PublicAddress
 
 MOST_CONNECTIONS = 500
 BACKLOG = 1024  # connections that wait to be accepted
@@ -74,6 +75,22 @@ def parse_address(text: str) -> Address:
     return Address(host.strip("[]"), int(port))
 
 
+def parse_public_address(text: str) -> PublicAddress:
+    """Parses the URL of the page at a reverse proxy.
+
+    Raises:
+        InputFaults: the text is no such URL.
+    """
+    found = re.fullmatch(r"(https?://[a-z0-9.-]+(?::\d+)?|https?://\[[0-9a-f:]+\](?::\d+)?)((?:/[\w.~-]+)*)/?", text)
+    if found is None:
+        raise InputFaults(
+            Path("--public"), [f"{text!r}: a URL in small letters is needed, such as https://robot.local/hyperbit/"]
+        )
+    origin, path = found.groups()
+    default = ":443" if origin.startswith("https:") else ":80"
+    return PublicAddress(origin.removesuffix(default), f"{path}/")
+
+
 def listening(address: Address) -> list[socket.socket]:
     """Returns a listening socket for each IP address of the host. Raises OSError if the address is not free."""
     sockets, port = list[socket.socket](), address.port
@@ -116,7 +133,14 @@ def read_or_make_people(path: Path | None) -> tuple[list[PersonEntry], dict[str,
     ], tokens
 
 
-def serve(address: Address, tls: Tls | None, people: Path | None, config: zenoh.Config, prefix: str) -> None:
+def serve(
+    address: Address,
+    tls: Tls | None,
+    people: Path | None,
+    config: zenoh.Config,
+    prefix: str,
+    public: PublicAddress | None = None,
+) -> None:
     """Serves the page until a signal ends the process; prints its address once it is served.
 
     Raises:
@@ -129,12 +153,20 @@ def serve(address: Address, tls: Tls | None, people: Path | None, config: zenoh.
     listed, tokens = read_or_make_people(people)
     sockets = listening(address)
     access = Access(listed, sessions_file())
-    panel = PanelServer(lambda: zenoh.open(config), access, prefix=prefix, secure=tls is not None, hosts=address.hosts)
-    asyncio.run(_serve(panel, address, tls, tokens, sockets))
+    panel = PanelServer(
+        lambda: zenoh.open(config), access, prefix=prefix, tls=tls is not None, hosts=address.hosts, public=public
+    )
+    written = None if public is None else f"{public.origin}{public.path}"
+    asyncio.run(_serve(panel, address, tls, tokens, sockets, written))
 
 
 async def _serve(
-    panel: PanelServer, address: Address, tls: Tls | None, tokens: dict[str, str], sockets: list[socket.socket]
+    panel: PanelServer,
+    address: Address,
+    tls: Tls | None,
+    tokens: dict[str, str],
+    sockets: list[socket.socket],
+    public: str | None,
 ) -> None:
     options: dict[str, Any] = {}
     if tls is not None:
@@ -160,7 +192,9 @@ async def _serve(
             **options,
         )
     )
-    announced = asyncio.create_task(_announce(server, address, tls is not None, tokens))
+    announced = asyncio.create_task(
+        _announce(server, tokens, lambda port: public or address.written(port, secure=tls is not None))
+    )
 
     def end() -> None:
         server.should_exit = True
@@ -170,13 +204,13 @@ async def _serve(
     announced.cancel()
 
 
-async def _announce(server: uvicorn.Server, address: Address, secure: bool, tokens: dict[str, str]) -> None:
+async def _announce(server: uvicorn.Server, tokens: dict[str, str], written: Callable[[int], str]) -> None:
     """Waits until the page is served, prints its address with the new tokens, then feeds systemd's watchdog."""
     notifier = Notifier()
     while not server.started:
         await asyncio.sleep(0.02)
     port = server.servers[0].sockets[0].getsockname()[1]
-    url = address.written(port, secure=secure)
+    url = written(port)
     lines = [f"{name}: {url}#{token}" for name, token in tokens.items()] or [url]
     sys.stdout.write("".join(f"hyperbit panel, {line}\n" for line in lines))  # at once, also without a buffer
     sys.stdout.flush()

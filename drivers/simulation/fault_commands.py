@@ -58,7 +58,7 @@ def described() -> str:
 def play(boards: SimulatedBuses, text: str) -> str:
     """Plays a command and returns the answer; "help": all verbs. Raises ValueError with the choices."""
     if text.split() == ["help"]:
-        return f"faults:\n{described()}"
+        return "faults:\n" + "\n".join(f"  {usage(verb)} " for verb in VERBS)
     perform(boards, *text.split())
     return f"done: {' '.join(text.split())}"
 

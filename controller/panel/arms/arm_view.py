@@ -110,8 +110,9 @@ class ArmView:
         }
 
     def publish_presence(self, now: float) -> None:
-        """Sends each page the age of the latest state, and the page that has control."""
-        presence = {"section": "presence", "alive": self.alive, "age": self._age(now), "pages": len(self.pages)}
+        """Sends each page stamp and age of the latest state, and the page that has control."""
+        latest = {"age": self._age(now), "stamp": (self.state or {}).get("stamp")}
+        presence = {"section": "presence", "alive": self.alive, **latest, "pages": len(self.pages)}
         for page in self.pages:
             control = self.control.described()
             page.offer("presence", msgspec.json.encode({**presence, "control": control, "you": page.number}))

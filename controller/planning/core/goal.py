@@ -56,12 +56,24 @@ class Goal:
 
     # --- from its acceptance on
     begin: float = 0.0  # the program's zero of time [s]
+    stage_began: float = 0.0  # when its latest stage began [s]
     unrecorded: int | None = None  # entry of the acceptance that the ledger does not have yet
     outcome: GoalOutcome | None = None  # the planner's reason to end it; the executor's result follows
     deviates: bool = False  # whether the deviations of its points are still awaited
     held: deque[Settled | Ended] = field(default_factory=deque)  # reports that wait for the deviations, in order
     checking: int | None = None  # number of the task that checks its next stages
     switches: int = 0  # as last reported by the executor
+
+    @property
+    def end(self) -> float:
+        """When its last stage is expected to end [s]; in the past if the arm is late or waits."""
+        return self.begin + self.feed.end(self.stage_began - self.begin)
+
+    def progress(self, wall: float) -> dict[str, Any]:
+        """Returns how far it is; `wall`: UNIX time of the zero of the planner's clock [s]."""
+        reached, waypoints = (0, 1) if self.report is None else (self.report.reached, self.report.count)
+        begins, ends = (round(wall + moment, 1) for moment in (self.begin, self.end))
+        return {"waypoints": waypoints, "reached": reached, "begins": begins, "ends": ends}
 
 
 def jog_stages(parts: Parts, state: ArmState, wanted: dict[int, int]) -> States:

@@ -89,6 +89,7 @@ class Programs:
             self._act(ToExecutor(Cancel(0, message.program, GAVE_UP)))
             return
         goal.state, goal.begin, self.last_accepted = "running", message.begin, message.program
+        goal.stage_began = message.begin
         goal.unrecorded = entry = self._results.next_entry()
         self._unrecorded[entry] = goal
         acceptance = AcceptanceEntry(goal.id, self._moment.wall, 1 if goal.report is None else goal.report.count)
@@ -114,6 +115,7 @@ class Programs:
         match message:
             case Begun():
                 goal.switches, point = message.switches, goal.feed.begin(message.stage)
+                goal.stage_began = self._moment.now
                 if goal.report is not None:
                     goal.report.begun(point)
                 self._feed(goal)
@@ -227,7 +229,8 @@ class Programs:
                 deviation = goal.feed.deviation(message.mark) if message.planned else None
                 feedback = goal.report.settled(message, self._view.measured_in(message), deviation)
                 if feedback is not None:
-                    self._act(Publish("feedback", feedback))
+                    remaining = round(max(goal.end - self._moment.now, 0.0), 3)
+                    self._act(Publish("feedback", {**feedback, "remaining": remaining}))
 
     def _feed(self, goal: Goal) -> None:
         if goal.state == "running" and goal.outcome is None and (message := goal.feed.message()) is not None:

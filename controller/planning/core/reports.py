@@ -54,7 +54,7 @@ class GoalOutcome(NamedTuple):  # the end of a goal for its result
 
 class GoalReport:
     def __init__(self, manipulator: Manipulator, goal: str, trajectory: Trajectory) -> None:
-        self.count = len(trajectory.waypoints)
+        self.count, self.reached = len(trajectory.waypoints), 0  # waypoints, and those of them that have settled
         self._manipulator, self._goal, self._trajectory = manipulator, goal, trajectory
         self._point = -1
         self._stages = 0  # since the waypoint before
@@ -99,6 +99,7 @@ class GoalReport:
         self._deviation = None if so_far is None or deviation is None else max(so_far, deviation)
         if trajectory.between(point):
             return None
+        self.reached = trajectory.last(point) + 1
         feedback = {
             "id": self._goal,
             "waypoint": trajectory.last(point),

@@ -23,6 +23,13 @@ STATE_EVERY, DIAGNOSTICS_EVERY = 0.05, 1.0  # [s]
 LEAST_GAP = 0.002  # [s] between two states, at least
 SILENCE = 1.2 * STATE_EVERY  # [s] without a change until the next `state`; each snapshot is a change
 
+WARNINGS = frozenset(  # codes of what stops no motion
+    (
+        *("bus-passive", "board-limits", "outputs-off", "ledger-damaged", "journal", "in-obstacle", "unknown-state"),
+        *("unknown-position", "degraded"),
+    )
+)
+
 
 class Status:
     def __init__(
@@ -55,7 +62,7 @@ class Status:
         self._act(Publish("state", payload))
         for (code, source), fault in active.items():
             if (code, source) not in self._logged:
-                level = logging.WARNING if code == "degraded" else logging.ERROR  # an operator may have locked it
+                level = logging.WARNING if code in WARNINGS else logging.ERROR
                 self._act(Log(level, f"{code}: {fault.message}", fields_of_fault(code, source)))
         for code, source in self._logged.keys() - active.keys():
             fields = {**fields_of_fault(code, source), "MESSAGE_ID": message_id("fault-over")}
@@ -100,6 +107,7 @@ class Status:
             "goal": None if goal is None else goal.id,
             "waypoint": None if report is None else report.waypoint,
             "target": None if report is None else report.target,
+            "progress": None if goal is None else goal.progress(self._moment.wall - self._moment.now),
             "obstacles": premises.obstacles.generation,
             "faults": [*map(msgspec.structs.asdict, by_code((*self._faults(), *self.warnings)).values())],
             "degraded": [{"actuator": label, "state": locked} for label, locked in premises.locks.listed],
