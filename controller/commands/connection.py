@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
 import typer
 
-from hyperbit.controller.armfile.strict import InputFaults, read_yaml
+from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json, refusal
 
 if TYPE_CHECKING:
@@ -109,15 +108,3 @@ def ask(client: Client, arm: str, key: str, payload: dict[str, Any], as_json: bo
         raise refusal(answer, arm)
     if not as_json:
         typer.echo(answer["message"])
-
-
-def read_payload(path: Path, what: str, field: str) -> dict[str, Any]:
-    """Reads a payload from a YAML or JSON file; messages name its kind and its main field."""
-    value = read_yaml(path)  # JSON is a subset of YAML
-    if not isinstance(value, dict):
-        raise InputFaults(path, [f"no {what}: a mapping with `{field}` is needed"])
-    try:
-        msgspec.json.encode(value)
-    except (TypeError, UnicodeEncodeError) as error:
-        raise InputFaults(path, [f"no {what}: {error}"]) from None
-    return value

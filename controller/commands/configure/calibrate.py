@@ -11,8 +11,9 @@ import typer
 import yaml
 
 from hyperbit.controller.arm.arm import load
+from hyperbit.controller.armfile.documents import read_yaml
 from hyperbit.controller.armfile.places import counted
-from hyperbit.controller.armfile.strict import InputFaults, read_yaml
+from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.commands.arguments import ArmFile, AsJson, Dask, Workers
 from hyperbit.controller.commands.common import CommandFailed, console, print_json, print_table, results_table
 from hyperbit.controller.commands.sharing import checked_sharing, open_workers, progress_bar, spread_over

@@ -87,7 +87,7 @@ def plan(
     if goals is not None:
         study_goals(PlanJob(arm, options, start, silent=as_json), sharing, output, as_json=as_json)
         return
-    wanted = None if goal is None else WantedGoal(*parse_goal(goal, arm.manipulator.dimension, "--goal"))
+    wanted = None if goal is None else WantedGoal(*parse_goal(goal.split(","), arm.manipulator.dimension, "--goal"))
     shape = home if configuration is None else unlocked(arm, configuration, "--configuration")
     search = prepared_search(arm, options, silent=as_json)
     found = described(search, start, shape) if wanted is None else search_one(search, wanted, start)

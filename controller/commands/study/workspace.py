@@ -107,7 +107,7 @@ def workspace(
 
 
 def position(text: str, dimension: int) -> list[float]:
-    found, orientation = parse_goal(text, dimension, "--at")
+    found, orientation = parse_goal(text.split(","), dimension, "--at")
     if orientation is not None:
         raise InputFaults(Path("--at"), [f"{text!r}: a position of {dimension} numbers is needed"])
     return found
