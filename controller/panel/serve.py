@@ -18,6 +18,8 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.signals import end_on_signals
 from hyperbit.controller.network import session
+from hyperbit.controller.network.endpoints import parse_endpoint
+from hyperbit.controller.network.reach import open_session
 from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of, new_token, read_people
 from hyperbit.controller.panel.access.sessions import sessions_file
@@ -108,8 +110,10 @@ def zenoh_configuration(endpoints: Sequence[str], file: Path | None) -> zenoh.Co
     A Zenoh client connects to one endpoint only, which must be there. So the panel is a peer that does not listen.
 
     Raises:
-        ValueError: the file is no Zenoh configuration.
+        ValueError: the file is no Zenoh configuration, or an endpoint is none.
     """
+    for endpoint in () if file is not None else endpoints:
+        parse_endpoint(endpoint)
     config = session.configuration("peer") if file is None else session.from_file(file)
     if file is None:
         config.insert_json5("connect/endpoints", json.dumps(list(endpoints)))
@@ -142,7 +146,9 @@ def serve(address: Address, tls: Tls | None, people: Path | None, config: zenoh.
     listed, tokens = read_or_make_people(people)
     sockets = listening(address)
     access = Access(listed, sessions_file())
-    panel = PanelServer(lambda: zenoh.open(config), access, prefix=prefix, secure=tls is not None, hosts=address.hosts)
+    panel = PanelServer(
+        lambda: open_session(config), access, prefix=prefix, secure=tls is not None, hosts=address.hosts
+    )
     asyncio.run(_serve(panel, address, tls, tokens, sockets))
 
 

@@ -28,9 +28,9 @@ from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.armfile.patience import patient_copy
 from hyperbit.controller.commands.common import CommandFailed, console, densities_of, errors, load_wired, shipped
 from hyperbit.controller.commands.connection import connected
-from hyperbit.controller.commands.operate.endpoints import accepts
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
 from hyperbit.controller.manipulator.notation import parse_configuration
+from hyperbit.controller.network.endpoints import accepts
 from hyperbit.controller.pictures import plots
 from hyperbit.controller.workspace.densities import Densities
 

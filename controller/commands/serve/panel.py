@@ -52,7 +52,7 @@ def panel(
     try:
         config = zenoh_configuration(connect or [ENDPOINT], zenoh_file)
     except ValueError as error:
-        raise InputFaults(Path("--zenoh"), [str(error)]) from None
+        raise InputFaults(Path("--connect" if zenoh_file is None else "--zenoh"), [str(error)]) from None
     try:
         serve(parse_address(listen), tls, people, config, prefix)
     except OSError as error:

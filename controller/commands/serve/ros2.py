@@ -15,6 +15,7 @@ from hyperbit.controller.commands import ENDPOINT
 from hyperbit.controller.commands.arguments import ArmName, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, arm_name
 from hyperbit.controller.commands.process import Process, opened_session
+from hyperbit.controller.network.endpoints import parse_endpoint
 
 if TYPE_CHECKING:
     import zenoh
@@ -57,6 +58,10 @@ def ros2(
         Types(distro)
     except UnknownType as error:
         raise InputFaults(Path("--distro"), [str(error)]) from None
+    try:
+        parse_endpoint(ros)
+    except ValueError as error:
+        raise InputFaults(Path("--ros"), [str(error)]) from None
     settings = Settings(namespace, domain, distro, world, orientation)
     try:
         names.check_node(*node_name(name, namespace))

@@ -19,7 +19,8 @@ from rich.text import Text
 from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
 from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json
-from hyperbit.controller.commands.connection import START, connected
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.network.endpoints import START
 
 COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}
 
