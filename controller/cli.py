@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from hyperbit.controller.commands.table import COMMANDS, GROUPS, CommandEntry
-from hyperbit.controller.host.machine_code import ADVICE, REFUSAL, watch
+from hyperbit.controller.host.machine_code import ADVICE, REFUSAL
 from hyperbit.controller.host.signals import exit_on_signals
 
 WIDE = {"max_content_width": 120}  # columns of --help, on terminals that have them
@@ -96,6 +96,13 @@ class Commands(TyperGroup):
     def get_params(self, ctx: Any) -> list[Any]:
         return [quick(parameter) for parameter in super().get_params(ctx)]
 
+    def invoke(self, ctx: Any) -> Any:
+        """Runs a command. Click would print "Aborted!" for an EOFError, such as one of a damaged file."""
+        try:
+            return super().invoke(ctx)
+        except EOFError as error:
+            raise RuntimeError(f"a file ends too early: {error}") from error
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Writes each group with its commands and one example."""
         width = max(map(len, COMMANDS))
@@ -137,7 +144,6 @@ def options(
 
 def main() -> None:
     """Runs the command line; an error that the user can correct becomes a message and an exit code."""
-    watch()
     exit_on_signals()
     try:
         app()

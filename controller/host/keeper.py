@@ -26,9 +26,9 @@ import subprocess
 import sys
 import time
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 MAGIC = b"hyperbit events 1\n"
 SHARED = Path("/dev/shm")  # a file system in memory
@@ -83,21 +83,24 @@ def lock_file(path: Path, used: str, timeout: float = 0.0) -> int:
         os.close(number)
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Writes a file, readable by the same user only. After a failure, also of the power, it has its old content.
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[IO[bytes]]:
+    """Yields a file to write, which then replaces another one. After a failure, also of the power, the old one stays.
+
+    The file is readable by the same user only.
 
     Raises:
-        OSError: the file cannot be written.
+        OSError: it cannot be written.
     """
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600), "wb") as file:
-            file.write(content)
+        with os.fdopen(os.open(partial, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600), "w+b") as file:
+            yield file
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
-    except OSError:
+    except BaseException:
         partial.unlink(missing_ok=True)
         raise
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
@@ -105,6 +108,12 @@ def write_whole(path: Path, content: bytes) -> None:
         os.fsync(folder)  # the name
     finally:
         os.close(folder)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Replaces a file as `whole_file` does."""
+    with whole_file(path) as file:
+        file.write(content)
 
 
 def start_keeper(job: str, *arguments: object, files: Sequence[int] = ()) -> subprocess.Popen[bytes]:

@@ -183,3 +183,12 @@ def test_a_command_that_finds_no_folder_says_what_to_do(hyperbit, monkeypatch):
         1,
         "numba cannot write its machine code: set NUMBA_CACHE_DIR to a folder that you can write\n",
     )
+
+
+def test_a_file_that_ends_too_early_is_an_error_with_its_place(hyperbit, monkeypatch):
+    def damaged(*_: object) -> None:
+        raise EOFError("Ran out of input")
+
+    monkeypatch.setattr("hyperbit.controller.commands.study.report.load", damaged)
+    with pytest.raises(RuntimeError, match="a file ends too early: Ran out of input"):
+        hyperbit("fk", "deploy/planar16.yaml", "0")
