@@ -3,7 +3,9 @@
 A command's module is imported when the command runs: `hyperbit stop` must not wait for the kernels of the search.
 """
 
+import errno
 import importlib
+import io
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,6 +18,7 @@ from hyperbit.controller.commands.table import COMMANDS, GROUPS, CommandEntry
 from hyperbit.controller.host.machine_code import ADVICE, REFUSAL
 from hyperbit.controller.host.signals import exit_on_signals
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # of disk and system
 WIDE = {"max_content_width": 120}  # columns of --help, on terminals that have them
 
 
@@ -145,6 +148,8 @@ def options(
 def main() -> None:
     """Runs the command line; an error that the user can correct becomes a message and an exit code."""
     exit_on_signals()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # of terminals that are not UTF-8
     try:
         app()
     except Exception as error:
@@ -153,6 +158,9 @@ def main() -> None:
 
         if isinstance(error, RuntimeError) and REFUSAL in str(error):
             error = CommandFailed(f"numba cannot write its machine code: {ADVICE}")
+        if isinstance(error, OSError) and error.errno in FULL:
+            where = "" if error.filename is None else f"{error.filename}: "
+            error = CommandFailed(f"{where}{error.strerror}", "free it, and start the command again")
         if not isinstance(error, InputFaults | CommandFailed):
             raise
         sys.stderr.write(f"{error}\n")

@@ -68,6 +68,17 @@ def print_json(value: object) -> None:
     sys.stdout.flush()
 
 
+def check_output(path: Path) -> None:
+    """Refuses a file of results that cannot be written, before the work begins."""
+    there = path.exists()
+    try:
+        path.open("ab").close()
+    except OSError as error:
+        raise InputFaults(path, [f"cannot be written: {error.strerror}"]) from None
+    if not there:
+        path.unlink()
+
+
 def shipped(name: str) -> Path:
     """Returns the path of a file in deploy/."""
     return Path(__file__).parents[2] / "deploy" / name
@@ -146,6 +157,17 @@ def configuration(arm: Arm, text: str, where: str) -> Configuration:
         return parse_configuration(arm.manipulator, text)
     except ValueError as error:
         raise InputFaults(Path(where), [str(error)]) from None
+
+
+def drawn(text: str, plain: str) -> str:
+    """Returns a text if the terminal can show it, otherwise a plain one."""
+    from hyperbit.controller.commands.common import console
+
+    try:
+        text.encode(console.encoding)
+    except UnicodeEncodeError:
+        return plain
+    return text
 
 
 def counted(switches: int) -> str:

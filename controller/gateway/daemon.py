@@ -75,7 +75,7 @@ def running(
     Raises:
         NoSession: the session cannot be opened.
         AlreadyRunning: another daemon of this arm is in the network.
-        LedgerInUse: another process writes the ledger.
+        FileInUse: another process writes the ledger.
     """
     name, daemon, inbox = arm.settings.name, Daemon(), Inbox()
     with ExitStack() as closing:
@@ -93,7 +93,7 @@ def running(
         closing.callback(outbox.close)
         warnings = Warnings(reachable(session, config), book.faults, certificates=partial(ending_certificates, config))
         services = Services(inbox, book, published, outbox, notifier, warnings.active, daemon.fail)
-        label = Label("planner", name, digest, arm.path.read_text() if arm.path is not None else "")
+        label = Label("planner", name, digest, arm.path.read_text(encoding="utf-8") if arm.path is not None else "")
         constant = {"manipulator": arm.manipulator}
         recorder = closing.enter_context(FlightRecorder(label, ledger.absolute().parent, OPAQUE, constant, RECORDS))
         link = ExecutorLink(socket, name, digest, simulated=simulated)

@@ -84,10 +84,11 @@ def lock_file(path: Path, used: str, timeout: float = 0.0) -> int:
 
 
 @contextlib.contextmanager
-def whole_file(path: Path) -> Iterator[IO[bytes]]:
+def whole_file(path: Path, *, sync: bool = True) -> Iterator[IO[bytes]]:
     """Yields a file to write, which then replaces another one. After a failure, also of the power, the old one stays.
 
-    The file is readable by the same user only.
+    Only the same user can read the file. Without `sync` nobody waits for the disk, and a failure of the power can leave
+    an empty file.
 
     Raises:
         OSError: it cannot be written.
@@ -98,11 +99,14 @@ def whole_file(path: Path) -> Iterator[IO[bytes]]:
         with os.fdopen(os.open(partial, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600), "w+b") as file:
             yield file
             file.flush()
-            os.fsync(file.fileno())
+            if sync:
+                os.fsync(file.fileno())
         partial.replace(path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
+    if not sync:
+        return
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(folder)  # the name
@@ -110,10 +114,23 @@ def whole_file(path: Path) -> Iterator[IO[bytes]]:
         os.close(folder)
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes, *, sync: bool = True) -> None:
     """Replaces a file as `whole_file` does."""
-    with whole_file(path) as file:
+    with whole_file(path, sync=sync) as file:
         file.write(content)
+
+
+def set_aside(path: Path, *suffixes: str) -> str:
+    """Renames a damaged file, and those with further suffixes; returns its new name.
+
+    Raises:
+        OSError: it cannot be renamed.
+    """
+    renamed = path.with_name(f"{path.name}.damaged-{time.time():.0f}")
+    for suffix in ("", *suffixes):
+        if (part := Path(f"{path}{suffix}")).exists():
+            part.rename(f"{renamed}{suffix}")
+    return renamed.name
 
 
 def start_keeper(job: str, *arguments: object, files: Sequence[int] = ()) -> subprocess.Popen[bytes]:

@@ -175,8 +175,8 @@ def serve(file: Path, executor: RunningExecutor, network: Network, ledger: Path 
     """Serves an arm until a signal arrives, or until the executor that this command started ends."""
     from hyperbit.controller.gateway.claim import AlreadyRunning
     from hyperbit.controller.gateway.daemon import running
+    from hyperbit.controller.host.keeper import FileInUse
     from hyperbit.controller.network.reach import NoSession
-    from hyperbit.controller.planning.ledger import LedgerInUse
     from hyperbit.controller.planning.ledger_file import default_path
 
     arm = load_wired(file)
@@ -196,7 +196,7 @@ def serve(file: Path, executor: RunningExecutor, network: Network, ledger: Path 
                     raise CommandFailed(f"{daemon.failure}: the log has details")
                 if (code := executor.ended()) is not None:
                     raise CommandFailed(f"the executor ended with code {code}: its messages are above")
-    except (AlreadyRunning, LedgerInUse) as error:
+    except (AlreadyRunning, FileInUse) as error:
         raise CommandFailed(str(error)) from None
     except NoSession as error:
         raise CommandFailed(str(error), error.step) from None

@@ -80,13 +80,21 @@ def ros2(
 
 def serve(session: zenoh.Session, network: Session, arm: str, settings: Settings, process: Process) -> None:
     from hyperbit.controller.host.folders import state_folder
+    from hyperbit.controller.host.keeper import FileInUse, lock_file
     from hyperbit.controller.network.client import Client
     from hyperbit.controller.network.listener import Listener
     from hyperbit.controller.ros2.bridge import Bridge
     from hyperbit.controller.ros2.goal_book import GoalBook
 
-    book = GoalBook(state_folder() / f"{arm}.ros2.json")
+    own = "".join(f"-{part}" for part in settings.namespace.split("/") if part)
+    path = state_folder() / f"{arm}.ros2{own}{f'-domain{settings.domain}' if settings.domain else ''}.json"
     with contextlib.ExitStack() as closing:
+        try:
+            lock = lock_file(path.with_name(f".{path.name}.lock"), f"end the other bridge: {path} is in use by process")
+        except FileInUse as error:
+            raise CommandFailed(str(error)) from None
+        closing.callback(os.close, lock)
+        book = GoalBook(path)
         listener = closing.enter_context(contextlib.closing(Listener(session, arm)))
         client = closing.enter_context(contextlib.closing(Client(session, arm)))
         bridge = closing.enter_context(contextlib.closing(Bridge(listener, client, network, book, settings)))
