@@ -66,7 +66,8 @@ def load_arm(name: str) -> Arm:
 
 
 def read(name: str) -> list[Task]:
-    return [task(row) for _, row in read_csv(FOLDER / "sets" / f"{name}.csv").records()]
+    columns, rows = read_csv(FOLDER / "sets" / f"{name}.csv")
+    return [task(dict(zip(columns, row.fields, strict=True))) for row in rows]
 
 
 def task(row: dict[str, str]) -> Task:

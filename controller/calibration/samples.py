@@ -46,8 +46,8 @@ def read_samples(path: Path, manipulator: Manipulator) -> Samples:
     file = read_csv(path, MOST_SAMPLES)
     state, tip = checked_columns(path, file.columns, planar=manipulator.planar)
     for row in file.rows:
-        fields = dict(zip(file.columns, row.fields, strict=False))
-        sample = read_sample(fields, len(row.fields), state, tip, manipulator, f"line {row.line}")
+        fields = dict(zip(file.columns, row.fields, strict=True))
+        sample = read_sample(fields, state, manipulator, f"line {row.line}")
         if isinstance(sample, str):
             faults.append(sample)
         else:
@@ -72,11 +72,9 @@ def checked_columns(path: Path, columns: Sequence[str], *, planar: bool) -> tupl
 
 
 def read_sample(
-    row: dict[str, str], count: int, state: str, tip: Sequence[str], manipulator: Manipulator, where: str
+    row: dict[str, str], state: str, manipulator: Manipulator, where: str
 ) -> tuple[Configuration, Frame] | str:
-    """Returns the configuration (B,) and the tip (4, 4) of a row with `count` fields, or a fault."""
-    if count != 1 + len(tip):
-        return f"{where}: {1 + len(tip)} fields are needed, got {count}; a configuration with commas stands in quotes"
+    """Returns the configuration (B,) and the tip (4, 4) of a row, or a fault."""
     try:
         if state == "configuration":
             configuration = parse_configuration(manipulator, row[state])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +10,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta, Struct
 
+from hyperbit.controller.host.keeper import write_whole
 from hyperbit.controller.motion.decoding.payloads import parse
 from hyperbit.controller.planning.core.events import Payload, done
 from hyperbit.controller.refusals.reasons import Reason
@@ -83,13 +83,8 @@ class Poses:
         content = msgspec.json.format(msgspec.json.encode(saved), indent=1)
         if len(content) > MOST_STORED:
             raise Refusal(Reason.TOO_LARGE, what="the saved poses", size=len(content), most=MOST_STORED)
-        fresh = self._path.with_suffix(".new")
         try:
-            with fresh.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            fresh.replace(self._path)
+            write_whole(self._path, content)
         except OSError as error:
             raise Refusal(Reason.POSES_UNWRITTEN, why=f"{self._path}: {error.strerror}") from None
 

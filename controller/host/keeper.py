@@ -26,9 +26,9 @@ import subprocess
 import sys
 import time
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 MAGIC = b"hyperbit events 1\n"
 SHARED = Path("/dev/shm")  # a file system in memory
@@ -83,24 +83,54 @@ def lock_file(path: Path, used: str, timeout: float = 0.0) -> int:
         os.close(number)
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Writes a file for this user only. After a failure, also of power, it has its old content. May raise OSError."""
+@contextlib.contextmanager
+def whole_file(path: Path, *, sync: bool = True) -> Iterator[IO[bytes]]:
+    """Yields a file to write, which then replaces another one. After a failure, also of the power, the old one stays.
+
+    Only the same user can read the file. Without `sync` nobody waits for the disk, and a failure of the power can leave
+    an empty file.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600), "wb") as file:
-            file.write(content)
+        with os.fdopen(os.open(partial, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600), "w+b") as file:
+            yield file
             file.flush()
-            os.fsync(file.fileno())
+            if sync:
+                os.fsync(file.fileno())
         partial.replace(path)
-    except OSError:
+    except BaseException:
         partial.unlink(missing_ok=True)
         raise
+    if not sync:
+        return
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(folder)  # writes the name to the disk
     finally:
         os.close(folder)
+
+
+def write_whole(path: Path, content: bytes, *, sync: bool = True) -> None:
+    """Replaces a file as `whole_file` does."""
+    with whole_file(path, sync=sync) as file:
+        file.write(content)
+
+
+def set_aside(path: Path, *suffixes: str) -> str:
+    """Renames a damaged file, and those with further suffixes; returns its new name.
+
+    Raises:
+        OSError: it cannot be renamed.
+    """
+    renamed = path.with_name(f"{path.name}.damaged-{time.time():.0f}")
+    for suffix in ("", *suffixes):
+        if (part := Path(f"{path}{suffix}")).exists():
+            part.rename(f"{renamed}{suffix}")
+    return renamed.name
 
 
 def start_keeper(job: str, *arguments: object, files: Sequence[int] = ()) -> subprocess.Popen[bytes]:

@@ -10,7 +10,8 @@ from typing import Any
 
 import msgspec
 
-from hyperbit.controller.armfile.strict import InputFaults, parse_yaml
+from hyperbit.controller.armfile.documents import parse_payload
+from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.network.client import Unanswered
 from hyperbit.controller.panel.arms.arm_view import ArmView
 from hyperbit.controller.panel.arms.pages import Page, RateLimit
@@ -154,7 +155,8 @@ class ArmPage:
             case PlanRequest(goal=goal):
                 return await self._plan(goal)
             case GoalFileRequest(text=text):
-                read = await asyncio.get_running_loop().run_in_executor(self._threads.plans, read_goal, text)
+                words = text, Path("file"), "goal", "waypoints", MOST_YAML
+                read = await asyncio.get_running_loop().run_in_executor(self._threads.plans, parse_payload, *words)
                 return {**await self._plan(read), "file": read}
             case SeekRequest():
                 asked = {"at": request.at, "speed": request.speed, "paused": request.paused}
@@ -201,22 +203,6 @@ class ArmPage:
         log.info("arm %s: %s %s", self._view.name, self._page.person.name, what)
         self._view.history.say(f"{self._page.person.name} {what}")
         self._view.publish_history()
-
-
-def read_goal(text: str) -> Message:
-    """Parses a goal's file, JSON or short YAML, whose parser is a thousand times slower. Raises InputFaults."""
-    path = Path("file")
-    try:
-        value: Any = msgspec.json.decode(text)
-    except (msgspec.MsgspecError, RecursionError, UnicodeError):
-        if len(text) > MOST_YAML:
-            raise InputFaults(
-                path, [f"the text is no JSON, and YAML may have {MOST_YAML} characters at most"]
-            ) from None
-        value = parse_yaml(text, path)
-    if not isinstance(value, dict):
-        raise InputFaults(path, ["no goal: an object with `waypoints` is needed"])
-    return value
 
 
 def encoded(message: Mapping[str, Any]) -> bytes:

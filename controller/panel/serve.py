@@ -19,6 +19,8 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.signals import end_on_signals
 from hyperbit.controller.network import session
+from hyperbit.controller.network.endpoints import parse_endpoint
+from hyperbit.controller.network.reach import open_session
 from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of, new_token, read_people
 from hyperbit.controller.panel.access.sessions import sessions_file
@@ -111,9 +113,13 @@ def listening(address: Address) -> list[socket.socket]:
 def zenoh_configuration(endpoints: Sequence[str], file: Path | None) -> zenoh.Config:
     """Returns a Zenoh configuration that connects to daemons as soon as they start.
 
-    A Zenoh client connects to one endpoint only, which must exist. So the panel is a peer that does not listen. Raises
-    ValueError if the file is no Zenoh configuration.
+    A Zenoh client connects to one endpoint only, which must be there. So the panel is a peer that does not listen.
+
+    Raises:
+        ValueError: the file is no Zenoh configuration, or an endpoint is none.
     """
+    for endpoint in () if file is not None else endpoints:
+        parse_endpoint(endpoint)
     config = session.configuration("peer") if file is None else session.from_file(file)
     if file is None:
         config.insert_json5("connect/endpoints", json.dumps(list(endpoints)))
@@ -154,7 +160,7 @@ def serve(
     sockets = listening(address)
     access = Access(listed, sessions_file())
     panel = PanelServer(
-        lambda: zenoh.open(config), access, prefix=prefix, tls=tls is not None, hosts=address.hosts, public=public
+        lambda: open_session(config), access, prefix=prefix, tls=tls is not None, hosts=address.hosts, public=public
     )
     written = None if public is None else f"{public.origin}{public.path}"
     asyncio.run(_serve(panel, address, tls, tokens, sockets, written))

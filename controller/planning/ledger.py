@@ -10,7 +10,6 @@ goals of the last seconds, but does not damage the file. The switch journal has 
 """
 
 import errno
-import fcntl
 import logging
 import os
 import threading
@@ -20,10 +19,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
+from hyperbit.controller.host.keeper import lock_file
 from hyperbit.controller.planning.core.events import Identity, Record, ResultEntry
 from hyperbit.controller.planning.ledger_file import MOST_GOALS, LedgerFile, counted, damaged, owed, plain
 from hyperbit.controller.program import Fault
@@ -45,7 +45,7 @@ class Ledger:
     a message when the thread dies.
 
     Raises:
-        LedgerInUse: another process writes this ledger.
+        FileInUse: another process writes this ledger.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Ledger:
         fatal: Callable[[str], None] = lambda _: None,
         write_every: float = WRITE_EVERY,  # [s] between two transactions without a record
     ) -> None:
-        self._path, self._lock_file = path, locked_file(path)
+        self._path, self._lock = path, locked(path)
         self.fault: str | None = None  # why the file cannot be written now
         self.damage: str | None = None  # what happened to a damaged file
         counts = counted(path)
@@ -87,8 +87,9 @@ class Ledger:
         """Writes the rest, and frees the ledger for other processes."""
         self._queue.put(None)
         self._thread.join(timeout)
-        if self._lock_file is not None:
-            self._lock_file.close()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def _run(self) -> None:
         unwritten: deque[Record] = deque(maxlen=2 * MOST_GOALS)
@@ -131,31 +132,17 @@ class Ledger:
         return False
 
 
-class LedgerInUse(Exception):
-    """Another process has the ledger; the text says which."""
-
-
-def locked_file(ledger: Path) -> IO[bytes] | None:
-    """Returns the file "<ledger>.lock", locked until it is closed or the process ends; None if it cannot be made.
+def locked(ledger: Path) -> int | None:
+    """Returns the descriptor of the locked file "<ledger>.lock"; None if it cannot be made.
 
     The ledger itself cannot carry the lock: closing another file descriptor of it would drop SQLite's own locks.
     """
     path = ledger.with_name(f"{ledger.name}.lock")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600), "r+b", buffering=0)
+        return lock_file(path, f"end the other daemon first: the ledger {ledger} is in use by process")
     except OSError as error:
         log.warning("%s: no lock on the ledger: %s", path, error.strerror)
         return None
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        with file:
-            owner = file.read(100).decode(errors="replace").strip() or "unknown"
-        raise LedgerInUse(f"the ledger {ledger} is in use by another daemon, process {owner}: end it first") from None
-    file.truncate(0)
-    file.write(f"{os.getpid()}\n".encode())
-    return file
 
 
 class Mark(NamedTuple):  # a published result, one JSON array in a line

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperbit.controller.host.folders import state_folder
+from hyperbit.controller.host.keeper import set_aside
 from hyperbit.controller.planning.core.events import AcceptanceEntry, Identity, Record
 
 log = logging.getLogger(__name__)
@@ -89,14 +90,10 @@ class LedgerFile:
             self._connection = None
 
     def set_aside(self) -> str | None:
-        renamed = self._path.with_name(f"{self._path.name}.damaged-{time.time():.0f}")
         try:
-            for suffix in ("", "-wal", "-shm"):
-                if (part := Path(f"{self._path}{suffix}")).exists():
-                    part.rename(f"{renamed}{suffix}")
+            return set_aside(self._path, "-wal", "-shm")
         except OSError:
             return None
-        return renamed.name
 
     def _opened(self) -> sqlite3.Connection:
         """Returns the connection; opens it again if another process moved or deleted the file."""

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import msgspec
 
+from hyperbit.controller.host.keeper import set_aside, write_whole
 from hyperbit.controller.ros2.answers import GoalResult
 
 KEPT = 60.0  # [s] for which a result is kept after its goal's end
@@ -52,7 +53,9 @@ class GoalBook:
             self._goals = {goal.uuid: goal for goal in msgspec.json.decode(path.read_bytes(), type=list[BookedGoal])}
         except FileNotFoundError:
             pass
-        except (OSError, msgspec.MsgspecError) as error:
+        except (msgspec.MsgspecError, UnicodeError) as error:
+            log.error("goals before the start are not known: %s: %s; renamed to %s", path, error, set_aside(path))
+        except OSError as error:
             log.error("goals before the start are not known: %s: %s", path, error)
 
     def goals(self) -> list[BookedGoal]:
@@ -88,10 +91,8 @@ class GoalBook:
         ended = [key for key, goal in self._goals.items() if goal.result is not None and not goal.owed]
         for key in ended[: max(len(self._goals) - MOST_GOALS, 0)]:
             del self._goals[key]
-        fresh = self._path.with_suffix(".new")
         try:
-            fresh.write_bytes(msgspec.json.encode(list(self._goals.values())))
-            fresh.replace(self._path)
+            write_whole(self._path, msgspec.json.encode(list(self._goals.values())), sync=False)
         except OSError as error:
             log.error("a restart would forget the goals: %s: %s", self._path, error.strerror)
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hyperbit.controller.host.folders import user_folder
+from hyperbit.controller.host.keeper import whole_file
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.workspace.densities import Densities
 from hyperbit.controller.workspace.mapping import map_densities
@@ -22,8 +24,7 @@ def default_directory() -> Path:
     """Returns the folder of the cache: systemd's CacheDirectory, otherwise in the user's cache folder."""
     if "CACHE_DIRECTORY" in os.environ:
         return Path(os.environ["CACHE_DIRECTORY"]) / "densities"
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "hyperbit"
+    return user_folder("XDG_CACHE_HOME", ".cache") / "hyperbit"
 
 
 def key(manipulator: Manipulator, pixel: float, level_pixels: int) -> str:
@@ -76,14 +77,10 @@ def load(path: Path, wanted: str) -> Densities | None:
 
 
 def store(path: Path, wanted: str, densities: Densities) -> None:
-    """Writes densities and their key; a crash leaves the old file or the new one. May raise OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            np.savez(file, key=np.array(wanted), **vars(densities))
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    """Writes densities and their key atomically: a crash leaves the old file or the new one.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    with whole_file(path) as file:
+        np.savez(file, key=np.array(wanted), **vars(densities))

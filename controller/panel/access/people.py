@@ -7,7 +7,8 @@ from typing import Annotated, Literal, NamedTuple
 
 from msgspec import Meta, Struct
 
-from hyperbit.controller.armfile.strict import InputFaults, check, read_yaml
+from hyperbit.controller.armfile.documents import read_yaml
+from hyperbit.controller.armfile.strict import InputFaults, check
 
 Role = Literal["viewer", "operator"]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+from hyperbit.controller.host.keeper import write_whole
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of
 
 log = logging.getLogger(__name__)
@@ -62,12 +63,8 @@ class Sessions:
         """Writes the file of sessions; the page works without it."""
         if self._file is None:
             return
-        beside = self._file.with_suffix(".new")
         try:
-            descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(msgspec.json.encode(self._sessions))
-            beside.replace(self._file)
+            write_whole(self._file, msgspec.json.encode(self._sessions), sync=False)
         except OSError as error:
             log.warning("sessions cannot be written, a restart ends them: %s", error)
 

@@ -78,6 +78,7 @@ ADVICE = {
         After.NOTHING,
     ),
     "clock-set": FaultAdvice("The computer's clock was set. No action is needed.", After.NOTHING),
+    "certificate-ends": FaultAdvice("A certificate of the daemon ends soon. Renew it.", After.NOTHING),
     "network-lost": FaultAdvice("The Zenoh router is gone. The running goal continues.", After.NOTHING),
     "ledger-unwritten": FaultAdvice("Free space on the disk, or correct the permissions of the ledger.", After.NOTHING),
     "ledger-damaged": FaultAdvice("The damaged ledger was renamed. No action is needed.", After.NOTHING),

@@ -83,6 +83,6 @@ def configuration(router: str, timeout: float) -> zenoh.Config:
         },
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "timestamping": {"enabled": True},
-        "transport": {"link": {"rx": {"max_message_size": MOST_FRAGMENTS}}},
+        "transport": {"shared_memory": {"enabled": False}, "link": {"rx": {"max_message_size": MOST_FRAGMENTS}}},
     }
     return zenoh.Config.from_json5(json.dumps(settings))

@@ -40,8 +40,8 @@ class Types:
             stem, _, version = path.stem.partition(".")
             if version in ("", self._version):
                 name = "/".join((*path.parts[-3:-1], stem))
-                self._define(name, path.read_text())
-        hashes: dict[str, str] = json.loads((DEFINITIONS / "hashes.json").read_text())
+                self._define(name, path.read_text(encoding="utf-8"))
+        hashes: dict[str, str] = json.loads((DEFINITIONS / "hashes.json").read_text(encoding="utf-8"))
         for key, value in hashes.items():
             name, _, version = key.partition(".")
             if version in ("", self._version):
