@@ -87,7 +87,6 @@ def solver(manipulator: Manipulator, densities: Densities) -> Solver:
 
 @pytest.fixture(scope="session")
 def read(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any], Arm]:
-    """Loads a document by way of a file."""
     path = tmp_path_factory.mktemp("config") / "arm.yaml"
 
     class Plain(yaml.SafeDumper):

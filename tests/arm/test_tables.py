@@ -20,14 +20,12 @@ def folder(tmp_path_factory):
 
 
 def read(folder, text: str | bytes):
-    """The table in a file of this text, and the faults."""
     faults: list[str] = []
     (folder / "m.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
     return read_table(folder, "m.csv", "here", faults), faults
 
 
 def written(stack, columns) -> str:
-    """The CSV of frames."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns)
     writer.writeheader()

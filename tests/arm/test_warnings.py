@@ -19,7 +19,6 @@ HINGE = {"type": "revolute", "angles": [0, 0.3]}  # without a link: it has no si
 
 
 def without_path(warnings: list[str]) -> list[str]:
-    """Returns the warnings without the file and the line."""
     return [warning.split(": ", 1)[1] for warning in warnings]
 
 

@@ -222,7 +222,6 @@ values = st.recursive(
 
 
 def places(value, path=()):
-    """Every path into a document."""
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, part in inner:
         yield (*path, key)

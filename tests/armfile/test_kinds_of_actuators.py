@@ -18,21 +18,18 @@ BISTABLE = {"output_off": 8, "pulse": 0.05}
 
 
 def with_actuator(**fields: Any) -> dict[str, Any]:
-    """The valid document with more said of its first actuator."""
     value = document()
     value["actuators"][0].update(fields)
     return value
 
 
 def with_boards(actuator: dict[str, Any] | None = None, **fields: Any) -> dict[str, Any]:
-    """The valid document with more said of its boards, and of its first actuator."""
     value = with_actuator(**(actuator or {}))
     value["boards"].update(fields)
     return value
 
 
 def with_node(actuator: dict[str, Any] | None = None, **fields: Any) -> dict[str, Any]:
-    """The valid document with something said of the board of its first actuator."""
     return with_boards(actuator, nodes=[{"bus": "can0", "node": 1, **fields}])
 
 

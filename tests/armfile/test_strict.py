@@ -19,7 +19,6 @@ def read(tmp_path: Path, content: str | bytes):
 
 
 def refusal(tmp_path: Path, content: str | bytes) -> str:
-    """Returns the one fault that reading `content` must raise."""
     with pytest.raises(InputFaults) as caught:
         read(tmp_path, content)
     (fault,) = caught.value.faults

@@ -23,7 +23,6 @@ def known(arm: BenchArm, goal: hb.Goal, start: np.ndarray) -> Task:
 
 
 def ran(answer) -> Row:
-    """Runs a method that answers with `answer(task)`."""
     return run("mine", lambda arm: lambda goal, start: answer(known(arm, goal, start)), TASKS, 60.0)
 
 

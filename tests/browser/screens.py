@@ -36,8 +36,6 @@ MODES = ("ready", "ready", "executing", "ready", "stopped", "fault", "ready")  #
 
 
 class Screens:
-    """The world, a browser, and the folder of the pictures."""
-
     def __init__(self, world: World, browser: Any, folder: Path) -> None:
         self.world, self.browser, self.folder = world, browser, folder
 
@@ -68,7 +66,6 @@ class Screens:
 
 @contextmanager
 def client_of(world: World, arm: str) -> Iterator[Client]:
-    """A client of an arm that is ready."""
     with eventually(lambda: opened(world.endpoints[arm])) as live, closing(Client(live, arm)) as client:
         eventually(client.alive)
         ready(client)
@@ -88,7 +85,6 @@ def ready(client: Client) -> None:
 
 
 def look(shown: Shown) -> None:
-    """Waits until the page shows an arm and its boards."""
     shown.one(".stage canvas")
     shown.says("#reason", " ")
     eventually(lambda: shown.all("#boards .health"))
@@ -232,7 +228,6 @@ def arms(screens: Screens) -> None:
 
 
 def tell_state(daemon: PlayedDaemon, mode: str) -> None:
-    """Publishes a state in a mode."""
     faults = [{"code": "board-lost", "source": "can0/5", "message": "board can0/5 is silent"}]
     told: dict[str, dict[str, Any]] = {
         "executing": {"reason": "to the goal pick-7", "goal": "pick-7"},

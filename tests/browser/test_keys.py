@@ -25,7 +25,6 @@ LOCKED = [{"actuator": "1.left", "state": 1}]
 
 
 def found(shown: Shown) -> list[str]:
-    """What axe finds wrong with the page."""
     if not AXE.exists():
         pytest.skip("axe is not installed: make page-test gets it from npm")
     shown.run(AXE.read_text() + "; window.axe = axe;")

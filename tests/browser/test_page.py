@@ -29,7 +29,6 @@ MEASURED, PLANNED, OBSTACLE = [0, 114, 178], [0, 120, 90], [138, 75, 114]  # lig
 
 
 def type_goal(shown: Shown, *numbers: float) -> None:
-    """Types a position into the fields of the goal."""
     for k, number in enumerate(numbers, 1):
         shown.type(f"#goal .fields label:nth-child({k}) input", f"{number:g}")
 

@@ -65,7 +65,6 @@ async def passed(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> 
 
 @pytest.fixture
 def shown(tmp_path: Path, driver: object) -> Iterator[Shown]:
-    """The page below PREFIX of a proxy."""
     with ExitStack() as closing:
         endpoint, page = free_endpoint(), free_port()
         closing.callback(PlayedDaemon(endpoint).close)

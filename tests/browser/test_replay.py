@@ -23,8 +23,6 @@ TIMES = re.compile(r"replay of (\S+), (\S+) of (\S+) to (\S+)")
 
 
 class Replayed(NamedTuple):
-    """A recording that is replayed, and the address of the panel that shows it."""
-
     file: Path
     url: str
 

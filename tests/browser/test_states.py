@@ -39,7 +39,6 @@ def heard(trouble: Trouble) -> Iterator[None]:
 
 
 def opened(trouble: Trouble, driver: object, **fields: Any) -> Shown:
-    """Opens the arm's page as an operator, and waits until it shows a state."""
     shown = Shown(driver, trouble.url)
     shown.visit("/arms/planar16", OPERATOR)
     shown.one(".stage canvas")
@@ -84,7 +83,6 @@ def test_in_a_fault_the_last_known_pose_is_drawn_and_the_unknown_is_marked(troub
 
 
 def planned(trouble: Trouble, driver: object) -> Shown:
-    """Opens the page with a goal and its plan."""
     trouble.daemon.gate.set()
     shown = opened(trouble, driver, reason="planned")
     type_goal(shown, 0.4, 2.9)
@@ -94,7 +92,6 @@ def planned(trouble: Trouble, driver: object) -> Shown:
 
 
 def enabled(shown: Shown) -> bool:
-    """Whether Go is enabled."""
     return bool(shown.one("#go").is_enabled())
 
 

@@ -58,7 +58,6 @@ ARMS = {
 
 
 def arm_of(folder: Path, modules: list[dict], **more: object) -> Arm:
-    """The arm of a file arm.yaml with these modules, in a folder."""
     file = folder / "arm.yaml"
     more |= {"tip": TIP} if modules is TOOLED else {}
     file.write_text(yaml.safe_dump({"name": "a", "modules": modules, "tolerance": {"position": 0.002}, **more}))
@@ -76,7 +75,6 @@ def erring(arm: Arm, rng: np.random.Generator, *, each: bool = False, size: floa
 def measured(
     arm: Arm, real: Model, rng: np.random.Generator, count: int, *, oriented: bool = True, noise: float = 1.0
 ) -> Samples:
-    """Simulated measurements of the real arm in `count` random configurations."""
     manipulator = arm.manipulator
     configurations = np.column_stack([rng.integers(0, k, count) for k in manipulator.states])
     lines = np.arange(count) + 2

@@ -23,7 +23,6 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def written(manipulator, configurations, tips, columns) -> str:
-    """The CSV text of samples."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(columns)

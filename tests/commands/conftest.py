@@ -52,7 +52,6 @@ def told(hyperbit) -> Told:
 
 @pytest.fixture
 def own_folders(monkeypatch, tmp_path):
-    """Gives a test its own cache folder and ledger."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
@@ -66,7 +65,6 @@ def brief_listening(monkeypatch):
 
 @pytest.fixture
 def spatial(tmp_path):
-    """An arm of six spatial modules without boards."""
     turned = [0.0, math.sin(0.25), 0.0, math.cos(0.25)]
     states = [{"position": [0, 0, 0.1]}, {"position": [0.02, 0.0, 0.12], "orientation": turned}]
     states += [{"position": [0.0, 0.03, 0.11]}]

@@ -229,7 +229,6 @@ def test_wear_reads_the_ledger(hyperbit, tmp_path):
 
 @pytest.fixture
 def ledgers(monkeypatch, tmp_path):
-    """Paths of the user's and the service's ledger, in the test's own folders."""
     monkeypatch.setattr(wear, "SERVICE_FOLDERS", (tmp_path / "service", tmp_path / "private"))
     return tmp_path / "state" / "hyperbit" / "planar16.sqlite", tmp_path / "service" / "planar16.sqlite"
 

@@ -30,7 +30,6 @@ OTHERS = {
 
 
 def text() -> str:
-    """Returns the text of the catalog."""
     entries = {}
     for code, advice in ADVICE.items():
         action = str(advice).replace("Then hold Reset", "Then run `hyperbit reset`")

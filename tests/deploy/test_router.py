@@ -78,7 +78,6 @@ def cell(keys: Path) -> Iterator[Cell]:
 
 
 def reached(cell: Cell, who: str) -> zenoh.Session:
-    """A session that knows both arms."""
     opened = cell.open(who)
     eventually(lambda: alive(opened) == [HERE, THERE], told=lambda: str(alive(opened)))
     return opened

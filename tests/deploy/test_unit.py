@@ -35,7 +35,6 @@ analyzed = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="s
 
 
 def settings(unit: Path) -> dict[str, list[str]]:
-    """Returns the values of each setting of a unit, in order."""
     found: dict[str, list[str]] = {}
     for line in unit.read_text().splitlines():
         if "=" in line and not line.startswith("#"):

@@ -72,7 +72,6 @@ def test_each_target_of_make_exists(path):
 
 
 def tables() -> dict[str, list[tuple[str, page.Table]]]:
-    """Returns the tables of all pages by name, each with its page's name."""
     found = defaultdict[str, list[tuple[str, page.Table]]](list)
     for read in map(page.read, PAGES):
         for table in read.tables:

@@ -104,7 +104,6 @@ class Rig:
 
     @property
     def epoch(self) -> int:
-        """The executor's epoch."""
         return self.core.modes.epoch
 
     def do(self, event: Any) -> None:
@@ -201,7 +200,6 @@ class Rig:
 
     @property
     def switched(self) -> list[int]:
-        """States of all commits."""
         return [states for _, states in self.master.commits]
 
     @property

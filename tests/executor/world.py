@@ -27,8 +27,6 @@ class World(Hardware, Witness):
         core: of the present process, or of the last one.
         heard: messages to the planner, with their times.
         syncs: times at which SYNCs were handed out [s].
-        logged: lines of the log.
-        ended: whether a process has ended.
     """
 
     core: Executor
@@ -49,17 +47,14 @@ class World(Hardware, Witness):
     # --- what a test gives
 
     def connect(self) -> None:
-        """Connects the planner, which then keeps itself alive."""
         self.send(Hello(VERSION, "planner", "small"))
 
     def leave(self) -> None:
-        """Closes the planner's connection."""
         self.executor.hear(PLANNER, ClientGone(PLANNER))
         self.agenda.run(WAKE_UP)
 
     @property
     def epoch(self) -> int:
-        """The executor's epoch."""
         assert self.executor.core is not None
         return self.executor.core.modes.epoch
 
@@ -81,7 +76,6 @@ class World(Hardware, Witness):
                 each()
 
     def run(self, number: int, *states: int, step: float = 0.2) -> None:
-        """Sends a program from the present states."""
         snapshot = self.last(Snapshot)
         stages = tuple(Stage(pack(bits, SIZE), at=step * k, mark=k) for k, bits in enumerate(states))
         self.send(Program(number, snapshot.epoch, snapshot.outputs, 0.0, stages, True, False, f"goal {number}"))
@@ -105,7 +99,6 @@ class World(Hardware, Witness):
 
     @property
     def has_planner(self) -> bool:
-        """Whether the executor knows the planner."""
         core = self.executor.core
         return core is not None and core._clients.planner is not None
 
@@ -115,7 +108,6 @@ class World(Hardware, Witness):
 
     @property
     def driven(self) -> int:
-        """States to which the valves drive the actuators."""
         return sum(end << k for k, end in enumerate(self.boards.drives()))
 
     def started(self) -> None:
@@ -140,7 +132,6 @@ class World(Hardware, Witness):
 
 
 def ready(**fields: Any) -> World:
-    """Returns a world whose arm is ready."""
     world = World(**fields)
     world.go(2.0)
     assert world.mode == "ready", world.logged

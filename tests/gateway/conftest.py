@@ -48,10 +48,7 @@ class FakePlanner:
 
     Attributes:
         heard: key and message of each request.
-        arrivals: their numbers.
         decoded: keys of the payloads that were decoded.
-        waiting: answers that wait.
-        receive: mailboxes.
     """
 
     def __init__(self) -> None:
@@ -139,13 +136,11 @@ class Gateway:
         return Server(self.session, ARM, parts)
 
     def find(self, goal: str) -> Payload | None:
-        """The ledger's row of a goal."""
         if not self.readable:
             raise sqlite3.OperationalError("unable to open database file")
         return self.rows.get(goal)
 
     def other(self) -> zenoh.Session:
-        """A session of a client."""
         return self._stack.enter_context(zenoh.open(session.configuration("client", connect=self.endpoint)))
 
     def client(self) -> Client:

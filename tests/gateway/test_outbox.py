@@ -55,7 +55,6 @@ class Results:
     Attributes:
         told: goals that ended, programs that were noted, and numbers that were posted.
         fatal: messages of a thread that died.
-        fail: whether noting fails.
     """
 
     def __init__(self, session: FakeSession) -> None:

@@ -9,8 +9,6 @@ from hyperbit.controller.program import Fault
 
 
 class Bench:
-    """A system whose clocks and network the test controls."""
-
     def __init__(self) -> None:
         self.now, self.set_by, self.reachable = 100.0, 1.7e9, True
         self.others: tuple[Fault, ...] = ()

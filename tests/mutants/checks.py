@@ -54,13 +54,7 @@ def warm_up() -> None:
 
 
 def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
-    """Runs worlds of all kinds in turn until one fails, or until they have run all steps.
-
-    Args:
-        mutant: the planted defect; None: none.
-        steps: number of steps of all worlds.
-        first: seed of the first worlds.
-    """
+    """Runs worlds of all kinds in turn until one fails, or until they have run all steps."""
     if mutant is not None:
         sitecustomize.plant(mutant.module, str(ROOT / mutant.file), mutant.source)
     try:
@@ -91,8 +85,6 @@ def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
 
 
 class _Watch:
-    """Raises `Stuck` where a step takes too long."""
-
     def __init__(self) -> None:
         self.world: Any = None
         self._seen = -1
@@ -113,12 +105,7 @@ class _Watch:
 
 
 def run_tests(mutant: Mutant | None, files: Iterable[str]) -> Result:
-    """Runs test files until a test fails.
-
-    Args:
-        mutant: the planted defect; None: none.
-        files: paths, in the order of the run.
-    """
+    """Runs test files until a test fails."""
     import pytest
 
     if mutant is not None:
@@ -150,8 +137,6 @@ def run_tests(mutant: Mutant | None, files: Iterable[str]) -> Result:
 
 
 class _FirstFailure:
-    """A plugin of pytest."""
-
     test = why = ""
 
     def pytest_runtest_logreport(self, report: Any) -> None:
@@ -168,13 +153,7 @@ class _FirstFailure:
 
 
 def ordered_tests(room: str, mutant: Mutant | None, finders: Iterable[str] = ()) -> list[str]:
-    """Returns the test files of a room; those that have found defects of this module, or mirror it, come first.
-
-    Args:
-        room: a key of `TESTS`.
-        mutant: the defect; None: any order will do.
-        finders: test files that have found other defects of the module.
-    """
+    """Returns the test files of a room; those that have found defects of this module, or mirror it, come first."""
     files = [
         path.relative_to(ROOT).as_posix()
         for folder in TESTS[room]

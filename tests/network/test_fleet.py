@@ -51,8 +51,6 @@ def fleet(stack: ExitStack, viewer: zenoh.Session) -> Fleet:
 
 
 def awaited(fleet: Fleet, what: Callable[[dict[ArmAddress, ArmStatus]], bool]) -> dict[ArmAddress, ArmStatus]:
-    """Returns the arms as soon as they satisfy a condition."""
-
     def look() -> dict[ArmAddress, ArmStatus] | None:
         fleet.ask()
         arms = {arm.address: arm for arm in fleet.arms()}

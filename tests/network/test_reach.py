@@ -32,8 +32,6 @@ def _short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @contextmanager
 def served(serve: Callable[[socket.socket], None]) -> Iterator[str]:
-    """Serves each connection by a function; yields host and port."""
-
     def run() -> None:
         with suppress(OSError):
             while True:

@@ -41,7 +41,6 @@ PATIENCE = 60.0  # [s]
 
 @functools.cache
 def paper_arm() -> Arm:
-    """The arm of all daemons of these tests, read once."""
     return load(DEPLOY / f"{ARM}.yaml")
 
 
@@ -51,7 +50,6 @@ class PlayedDaemon:
     Attributes:
         asked: key and payload of each request except `arm`.
         gate: event that answers to `plan` wait for.
-        planned: further fields of a planned waypoint.
     """
 
     def __init__(self, endpoint: str, name: str = ARM, *, mode: str = "peer") -> None:
@@ -99,11 +97,9 @@ class PlayedDaemon:
         query.reply(f"hyperbit/{self._name}/{key}", json.dumps(answer).encode())
 
     def commands(self) -> list[str]:
-        """Returns the keys of the requests, in order."""
         return [key for key, _ in self.asked]
 
     def state(self, **fields: Any) -> Message:
-        """Publishes a state."""
         states = [0] * len(self.manipulator.actuators)
         home = [0] * 16
         told = {
@@ -125,7 +121,6 @@ class PlayedDaemon:
                 self.put("state", self._latest)
 
     def put(self, key: str, payload: Message) -> None:
-        """Publishes a message."""
         self._session.put(f"hyperbit/{self._name}/{key}", json.dumps(payload).encode())
 
     def die(self) -> None:
@@ -133,14 +128,11 @@ class PlayedDaemon:
         self._token.undeclare()
 
     def close(self) -> None:
-        """Ends the session."""
         self.gate.set()
         self._session.close()  # type: ignore[no-untyped-call]
 
 
 class Opened:
-    """An open page."""
-
     def __init__(self, socket: WebSocketTestSession) -> None:
         self.socket = socket
         self.latest: dict[str, Message] = {}
@@ -178,7 +170,6 @@ class Opened:
         return self._number
 
     def ask(self, do: str, **fields: Any) -> Message:
-        """Sends a request and returns its answer."""
         number = self.send(do, **fields)
         return self.until("reply", lambda reply: reply["n"] == number)
 
@@ -194,11 +185,7 @@ class HeldClock:
 
 
 class Site:
-    """A running panel, its daemon, and logged-in clients.
-
-    Attributes:
-        clock: of the pages' heartbeats.
-    """
+    """A running panel, its daemon, and logged-in clients."""
 
     def __init__(self, closing: ExitStack) -> None:
         with socket.create_server(("127.0.0.1", 0)) as free:
@@ -222,7 +209,6 @@ class Site:
         return {"cookie": cookie, "origin": ORIGIN}
 
     def open(self, token: str = OPERATOR, path: str = f"/arms/{ARM}/live") -> Opened:
-        """Opens a page."""
         socket = self.browser.websocket_connect(SOCKETS + path, headers=self.cookie(token))
         return Opened(self.enter(socket))
 

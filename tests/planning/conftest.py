@@ -38,8 +38,6 @@ def desk(small: Arm, small_densities: Densities) -> Desk:
 
 @pytest.fixture
 def make_desk() -> Callable[..., Desk]:
-    """Builds a desk of another arm."""
-
     def make(arm: Arm, densities: Densities | None = None, **more: Any) -> Desk:
         desk = Desk(arm, densities or map_densities(arm.reduced, arm.pixel, arm.level_pixels), **more)
         desk.executor.greet()

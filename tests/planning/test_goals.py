@@ -17,7 +17,6 @@ A, B, C = (1, 2, 0, 0), (3, 4, 0, 1), (7, 0, 2, 0)
 
 
 def taken(desk: Desk, *configurations: tuple[int, ...], **fields: object) -> Program:
-    """Sends a goal and accepts it; returns its program."""
     desk.goal(*configurations, **fields)  # type: ignore[arg-type]
     program = desk.executor.expect(Program)
     desk.executor.accept(program)

@@ -73,7 +73,6 @@ class Bench:
         pass
 
     def ask(self, reply: Any) -> None:
-        """Requests a reset."""
         self.loop.request(self.loop.arrive(), "reset", None, reply)
 
     def handle(self, *events: Event) -> list[Event]:
@@ -258,7 +257,6 @@ def test_the_recorder_gets_each_step_until_it_fails(bench: Bench) -> None:
 
 
 def run(bench: Bench) -> None:
-    """Runs the loop with its thread until it ends by itself."""
     bench.loop.start()
     assert bench.loop.ended.wait(PATIENCE)
 

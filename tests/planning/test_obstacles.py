@@ -28,7 +28,6 @@ def obstacles(desk: Desk, *discs: tuple[list[float], float]) -> dict[str, Any]:
 
 
 def send(desk: Desk, *discs: tuple[list[float], float]) -> None:
-    """Sends obstacles; the answer may come later."""
     regions = [
         {"disc": {"centre": centre, "radius": radius}, "name": f"d{k}"} for k, (centre, radius) in enumerate(discs)
     ]

@@ -34,8 +34,6 @@ from tests.waiting import PATIENCE
 
 
 class Bench:
-    """A planner with a scripted core, which answers each request with its number."""
-
     def __init__(self, arm: Arm, densities: Densities, path: Path) -> None:
         self.core, self.services, inbox = ScriptedCore(), Remembering(), Inbox()
         link = ExecutorLink(path, "small", DIGEST)
@@ -60,7 +58,6 @@ class Bench:
         self.planner.loop.close()
 
     def end(self, event: Quit) -> list[Any]:
-        """Ends the core, with a last message."""
         self.core.ended = True
         return [ToExecutor(Acknowledge(7))]
 

@@ -49,8 +49,6 @@ class Change(NamedTuple):
 
     Attributes:
         cause: "SYNC", "RPDO", "START", "error", "SDO write", "NMT" or "power".
-        before: pins before.
-        after: pins after.
     """
 
     node: int
@@ -60,7 +58,6 @@ class Change(NamedTuple):
 
     @property
     def energised(self) -> int:
-        """Mask of the pins that went on."""
         return self.after & ~self.before
 
 

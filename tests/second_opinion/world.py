@@ -255,7 +255,6 @@ class World:
 
     @property
     def pins(self) -> int:
-        """The actuators that are driven to extend, as a mask."""
         return sum((board.pins >> FIRST & 7) << 3 * k for k, board in enumerate(self.boards.values()))
 
     def _changed(self, change: Change) -> None:

@@ -34,7 +34,6 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def process(folder: Path, cache: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """The command in a process of its own."""
     command = [sys.executable, "-c", RUN, str(folder / "arm.yaml"), "--simulate", "--listen", endpoint(folder)]
     environment = {
         **os.environ, "NOTIFY_SOCKET": "", "XDG_CACHE_HOME": str(cache.parent), "STATE_DIRECTORY": str(folder),
@@ -57,8 +56,6 @@ def endpoint(folder: Path) -> str:
 
 @pytest.fixture
 def client(process: subprocess.Popen[bytes], folder: Path) -> Iterator[Observer]:
-    """A client of the daemon, once it listens."""
-
     def connect() -> zenoh.Session | None:
         assert process.poll() is None, (folder / "log").read_text()
         try:

@@ -44,7 +44,6 @@ class Round(NamedTuple):
     """One round of goals.
 
     Attributes:
-        bridged: whether the bridge ran.
         puts: time of each goal, shape (n,) [s].
         pings: time of the ping before each goal, shape (n,) [s].
         load: the planner's processor time over the time of the round.

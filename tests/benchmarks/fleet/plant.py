@@ -39,8 +39,6 @@ class Cost(NamedTuple):
 
 
 class Plant:
-    """The plant; arms are added, killed and started again."""
-
     def __init__(self, folder: Path, closing: ExitStack) -> None:
         self._folder, self._closing = folder, closing
         self._processes: dict[str, subprocess.Popen[bytes]] = {}

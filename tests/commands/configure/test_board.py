@@ -20,7 +20,6 @@ from tests.commands.conftest import ARM
 
 @pytest.fixture
 def arm(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    """An arm's file whose bus is virtual."""
     document = yaml.safe_load(ARM.read_text())
     document["buses"][0] |= {"interface": "virtual", "channel": request.node.name}
     document["boards"]["boot_timeout"] = 60
@@ -40,7 +39,6 @@ def boards(arm: Path) -> Iterator[Simulation]:
 
 @pytest.fixture
 def board(hyperbit, arm, tmp_path):
-    """Runs the command on an arm without an executor."""
     return lambda *words: hyperbit("board", str(arm), *words, "--socket", str(tmp_path))
 
 

@@ -23,7 +23,6 @@ NAME = "checked-by-a-test"  # no executor of this computer has this name
 
 @pytest.fixture
 def arm(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    """An arm's file of four boards whose bus is virtual."""
     document = yaml.safe_load(ARM.read_text())
     document["name"] = NAME
     document["buses"][0] |= {"interface": "virtual", "channel": request.node.name}

@@ -58,7 +58,6 @@ class World(Hardware):
     # --- the master
 
     def new_master(self) -> None:
-        """Replaces the master by a new one, with open buses."""
         self.use(Master(self.wiring, self.timing, self.send))
         for name, bus in self.buses.items():
             self.master.receive_event(BusChanged(name, bus.state, "", None), self.now)
@@ -184,7 +183,6 @@ class World(Hardware):
 
 @functools.cache
 def answering(variant: Variant, latency: float) -> Variant:
-    """Returns a variant whose SDO answers take a time longer [s]."""
     return replace(variant, answer_delay=variant.answer_delay + latency)
 
 

@@ -77,7 +77,6 @@ class Rig:
     # --- time
 
     def run(self, seconds: float) -> None:
-        """Runs for a time [s]."""
         self.until(lambda: False, seconds)
 
     def until(self, condition: Callable[[], object], longest: float) -> bool:

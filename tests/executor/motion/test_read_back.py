@@ -86,7 +86,6 @@ def test_a_goal_whose_switches_were_read_back_is_verified() -> None:
 
 
 def deaf(world: World, board: str = "can0/1") -> None:
-    """The board takes no RPDO any more."""
     world.boards.board(board)._pdos.receive = lambda cob_id, data, now: False
 
 

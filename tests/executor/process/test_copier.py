@@ -64,7 +64,6 @@ def bench(path: Path) -> Iterator[Bench]:
 
 
 def eventually(holds: Callable[[], Any]) -> Any:
-    """Waits for a condition, for a minute at most."""
     deadline = time.monotonic() + 60
     while not (found := holds()):
         assert time.monotonic() < deadline

@@ -75,8 +75,6 @@ class Process:
 
 
 class Planner:
-    """A connection to the executor."""
-
     def __init__(self, path: Path) -> None:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.socket.settimeout(60)
@@ -91,7 +89,6 @@ class Planner:
         self.socket.send(encode(message))
 
     def wait(self, kind: type, holds: Any = lambda message: True) -> Any:
-        """Waits for a message of a kind that meets a condition."""
         while True:
             message = decode_up(self.socket.recv(MOST_BYTES))
             if isinstance(message, kind) and holds(message):

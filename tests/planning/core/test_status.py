@@ -36,8 +36,6 @@ TICK = 0.001  # [s] of the simulated clock
 
 
 class StatusBench(PlayedCore):
-    """The status of an arm that the test plays."""
-
     def __init__(self, arm: Arm, tracker: TrackerSettings | None = None) -> None:
         super().__init__(arm)
         tip_bias = None if tracker is None else TipBiasEstimator(self.parts, self.locks, tracker)
@@ -58,14 +56,12 @@ class StatusBench(PlayedCore):
         self.status.report()
 
     def run(self, seconds: float) -> None:
-        """Lets time pass without a change."""
         for _ in range(round(seconds / TICK)):
             if self.now >= self.status.due:
                 self.report(changed=False)
             self.advance(TICK)
 
     def published(self, key: str) -> list[Any]:
-        """Returns the payloads of a key since the last call."""
         kept, payloads = self.take(Publish), list[Any]()
         for action in kept:
             if action.key == key:

@@ -84,7 +84,6 @@ class DeskExecutor(PlayedExecutor):
         super().__init__(actuators)
 
     def greet(self, greatest: int = 0) -> None:
-        """Accepts the planner, and shows the arm."""
         self.send(
             Welcome(VERSION, "small", "d" * 64, self.instance, (0,) * self.actuators, greatest, self._desk.simulation)
         )
@@ -104,8 +103,6 @@ class DeskExecutor(PlayedExecutor):
 
 
 class Inbox:
-    """What clients receive, in order."""
-
     def __init__(self) -> None:
         self.payloads = deque[tuple[str, dict[str, Any]]]()
 
@@ -113,7 +110,6 @@ class Inbox:
         self.payloads.append((key, dict(payload)))
 
     def next(self, key: str) -> dict[str, Any]:
-        """Returns the next payload, and checks its key."""
         assert self.payloads, f"no {key} came"
         came, payload = self.payloads.popleft()
         assert came == key, f"{came} {payload} came where {key} was expected"
@@ -133,20 +129,15 @@ class Desk:
         inbox: answers, feedback and results.
         published: the latest `state` and `diagnostics`.
         entries: what the ledger has recorded.
-        logs: lines of the log.
         failures: sentences with which the process would have ended.
         held: kinds of tasks that are not answered, until `release`.
         failing: kinds of tasks that fail.
         storing: whether results are noted as published, and entries as recorded, at once.
-        workers: of the planner.
         delay: time that requests have waited before they reach the core [s].
 
     Args:
-        arm: the arm.
-        densities: of it.
         published: results that were published before, by program.
         owed: goals that earlier planner processes accepted.
-        simulation: simulated boards of the executor.
     """
 
     def __init__(
@@ -200,11 +191,9 @@ class Desk:
         self.settle()
 
     def quit(self) -> None:
-        """Asks the process to end."""
         self.post(Quit())
 
     def drop(self, reason: str = "the executor closed the connection") -> None:
-        """Closes the connection, like an executor that dies."""
         self.post(LinkDown(reason))
 
     def settle(self) -> None:
@@ -309,7 +298,6 @@ class Desk:
         return self._numbers
 
     def setpoint(self, payload: bytes, number: int, sender: str = "") -> None:
-        """Sends a set-point, which has arrived as this number."""
         self.post(SetpointArrived(payload, Arrival(number, self.now - self.delay), sender))
 
     def goal(self, *configurations: tuple[int, ...], step: float = 0.2, name: str = "a", **fields: Any) -> None:
@@ -328,12 +316,10 @@ class Desk:
         return pack(self.bits(*configuration), len(self.arm.manipulator.actuators))
 
     def state(self) -> dict[str, Any]:
-        """Returns the present payload of `state`."""
         self.settle()
         return dict(self.published["state"])
 
     def diagnostics(self) -> dict[str, Any]:
-        """Returns the latest payload of `diagnostics`."""
         self.pass_time(1.1)
         return dict(self.published["diagnostics"])
 

@@ -60,7 +60,6 @@ class ScriptedExecutor(PlayedExecutor):
         self._client.send(encode(message))
 
     def take(self) -> Down:
-        """Waits for the next message."""
         return self._messages.get(timeout=PATIENCE)
 
     def waiting(self) -> list[Down]:
@@ -73,7 +72,6 @@ class ScriptedExecutor(PlayedExecutor):
     # --- the connection
 
     def drop(self) -> None:
-        """Closes the connection, like an executor that dies."""
         assert self._client is not None
         self._client.shutdown(socket.SHUT_RDWR)
 
@@ -119,8 +117,6 @@ class ScriptedExecutor(PlayedExecutor):
 
 
 class FakeLedger:
-    """Remembers what is recorded."""
-
     fault: str | None = None
     instance = 0
 
@@ -144,8 +140,6 @@ class FakeLedger:
 
 
 class Inbox:
-    """Published payloads, in order; reading waits for the next."""
-
     def __init__(self) -> None:
         self._queue: queue.Queue[tuple[str, dict[str, Any]]] = queue.Queue()
         self._feedback = deque[dict[str, Any]]()  # that came before a reply, which waits for the ledger

@@ -21,9 +21,6 @@ class RunningPlanner:
     """A planner that runs until `close`, or until `vanish`.
 
     Attributes:
-        planner: as the gateway uses it.
-        state: the latest payload of `state`.
-        diagnostics: the latest payload of `diagnostics`.
         failures: sentences with which the process would have ended.
     """
 

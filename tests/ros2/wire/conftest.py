@@ -41,7 +41,6 @@ def router() -> Iterator[Router]:
 
 @pytest.fixture
 def connect(router: Router) -> Iterator[Callable[[], Session]]:
-    """Opens sessions of the wire, which are closed after the test."""
     opened: list[Session] = []
 
     def connect() -> Session:

@@ -41,24 +41,17 @@ class System:
 
     Attributes:
         kind: of bus, "emulated" or "socketcan".
-        arm: read from its file.
-        file: of the arm.
         interface: the bus, which tests take down and bring back.
         wiring: of the boards, on the bus as this process opens it.
         boards: the simulated boards, in threads of this process.
-        executor: its process, once started.
         planner: its process, if it has one of its own.
         daemon: of the planner, if it is in this process.
-        ledger: the planner's.
         config: of the planner's Zenoh session; by default it listens at the endpoint.
         clients: returns the configuration of clients' sessions.
 
     Args:
         kind: of bus.
         base: of `arms.KINDS`.
-        fields: of the arm's file.
-        nurseries: of executors and planners.
-        cache: the folder of densities.
     """
 
     def __init__(
@@ -124,19 +117,16 @@ class System:
         return boards
 
     def start_executor(self) -> Process:
-        """Starts an executor in a process of its own."""
         arguments = [str(self.file), "--socket", str(self.socket)]
         self.executor = self._nurseries["executor"].start(arguments, self.folder / "executor.log", self._environment)
         return self.executor
 
     def start_planner(self) -> Daemon:
-        """Starts a planner in threads of this process."""
         config = self.config or session.configuration("peer", listen=self.endpoint)
         self.daemon = self._planner_end.enter_context(self.serving(config, self.ledger))
         return self.daemon
 
     def serving(self, config: zenoh.Config, ledger: Path) -> AbstractContextManager[Daemon]:
-        """A planner in threads of this process, while the context lasts."""
         arm = self.arm
         densities = load_or_map(arm.reduced, arm.pixel, arm.level_pixels, self._cache)
         digest = hashlib.sha256(self.file.read_bytes()).hexdigest()
@@ -156,7 +146,6 @@ class System:
         return self.planner
 
     def end_planner(self) -> None:
-        """Ends the planner in order."""
         self._planner_end.close()
         self._planner_end, self.daemon = ExitStack(), None
         if self.planner is not None and self.planner.alive:
@@ -196,17 +185,14 @@ class System:
             yield listening
 
     def drives(self) -> list[int]:
-        """The output of each actuator, 0 or 1."""
         with self.boards._lock:
             return self.boards._boards.drives()
 
     def counts(self) -> list[int]:
-        """The ledger's counts of each actuator."""
         switches = read(self.ledger)[0]
         return [switches.get(label, 0) for label in self.arm.manipulator.actuators]
 
     def logs(self) -> str:
-        """The ends of the processes' logs."""
         names = ("executor", "planner")
         return "\n".join(f"--- {name}\n{tail(self.folder / f'{name}.log')}" for name in names)
 

@@ -32,7 +32,6 @@ class Parts:
     """The arm of the paper, running; the parts end with the context, and then their records can be read.
 
     Args:
-        real_time: whether the arm's file asks for it.
         simulate: the boards are simulated in the executor's process, else in one of their own on an emulated bus.
     """
 
@@ -123,7 +122,6 @@ class Parts:
 
 
 def free_port() -> int:
-    """Returns a TCP port that nobody listens at."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return int(free.getsockname()[1])
