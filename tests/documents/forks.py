@@ -55,9 +55,6 @@ def forking(folder: Path) -> Iterator[str]:
         process.communicate()
 
 
-# --- the process
-
-
 def main(path: str) -> None:
     for name in NEEDED:
         importlib.import_module(name)

@@ -44,8 +44,6 @@ class World(Hardware, Witness):
         self.connect()
         self._keep_alive()
 
-    # --- what a test gives
-
     def connect(self) -> None:
         self.send(Hello(VERSION, "planner", "small"))
 
@@ -84,8 +82,6 @@ class World(Hardware, Witness):
         if self.has_planner:
             self.executor.hear(PLANNER, FromClient(PLANNER, Alive()))
         self.agenda.after(TICK, self._keep_alive)
-
-    # --- what comes out
 
     def of(self, kind: type) -> list[Any]:
         return [message for _, message in self.heard if isinstance(message, kind)]

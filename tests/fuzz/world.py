@@ -93,8 +93,6 @@ class World(Hardware, Witness):
     def master(self) -> Master:
         return self.core._master
 
-    # --- what the judge sees
-
     def told(self, event: Event) -> None:
         self._end_event()
         self._event, self._before = event, (self.core.motion.readings.read, self.master.known)
@@ -130,8 +128,6 @@ class World(Hardware, Witness):
         elif client == PLANNER:
             self.judge.heard(message)
 
-    # --- time
-
     def go(self, ticks: int = 1) -> None:
         """Advances the time of all parts by a number of periods."""
         self.agenda.run(ticks * TICK)
@@ -140,8 +136,6 @@ class World(Hardware, Witness):
     def _keep_alive(self) -> None:
         self.executor.hear(PLANNER, FromClient(PLANNER, Alive()))
         self.agenda.after(TICK, self._keep_alive)
-
-    # --- the planner
 
     def _greet(self, client: ClientId) -> None:
         role: Literal["planner", "operator"] = "planner" if client == PLANNER else "operator"
@@ -166,8 +160,6 @@ class World(Hardware, Witness):
         packed = tuple(Stage(pack(states, SIZE), k * step, k, k * step) for k, states in enumerate(stages))
         start, epoch = pack(self.master.outputs, SIZE), self.core.modes.epoch
         self.send(Program(number, epoch, start, 0.0, packed, True, False, "goal"))
-
-    # --- frames
 
     def attack(self, it: can.Message) -> None:
         standard = not (it.is_extended_id or it.is_remote_frame or it.is_error_frame or it.is_fd)
@@ -205,8 +197,6 @@ class World(Hardware, Witness):
     def supply(self, node: int, on: bool) -> None:
         self.dirty = True
         self.fault("power_on" if on else "power_cut", f"can0/{node}")
-
-    # --- what must hold
 
     def check_outputs(self) -> None:
         """Compares the boards' outputs with the master's commands, unless the intruder commanded them."""

@@ -55,8 +55,6 @@ class World(Hardware):
         self.new_master()
         self.after(0.0, self._tick)
 
-    # --- the master
-
     def new_master(self) -> None:
         self.use(Master(self.wiring, self.timing, self.send))
         for name, bus in self.buses.items():
@@ -102,8 +100,6 @@ class World(Hardware):
             self.master.receive_event(event, self.now)
             self._collect()
 
-    # --- what a test gives
-
     def say(self, cob_id: int, data: bytes = b"", bus: str = "can0") -> None:
         self.buses[bus].from_other(Frame(cob_id, data))
 
@@ -141,8 +137,6 @@ class World(Hardware):
 
         while not taken():
             self.run(TICK)
-
-    # --- what comes out
 
     def frames(self, bus: str = "can0", sdo: bool = False) -> list[tuple[int, str]]:
         """Returns COB-ID and data of the frames since the last call, without heartbeats, and without SDO by default."""

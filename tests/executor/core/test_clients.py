@@ -151,9 +151,6 @@ def test_the_planner_hears_the_counts_before_each_result_and_at_the_end(rig: Rig
     assert rig.of(Counted) == [Counted((2, 2, 2, 0, 0, 0))]
 
 
-# --- reports
-
-
 def test_snapshots_come_20_times_a_second_and_on_change_and_diagnostics_every_second(rig: Rig) -> None:
     rig.heard.clear()
     rig.go(1)

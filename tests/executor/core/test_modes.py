@@ -33,9 +33,6 @@ def answer(rig: Rig) -> tuple[bool, str]:
     return last.accepted, last.message
 
 
-# --- cancel, halt, reset
-
-
 def test_cancel_holds_and_begins_a_new_epoch(rig: Rig) -> None:
     old = rig.program(A)
     rig.run(A, B, number=2)
@@ -101,9 +98,6 @@ def test_a_program_that_comes_too_late_is_declined(rig: Rig) -> None:
     assert rig.switched == []
     rig.send(msgspec.structs.replace(rig.program(A), until=rig.now))
     assert rig.mode == "executing"
-
-
-# --- faults
 
 
 def test_a_fault_ends_the_program_and_waits_for_reset(rig: Rig) -> None:
@@ -212,9 +206,6 @@ def test_a_defect_is_a_fault_the_arm_holds_and_the_executor_goes_on(rig: Rig, ve
     rig.send(Reset(1, rig.epoch))
     rig.go(2 * TICK)
     assert rig.mode == "ready"
-
-
-# --- the end
 
 
 def test_at_the_end_the_program_has_its_result_and_nothing_more_is_taken(rig: Rig) -> None:

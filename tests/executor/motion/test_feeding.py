@@ -35,9 +35,6 @@ def marked(*stages: tuple[int, float, int], strict: bool = False) -> dict:
     return {"stages": tuple(stage(*fields) for fields in stages), "strict": strict}
 
 
-# --- a planner that feeds no more
-
-
 def test_a_program_that_gets_no_further_stages_is_aborted(rig: Rig) -> None:
     rig.run(A, final=False)
     rig.go(FED_WITHIN)
@@ -85,9 +82,6 @@ def test_a_halted_executor_does_not_count_against_the_planner(rig: Rig) -> None:
     rig.agenda.run(2 * FED_WITHIN)
     rig.go()
     assert (rig.mode, rig.results) == ("executing", [])
-
-
-# --- parking
 
 
 @pytest.mark.parametrize("strict", [False, True])

@@ -137,9 +137,6 @@ def test_an_answer_does_not_count_for_the_next_program(rig: Rig) -> None:
     assert rig.switched == [A, A], "from the outputs, as it was planned"
 
 
-# --- set-points
-
-
 def test_a_set_point_is_followed_stage_by_stage(rig: Rig) -> None:
     rig.follow(1, A)
     assert (rig.switched, rig.mode, rig.reason) == ([A], "executing", "following a setpoint")

@@ -76,9 +76,6 @@ def bench(small: Arm) -> StatusBench:
     return StatusBench(small)
 
 
-# --- payloads
-
-
 def test_the_state_of_an_arm_at_rest(bench: StatusBench) -> None:
     bench.show()
     bench.advance(0.03)
@@ -223,9 +220,6 @@ def test_the_tip_bias_is_told_if_there_is_a_tracker(small: Arm) -> None:
     bench = StatusBench(small, TrackerSettings(noise=1e-4, clamp=0.01))
     assert bench.state()["bias"] == [0, 0]
     assert bench.diagnostics()["tracker"]["received"] == 0
-
-
-# --- publication
 
 
 def test_states_come_without_a_change_and_diagnostics_once_a_second(bench: StatusBench) -> None:

@@ -167,8 +167,6 @@ class Desk:
         self.executor = DeskExecutor(self, len(arm.manipulator.actuators))
         self._waiting = list[Action]()  # publications and records that are held back
 
-    # --- the shell
-
     def post(self, *events: Event) -> None:
         """Has the core handle events, and all that follows from them."""
         self._events.extend(events)
@@ -261,8 +259,6 @@ class Desk:
             self.entries.append(("+".join(kinds), action))
             self._events.append(Recorded(action.entry))
 
-    # --- the workers
-
     def _answer(self, number: int, task: Task) -> None:
         answers = list(self._answers(task))
         self._queued.pop(number)
@@ -277,8 +273,6 @@ class Desk:
             yield refusal.data
         except Exception as error:
             yield Failed(repr(error))
-
-    # --- clients
 
     def ask(self, key: Any, payload: Any = None, name: str = "reply") -> int:
         """Sends a request as the gateway does; its answer comes to the inbox by `name`. Returns its number."""

@@ -69,8 +69,6 @@ class ScriptedExecutor(PlayedExecutor):
         with self._lock:
             super().show(**changes)
 
-    # --- the connection
-
     def drop(self) -> None:
         assert self._client is not None
         self._client.shutdown(socket.SHUT_RDWR)

@@ -60,8 +60,6 @@ class PlayedExecutor(ABC):
     def waiting(self) -> Sequence[Down]:
         """Returns the messages that `take` has not returned yet."""
 
-    # --- messages of the planner
-
     def expect(self, kind: type[T], *passing: type[Any]) -> T:
         """Returns the next message and checks its kind; messages of kind `passing` are skipped."""
         while (message := self.take()) is not None:
@@ -72,8 +70,6 @@ class PlayedExecutor(ABC):
 
     def nothing(self, kind: type[Any]) -> bool:
         return not any(isinstance(message, kind) for message in self.waiting())
-
-    # --- messages of the executor
 
     def show(self, **changes: Any) -> None:
         """Sends a snapshot; an integer sets `outputs`, and the measured states as well."""

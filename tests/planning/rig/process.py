@@ -59,8 +59,6 @@ class RunningPlanner:
             self.planner.loop.arrive(), key, message, lambda answer: self._inbox.put(name, answer)
         )
 
-    # --- what is published
-
     def publish(self, key: Any, payload: Any) -> None:
         if key == "feedback":
             self._inbox.put(key, payload)

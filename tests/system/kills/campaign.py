@@ -107,8 +107,6 @@ class Campaign:
         lives.motions._listener = buffered  # type: ignore[assignment]  # all that motions need
         return lives
 
-    # --- one kill
-
     def _reach(self, lives: Lives, moment: str, order: Order, scene: Scene) -> str:
         """Orders a kill, brings its moment about, and starts again what was killed.
 

@@ -35,8 +35,6 @@ class Observer:
 
         return remember
 
-    # --- requests
-
     def ask(self, key: str, **payload: Any) -> Message:
         return self.client.request(key, payload, timeout=PATIENCE)
 
@@ -65,8 +63,6 @@ class Observer:
     def reset(self) -> None:
         assert self.ask("reset")["accepted"]
         self.wait_now("ready")
-
-    # --- waiting
 
     @property
     def state(self) -> Message:

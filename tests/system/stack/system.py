@@ -96,8 +96,6 @@ class System:
             self.executor.kill()
         self._closing.close()
 
-    # --- parts
-
     def _make_interface(self) -> emulated.Interface | vcan.Interface:
         if self.kind == "socketcan":
             return self._closing.enter_context(vcan.made())
@@ -155,8 +153,6 @@ class System:
     @property
     def _environment(self) -> dict[str, str]:
         return {"STATE_DIRECTORY": str(self.folder), "XDG_CACHE_HOME": str(self._cache.parent), "NOTIFY_SOCKET": ""}
-
-    # --- for the test's assertions
 
     def session(self) -> zenoh.Session:
         """A client's session; the caller closes it."""
