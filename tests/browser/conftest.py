@@ -4,7 +4,6 @@ import importlib.util
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from PIL import Image
 
 from hyperbit.controller.panel.access.people import digest_of
 from tests import waiting
+from tests.endpoints import free_endpoint
 from tests.panel.conftest import PlayedDaemon
 from tests.system.stack import arms
 
@@ -121,11 +121,6 @@ class Trouble:
 def trouble(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trouble]:
     with ExitStack() as closing:
         yield Trouble(tmp_path_factory.mktemp("trouble"), closing)
-
-
-def free_endpoint() -> str:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
 
 
 def started(words: list[str], folder: Path, closing: ExitStack, *, patient: bool = True) -> subprocess.Popen[str]:

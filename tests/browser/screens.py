@@ -22,9 +22,10 @@ from PIL import Image
 
 from hyperbit.controller.network import session
 from hyperbit.controller.network.client import Client
-from tests.browser.conftest import OPERATOR, Shown, World, driver, eventually, free_endpoint
+from tests.browser.conftest import OPERATOR, Shown, World, driver, eventually
 from tests.browser.test_page import type_goal
 from tests.browser.test_replay import opened
+from tests.endpoints import free_endpoint
 from tests.panel.conftest import PlayedDaemon
 from tests.recorder.samples import read_unfinished
 

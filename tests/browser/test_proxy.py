@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import socket
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -11,17 +10,13 @@ from pathlib import Path
 import pytest
 
 from hyperbit.controller.panel.access.people import digest_of
-from tests.browser.conftest import OPERATOR, Shown, eventually, free_endpoint, started
+from tests.browser.conftest import OPERATOR, Shown, eventually, started
+from tests.endpoints import free_endpoint, free_port
 from tests.panel.conftest import PlayedDaemon
 
 pytestmark = pytest.mark.timeout(600)
 
 PREFIX = "/hyperbit"
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
 
 
 class Proxy:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -12,8 +12,12 @@ import yaml
 from hyperbit.controller import cli
 from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.operate import demo
+from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.host.signals import ENDING
 from hyperbit.drivers.canopen.tools import session
+from hyperbit.drivers.simulation.simulation import Simulation
+from tests.endpoints import free_endpoint
+from tests.gateway.conftest import Gateway
 
 Told = Callable[..., str]
 ARM = Path(__file__).parents[2] / "deploy" / "planar16.yaml"
@@ -94,3 +98,18 @@ def pytest_runtest_teardown(item, nextitem):
     if DAEMON in item.session.stash and (nextitem is None or nextitem.path.parent != item.path.parent):
         item.session.stash[DAEMON][0].close()
         del item.session.stash[DAEMON]
+
+
+@pytest.fixture
+def boards(arm: Path) -> Iterator[Simulation]:
+    read = read_arm(arm)
+    simulation = Simulation(read.wiring, read.timing)
+    simulation.start()
+    yield simulation
+    simulation.stop()
+
+
+@pytest.fixture
+def gateway():
+    with ExitStack() as stack:
+        yield Gateway(stack, free_endpoint())

@@ -16,8 +16,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.endpoints import free_endpoint
 from tests.keys import DEPLOY
-from tests.network.played import PlayedArm, Router, free_endpoint
+from tests.network.played import PlayedArm, Router
 from tests.recorder.test_recording import written
 from tests.system.stack import arms
 from tests.waiting import PATIENCE, eventually

@@ -18,6 +18,7 @@ from hyperbit.controller.program import (
     TICK,
     VERSION,
     Alive,
+    Answer,
     Diagnostics,
     Ended,
     Hello,
@@ -101,6 +102,11 @@ class Rig:
     @property
     def now(self) -> float:
         return self.agenda.now
+
+    @property
+    def answer(self) -> tuple[bool, str]:
+        last = self.last(Answer)
+        return last.accepted, last.message
 
     @property
     def epoch(self) -> int:

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import socket
 import sqlite3
 import threading
 import time
@@ -36,6 +35,7 @@ from hyperbit.controller.planning.loop import Mailbox
 from hyperbit.controller.planning.planner import decode_cancel
 from hyperbit.controller.refusals.reasons import Reason
 from hyperbit.controller.refusals.refusal import Refusal
+from tests.endpoints import free_endpoint
 from tests.waiting import PATIENCE, eventually
 
 ARM = "a"
@@ -162,9 +162,7 @@ class Gateway:
 
 @pytest.fixture
 def endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    return free_endpoint()
 
 
 @pytest.fixture

@@ -2,19 +2,13 @@
 
 import contextlib
 import json
-import socket
 from contextlib import ExitStack
 from typing import Any
 
 import zenoh
 
 from hyperbit.controller.network import session
-
-
-def free_endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+from tests.endpoints import free_endpoint
 
 
 class Router:

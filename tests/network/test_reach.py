@@ -19,6 +19,7 @@ import zenoh
 from hyperbit.controller.network import reach
 from hyperbit.controller.network.reach import Cause, NoSession, diagnosis, ending, open_session
 from hyperbit.controller.network.session import configuration, from_file
+from tests.endpoints import free_endpoint
 from tests.keys import made, openssl
 
 needs_openssl = pytest.mark.skipif(not made(), reason="openssl makes the certificates")
@@ -94,8 +95,7 @@ def told(endpoint: str, folder: Path | None = None, **tls: object) -> NoSession:
 
 
 def test_nobody_listens(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    endpoint = free_endpoint()
     with pytest.raises(NoSession, match=f"nobody listens at {endpoint}") as caught:
         open_session(configuration("client", connect=endpoint))
     assert caught.value.cause is Cause.NOBODY

@@ -2,7 +2,6 @@
 
 import functools
 import json
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -21,7 +20,9 @@ from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of
 from hyperbit.controller.panel.app import PanelServer
 from hyperbit.controller.panel.serve import zenoh_configuration
+from tests.clock import Clock
 from tests.commands.conftest import hyperbit  # noqa: F401
+from tests.endpoints import free_endpoint
 from tests.keys import DEPLOY
 from tests.waiting import eventually
 
@@ -174,26 +175,15 @@ class Opened:
         return self.until("reply", lambda reply: reply["n"] == number)
 
 
-class HeldClock:
-    """A clock that stands: no command becomes too late while this machine is slow."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 class Site:
     """A running panel, its daemon, and logged-in clients."""
 
     def __init__(self, closing: ExitStack) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        endpoint = free_endpoint()
         self.daemon = PlayedDaemon(endpoint)
         closing.callback(self.daemon.close)
         config = zenoh_configuration([endpoint], None)
-        self.clock = HeldClock()
+        self.clock = Clock()  # it stands: no command becomes too late while this machine is slow
         self.panel = PanelServer(lambda: zenoh.open(config), Access(PEOPLE), clock=self.clock)
         self.browser = closing.enter_context(TestClient(self.panel.app, base_url=ORIGIN))
         self._closing = closing

@@ -98,13 +98,6 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     bench.link.close()
 
 
-@pytest.fixture
-def executor(tmp_path: Path) -> Iterator[ScriptedExecutor]:
-    executor = ScriptedExecutor(tmp_path / "small.sock", 12)
-    yield executor
-    executor.close()
-
-
 def test_posted_events_come_before_messages(executor: ScriptedExecutor, bench: Bench) -> None:
     executor.expect(Hello)
     while not any(isinstance(event, FromExecutor) for event in bench.core.steps):

@@ -71,13 +71,6 @@ def bench(small: Arm, small_densities: Densities, tmp_path: Path) -> Iterator[Be
     bench.end_in_order()
 
 
-@pytest.fixture
-def executor(tmp_path: Path) -> Iterator[ScriptedExecutor]:
-    executor = ScriptedExecutor(tmp_path / "small.sock", 12)
-    yield executor
-    executor.close()
-
-
 def test_requests_are_numbered_and_answered(bench: Bench) -> None:
     first, second = bench.request("reset", None), bench.request("cancel", CancelMessage("a"))
     assert (first.number, first.key, first.message) == (1, "reset", None)

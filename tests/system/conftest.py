@@ -159,12 +159,6 @@ def started(system: System) -> System:
 
 
 @pytest.fixture
-def stack() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
-
-
-@pytest.fixture
 def arm(system: System) -> Arm:
     return system.arm
 

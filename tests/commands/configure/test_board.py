@@ -5,16 +5,13 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import can
 import pytest
 import yaml
 
-from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.program import VERSION, Goodbye, Welcome, encode
-from hyperbit.drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM
 
 
@@ -26,15 +23,6 @@ def arm(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     path = tmp_path / "arm.yaml"
     path.write_text(yaml.safe_dump(document))
     return path
-
-
-@pytest.fixture
-def boards(arm: Path) -> Iterator[Simulation]:
-    read = read_arm(arm)
-    simulation = Simulation(read.wiring, read.timing)
-    simulation.start()
-    yield simulation
-    simulation.stop()
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import can
@@ -13,9 +12,7 @@ import pytest
 import yaml
 
 from hyperbit.controller.commands.configure.check import summary
-from hyperbit.controller.executor.arm.arm import read_arm
 from hyperbit.controller.program import VERSION, Welcome, encode
-from hyperbit.drivers.simulation.simulation import Simulation
 from tests.commands.conftest import ARM
 
 NAME = "checked-by-a-test"  # no executor of this computer has this name
@@ -31,15 +28,6 @@ def arm(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     path = tmp_path / "arm.yaml"
     path.write_text(yaml.safe_dump(document))
     return path
-
-
-@pytest.fixture
-def boards(arm: Path) -> Iterator[Simulation]:
-    read = read_arm(arm)
-    simulation = Simulation(read.wiring, read.timing)
-    simulation.start()
-    yield simulation
-    simulation.stop()
 
 
 @pytest.fixture

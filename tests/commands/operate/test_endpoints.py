@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -16,6 +15,7 @@ from hyperbit.controller.armfile.patience import patient_copy
 from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.operate import demo
 from hyperbit.controller.network.session import configuration
+from tests.endpoints import free_endpoint
 from tests.waiting import eventually
 
 ARM = Path(__file__).parents[3] / "deploy" / "planar16.yaml"
@@ -46,8 +46,7 @@ def test_each_command_refuses_what_is_no_endpoint(hyperbit, tmp_path, monkeypatc
 
 
 def test_a_daemon_joins_a_router_that_comes_later_and_again_after_its_loss(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    endpoint = free_endpoint()
     command = [sys.executable, "-m", "hyperbit", "run", str(patient_copy(ARM, tmp_path)), "--simulate"]
     command += ["--connect", endpoint, "--ledger", str(tmp_path / "ledger.sqlite")]
     environment = {**os.environ, "RUNTIME_DIRECTORY": str(tmp_path)}

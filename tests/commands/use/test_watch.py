@@ -16,7 +16,7 @@ from hyperbit.controller.commands.operate import demo
 from hyperbit.controller.commands.use.fleet import line_of_arm
 from hyperbit.controller.commands.use.watch import View, line_of, progress_of
 from hyperbit.controller.network.fleet import ArmAddress, ArmStatus
-from tests.gateway.conftest import endpoint as private_endpoint  # noqa: F401
+from tests.endpoints import free_endpoint
 
 INTERLOCK = {"code": "interlock", "message": "interlock gate is open"}
 STUCK = {"code": "stuck", "message": "actuator 2.1 did not move"}
@@ -124,11 +124,12 @@ def test_watch_shows_whole_numbers_of_overruns(endpoint, hyperbit):
     assert ", 3 overruns" in console.export_text()
 
 
-def test_states_that_arrive_at_the_end_of_a_list_cause_no_message(private_endpoint):  # noqa: F811
-    arms = subprocess.Popen([sys.executable, "-c", ARMS, private_endpoint], stdin=subprocess.PIPE)
+def test_states_that_arrive_at_the_end_of_a_list_cause_no_message():
+    endpoint = free_endpoint()
+    arms = subprocess.Popen([sys.executable, "-c", ARMS, endpoint], stdin=subprocess.PIPE)
     assert arms.stdin is not None
     with arms, arms.stdin:
-        command = [sys.executable, "-c", LISTS, private_endpoint]
+        command = [sys.executable, "-c", LISTS, endpoint]
         listed = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert (listed.returncode, listed.stderr) == (0, "")
     rows = {" ".join(line.split()) for line in listed.stdout.splitlines()}

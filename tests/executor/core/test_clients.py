@@ -27,19 +27,9 @@ from hyperbit.controller.program import (
 )
 from hyperbit.drivers.canopen.faults import ArmFault
 from tests.executor.fake_master import FakeMaster
-from tests.executor.rig import OPERATOR, OTHER, SIZE, Rig, ready, small_arm
+from tests.executor.rig import OPERATOR, OTHER, SIZE, Rig, small_arm
 
 A, B = 0b000111, 0b011100
-
-
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
-
-
-def answer(rig: Rig) -> tuple[bool, str]:
-    last = rig.last(Answer)
-    return last.accepted, last.message
 
 
 def test_a_planner_is_greeted_and_a_second_hears_who_is_there(rig: Rig) -> None:

@@ -11,11 +11,6 @@ from tests.executor.rig import SIZE, TRAVEL, Rig, ready
 A, B, C = 0b000111, 0b011100, 0b110000
 
 
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
-
-
 def stage(states: int, at: float, mark: int = -1) -> Stage:
     return Stage(pack(states, SIZE), at=at, mark=mark, settled=at + TRAVEL + TICK)
 

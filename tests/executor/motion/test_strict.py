@@ -7,14 +7,9 @@ import pytest
 from hyperbit.controller.executor.motion.actuation import BUSY_FOR
 from hyperbit.controller.executor.motion.motion import ANSWER_WITHIN
 from hyperbit.controller.program import TICK, Clearance, Ended, Question, Replaced, Replacement, Stage, pack
-from tests.executor.rig import SIZE, TRAVEL, Rig, ready
+from tests.executor.rig import SIZE, TRAVEL, Rig
 
 A, B = 0b000111, 0b011100
-
-
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
 
 
 def test_no_stage_is_skipped_or_begins_before_the_last_has_settled(rig: Rig) -> None:

@@ -8,11 +8,6 @@ from tests.executor.rig import MARGIN, SIZE, TRAVEL, Rig, ready
 ALL = (1 << SIZE) - 1
 
 
-@pytest.fixture
-def rig() -> Rig:
-    return ready()
-
-
 def codes(rig: Rig) -> list[tuple[str, str]]:
     return [(fault.code, fault.source) for fault in rig.snapshot.faults]
 

@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -114,29 +114,6 @@ class ScriptedExecutor(PlayedExecutor):
                     self._messages.put(message)
 
 
-class FakeLedger:
-    fault: str | None = None
-    instance = 0
-
-    def __init__(self, actuators: int) -> None:
-        self.entries: list[tuple[Any, ...]] = []
-        self._known = (0,) * actuators
-
-    def accepted(self, number: int, goal: str, waypoints: int) -> None:
-        self.entries.append(("accepted", goal, waypoints))
-
-    def ended(
-        self, number: int, status: str, code: int, message: str, switches: int, accepted: Any | None = None
-    ) -> None:
-        self.entries.append(("ended", status, code, switches) if accepted is None else ("adopted", *accepted[::2]))
-
-    def counts(self, counts: Any) -> None:
-        self._known = tuple(counts)
-
-    def known(self) -> tuple[int, ...]:
-        return self._known
-
-
 class Inbox:
     def __init__(self) -> None:
         self._queue: queue.Queue[tuple[str, dict[str, Any]]] = queue.Queue()
@@ -144,9 +121,6 @@ class Inbox:
 
     def put(self, key: str, payload: Any) -> None:
         self._queue.put((key, dict(payload)))
-
-    def replying(self, name: str = "reply") -> Callable[[Any], None]:
-        return lambda payload: self.put(name, payload)
 
     def next(self, key: str) -> dict[str, Any]:
         """Returns the next payload, and checks its key; feedback may come before a reply."""

@@ -5,7 +5,6 @@ import itertools
 import os
 import shutil
 import signal
-import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -27,6 +26,7 @@ from hyperbit.controller.workspace.cache import load_or_map
 from hyperbit.drivers.canopen.wiring import BusWiring, Wiring
 from hyperbit.drivers.simulation.simulation import Simulation
 from tests import emulated, vcan
+from tests.endpoints import free_endpoint
 from tests.system.stack import arms
 from tests.system.stack.observer import Observer
 from tests.system.stack.processes import Nursery, Process, tail
@@ -72,7 +72,7 @@ class System:
         self.wiring: Wiring = replace(executed.wiring, buses=(self.bus,))
         self.timing = executed.timing
         self.socket, self.ledger = self.folder / "executor.sock", self.folder / "ledger.sqlite"
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.endpoint = free_endpoint()
         self.config: zenoh.Config | None = None
         self.clients = lambda: session.configuration("client", connect=self.endpoint)
         self.executor: Process | None = None
@@ -191,12 +191,6 @@ class System:
     def logs(self) -> str:
         names = ("executor", "planner")
         return "\n".join(f"--- {name}\n{tail(self.folder / f'{name}.log')}" for name in names)
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 def settled(observer: Observer) -> bool:
