@@ -81,10 +81,7 @@ def test_a_chain_of_all_types(read):
         ({**REVOLUTE, "code": "binary"}, ".code: unknown field; known are angles, axis, count, cylinders, link, type"),
         ({**PRISMATIC, "axis": [0, 0]}, ".axis: a direction is needed, got [0.0, 0.0]"),
         ({**PRISMATIC, "lengths": [0.1]}, ".lengths: Expected `array` of length >= 2 (given: [0.1])"),
-        (
-            {**PRISMATIC, "lengths": [0.1, 0.3, 0.2]},
-            ".lengths: 0.2 after 0.3, but each must be greater than the last",
-        ),
+        ({**PRISMATIC, "lengths": [0.1, 0.3, 0.2]}, ".lengths: 0.2 after 0.3, but each must be greater than the last"),
         ({"type": "prismatic", "lengths": [0.1, 0.2]}, ".axis: required, but missing"),
         ({**PLATFORM, "lengths": [0.22, 0.18]}, ".lengths: 0.22 contracted, so not 0.18 extended"),
         ({**PLATFORM, "top": TOP[:2]}, ".top: Expected `array` of length >= 3"),

@@ -86,11 +86,7 @@ FAULTS = [
     ("obstacles.0.disk", 1, "obstacles[1].disk: unknown field; did you mean 'disc'? Known are box, disc, half_plane"),
     ("obstacles.0.disc.radius", -1, "obstacles[1].disc.radius: Expected `float` > 0.0 (given: -1)"),
     ("obstacles.0.disc.radius", math.inf, "obstacles[1].disc.radius: inf is not a finite number"),
-    (
-        "obstacles.0.disc.center",
-        [0, 0],
-        "obstacles[1].disc.center: unknown field; did you mean 'centre'?",
-    ),
+    ("obstacles.0.disc.center", [0, 0], "obstacles[1].disc.center: unknown field; did you mean 'centre'?"),
     ("obstacles.0.disc.centre", [0, 0, 0], "obstacles[1].disc.centre: 3 coordinates, a planar arm's have 2"),
     ("obstacles.0.disc.centre", [1e9, 0], "obstacles[1].disc.centre[1]: Expected `float` <= 1000000.0"),
     ("obstacles.0.name", "a b", "obstacles[1].name: Expected `str` of 1 to 64 letters, digits, _ and -"),

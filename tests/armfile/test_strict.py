@@ -168,10 +168,7 @@ def test_a_right_value_becomes_the_struct():
             {"inner": {"size": 1}, "note": ["x" * 100]},
             f"note: Expected `str | null`, got `array` (given: ['{'x' * 55}...)",
         ),
-        (
-            {"inner": {"size": "\ud800"}},
-            "inner.size: a lone surrogate is no text (given: '\\ud800')",
-        ),
+        ({"inner": {"size": "\ud800"}}, "inner.size: a lone surrogate is no text (given: '\\ud800')"),
         (
             {"inner": {"size": 1}, "note": 1 << 20_000},
             "note: Expected `str | null`, got `int` (given: a number of thousands of digits); write it in quotes",

@@ -86,8 +86,7 @@ def test_faults(tmp_path, text, fault):
 
 
 @pytest.mark.parametrize(
-    ("row", "fault"),
-    [("00,1,2,3,0,0,0,0.9", "length 1 is needed"), ("00,1,2,3,0,0,0,one", "qw: a number is needed")],
+    ("row", "fault"), [("00,1,2,3,0,0,0,0.9", "length 1 is needed"), ("00,1,2,3,0,0,0,one", "qw: a number is needed")]
 )
 def test_faults_of_spatial_samples(tmp_path, row, fault):
     file = tmp_path / "samples.csv"

@@ -186,10 +186,7 @@ def test_a_missing_bus_fails_with_a_message(hyperbit, tmp_path):
     arm["buses"][0]["channel"] = "no-such-bus"
     file = tmp_path / "arm.yaml"
     file.write_text(yaml.safe_dump(arm))
-    for command in (
-        ("simulate", str(file)),
-        ("check", str(file), "--bus"),
-    ):
+    for command in (("simulate", str(file)), ("check", str(file), "--bus")):
         code, _, err = hyperbit(*command)
         assert code == 1
         assert "no-such-bus" in err or "bus cannot be opened" in err
@@ -284,23 +281,5 @@ def test_figure5_prints_nine_rows_and_draws(hyperbit, tmp_path):
 def test_help_lists_all_commands(hyperbit):
     code, out, _ = hyperbit("--help")
     assert code == 0
-    for command in [
-        "run",
-        "simulate",
-        "demo",
-        "send",
-        "watch",
-        "cancel",
-        "stop",
-        "reset",
-        "lock",
-        "obstacles",
-        "plan",
-        "fk",
-        "map",
-        "figure5",
-        "check",
-        "wear",
-        "calibrate",
-    ]:
-        assert command in out
+    names = "run simulate demo send watch cancel stop reset lock obstacles plan fk map figure5 check wear calibrate"
+    assert all(name in out for name in names.split())

@@ -109,6 +109,10 @@ class Rig:
         return last.accepted, last.message
 
     @property
+    def faults(self) -> list[tuple[str, str]]:
+        return [(fault.code, fault.source) for fault in self.snapshot.faults]
+
+    @property
     def epoch(self) -> int:
         return self.core.modes.epoch
 

@@ -8,14 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyperbit.controller.gateway.outbox import (
-    MOST_WAITING,
-    POLL,
-    RECONNECTED,
-    SENT_WITHIN,
-    Outbox,
-    encoded,
-)
+from hyperbit.controller.gateway.outbox import MOST_WAITING, POLL, RECONNECTED, SENT_WITHIN, Outbox, encoded
 from hyperbit.controller.planning.core.events import Identity, Published, PublishResult
 from tests.waiting import PATIENCE, eventually
 

@@ -5,16 +5,7 @@ from typing import Any
 import numpy as np
 
 from hyperbit.controller.planning.core.tasks import BuildScene, CheckStages, CheckStanding, PlanGoal
-from hyperbit.controller.program import (
-    Begun,
-    Cancel,
-    Clearance,
-    Program,
-    Question,
-    Replaced,
-    Replacement,
-    unpack,
-)
+from hyperbit.controller.program import Begun, Cancel, Clearance, Program, Question, Replaced, Replacement, unpack
 from hyperbit.controller.refusals import codes
 from tests.planning.rig.desk import Desk
 from tests.planning.test_goals import A, B, taken

@@ -162,11 +162,7 @@ def test_a_snapshot_fits_a_message_whatever_is_wrong(rig: Rig) -> None:
 
 def test_systemd_is_told_that_the_boards_are_simulated() -> None:
     core = Executor(
-        small_arm(),
-        SwitchJournal(SIZE),
-        instance=7,
-        simulation=PlayableFaults((), (), (), ()),
-        build_master=FakeMaster,
+        small_arm(), SwitchJournal(SIZE), instance=7, simulation=PlayableFaults((), (), (), ()), build_master=FakeMaster
     )
     notified = [action.text for action in core.step(ExecutorTick(), 0.0) if isinstance(action, Notify)]
     assert "STATUS=starting (simulated): the boards are being booted" in notified

@@ -8,14 +8,7 @@ import pytest
 from hyperbit.controller.executor.core.modes import CLEARING, RETRY
 from hyperbit.controller.executor.motion.actuation import BUSY_FOR
 from hyperbit.controller.host.process import Quit
-from hyperbit.controller.program import (
-    TICK,
-    Cancel,
-    Declined,
-    Ended,
-    Reset,
-    Stop,
-)
+from hyperbit.controller.program import TICK, Cancel, Declined, Ended, Reset, Stop
 from hyperbit.drivers.canopen.faults import ArmFault
 from tests.executor.rig import CAN, LOST, PLANNER, TRAVEL, Rig
 

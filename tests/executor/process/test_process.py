@@ -52,14 +52,7 @@ class Process:
         arm = patient_copy(Path(DEPLOY) / "planar16.yaml", folder)
         if not simulate:  # an interface has one executor, and other tests may run one
             arm.write_text(arm.read_text().replace("channel: can0", f"channel: none{os.getpid()}"))
-        arguments = [
-            sys.executable,
-            "-m",
-            "hyperbit.controller.cli",
-            "execute",
-            str(arm),
-            *["--simulate"] * simulate,
-        ]
+        arguments = [sys.executable, "-m", "hyperbit.controller.cli", "execute", str(arm), *["--simulate"] * simulate]
         self.process = subprocess.Popen(
             [*arguments, "--socket", str(folder), "--journal", str(folder / "journal"), *options],
             stdin=subprocess.PIPE,

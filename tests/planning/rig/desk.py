@@ -42,14 +42,7 @@ from hyperbit.controller.planning.core.events import (
     Wake,
     refused,
 )
-from hyperbit.controller.planning.core.tasks import (
-    Answer,
-    BuildScene,
-    BuildTables,
-    Done,
-    Failed,
-    Task,
-)
+from hyperbit.controller.planning.core.tasks import Answer, BuildScene, BuildTables, Done, Failed, Task
 from hyperbit.controller.planning.planner import RequestDecoder
 from hyperbit.controller.program import (
     VERSION,

@@ -183,10 +183,7 @@ def test_a_number_in_segments_is_read():
 
 @pytest.mark.parametrize(
     "answers",
-    [
-        [b"\x4b\x00\x62\x01\x07\x01\x00\x00"],
-        [b"\x41\x00\x62\x01\x06\x00\x00\x00", b"\x03\x01\x02\x03\x04\x05\x06\x00"],
-    ],
+    [[b"\x4b\x00\x62\x01\x07\x01\x00\x00"], [b"\x41\x00\x62\x01\x06\x00\x00\x00", b"\x03\x01\x02\x03\x04\x05\x06\x00"]],
     ids=["two bytes", "six bytes in a segment"],
 )
 def test_a_value_of_another_size_is_another_device(answers):
