@@ -94,7 +94,7 @@ def angle_warnings(settings: ArmSettings) -> list[str]:
     found["tolerance.orientation"] = settings.tolerance.orientation
     for g, group in enumerate(settings.modules):
         if isinstance(group, RevoluteSettings):
-            found |= {f"modules[{g}].angles[{k}]": angle for k, angle in enumerate(group.angles)}
+            found |= {f"modules[{g}].angles[{k}]": angle for k, angle in enumerate(group.angles or ())}
         if isinstance(group, RevoluteSettings | PrismaticSettings):
             found[f"modules[{g}].link.orientation"] = group.link.orientation
         if isinstance(group, TransformsSettings):
