@@ -12,7 +12,7 @@ from hyperbit.controller.armfile.strict import fault_list
 from hyperbit.controller.manipulator.module import Module
 
 BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)  # of CiA 301 [bit/s]
-ODD_RATIO = 100.0  # of the size of a module to that of the others: millimetres among metres, or centimetres
+ODD_RATIO = 100.0  # ratio of a module's size to the others': a mix of millimetres, centimetres and metres
 
 
 def file_warnings(arm: Arm) -> list[str]:

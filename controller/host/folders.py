@@ -1,4 +1,4 @@
-"""The folder in which processes keep what outlives them: ledger, switch journal, saved events."""
+"""The folder for the persistent files of processes: ledger, switch journal, saved events."""
 
 import os
 from pathlib import Path
@@ -7,11 +7,7 @@ SIMULATED = "simulated"  # folder of simulated arms, below the folder of real on
 
 
 def state_folder(*, simulated: bool = False) -> Path:
-    """Returns systemd's StateDirectory, otherwise the user's state folder.
-
-    Args:
-        simulated: whether the boards of the arm are simulated; such arms have a folder of their own.
-    """
+    """Returns systemd's StateDirectory, or the user's state folder. Simulated arms have a folder of their own."""
     own = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
     folder = Path(own) if own else Path(base) / "hyperbit"

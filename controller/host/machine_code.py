@@ -23,7 +23,7 @@ def usual_folders() -> list[Path]:
 
 
 def writable(folder: Path) -> bool:
-    """Returns whether a folder exists or can be created, and takes files, as numba tests it."""
+    """Returns whether a folder exists or can be created, and accepts files; numba tests the same."""
     import tempfile
 
     try:
@@ -35,7 +35,7 @@ def writable(folder: Path) -> bool:
 
 
 def private_folder() -> Path | None:
-    """Returns a temporary folder that only this user can write, for there is code in it; None if there is none."""
+    """Returns a temporary folder that only this user can write, because it holds code; None if there is none."""
     import tempfile
 
     try:
@@ -49,11 +49,7 @@ def private_folder() -> Path | None:
 
 
 def choose(folders: Iterable[Path]) -> str | None:
-    """Makes numba use a temporary folder if none of its usual folders can be written.
-
-    Returns:
-        A sentence for the user; None if a usual folder can be written.
-    """
+    """Makes numba use a temporary folder if none of its usual ones is writable; returns a sentence on this, or None."""
     tried = list(folders)
     if any(writable(folder) for folder in tried):
         return None
@@ -65,10 +61,9 @@ def choose(folders: Iterable[Path]) -> str | None:
 
 
 class FirstImport:
-    """A finder of modules that finds none: it notices the first import of numba, and chooses the folder before."""
+    """A module finder that finds nothing: it notices the first import of numba, and chooses the folder before."""
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> None:
-        """Chooses the folder if the module is numba."""
         if name == "numba":
             sys.meta_path.remove(self)
             if (sentence := choose(usual_folders())) is not None:

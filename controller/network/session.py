@@ -6,8 +6,8 @@ from pathlib import Path
 
 import zenoh
 
-LEASE = 10.0  # [s] of silence after which a peer counts as lost; long, because busy machines stand still for seconds
-MOST_BLOCKED = 1.0  # [s] that a message waits for a peer that does not read, before the peer is disconnected
+LEASE = 10.0  # [s] of silence until a peer counts as lost; long, because busy machines stand still for seconds
+MOST_BLOCKED = 1.0  # [s] after which a peer that does not read is disconnected
 TLS = "transport/link/tls"
 TLS_FILES = (
     *("root_ca_certificate", "listen_certificate", "listen_private_key"),
@@ -18,10 +18,7 @@ TLS_FILES = (
 def configuration(mode: str, *, listen: str | None = None, connect: str | None = None) -> zenoh.Config:
     """Returns a configuration with the given endpoints and without scouting.
 
-    Args:
-        mode: "peer" for the daemon, "client" for its clients.
-        listen: endpoint to accept connections at.
-        connect: endpoint to connect to.
+    `mode` is "peer" for the daemon, "client" for its clients. The session accepts connections at `listen`.
     """
     settings: dict[str, object] = {
         "mode": mode,
@@ -43,8 +40,7 @@ def configuration(mode: str, *, listen: str | None = None, connect: str | None =
 def from_file(path: Path) -> zenoh.Config:
     """Returns the configuration in a Zenoh file; relative paths of certificates and keys start at the file's folder.
 
-    Raises:
-        ValueError: the file is missing or no Zenoh configuration, or a certificate or key cannot be read.
+    Raises ValueError if the file, a certificate or a key cannot be read, or is no Zenoh configuration.
     """
     try:
         config = zenoh.Config.from_file(str(path))
@@ -67,7 +63,7 @@ def lease(config: zenoh.Config) -> float:
 
 
 def reachable(session: zenoh.Session, config: zenoh.Config) -> Callable[[], bool]:
-    """Returns a function that returns whether a session is connected to one of its endpoints, if it has any."""
+    """Returns a function that tests whether a session is connected to one of its endpoints, if it has any."""
     endpoints = json.loads(config.get_json("connect/endpoints"))
     return lambda: not endpoints or bool(session.info.routers_zid() or session.info.peers_zid())
 

@@ -138,7 +138,7 @@ class SingleFaults:
             planner.ask_for_motion()
         bus.at_next_rpdo(lambda: world.agenda.after(0.0, world.executor.kill))
         world.pass_time(self._random.uniform(0.1, 0.4))
-        bus.at_next_rpdo(lambda: None)
+        bus.await_no_rpdo()
 
     def _lock(self, planner: ScriptedPlanner) -> None:
         """Locks an actuator where it is, if an end-stop tells its state; the executor that ends has it locked."""

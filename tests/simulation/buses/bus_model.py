@@ -76,7 +76,7 @@ class BusModel:
         self.log: list[Frame] | None = None
         self._agenda, self._random = agenda, random
         self._to_boards, self._to_executor = to_boards, to_executor
-        self._at_rpdo: Callable[[], None] = lambda: None
+        self._at_rpdo: list[Callable[[], None]] = []
         self._at_sync: Callable[[], None] = lambda: None
         self._queue: deque[OnItsWay] = deque()  # of the executor; the first ones are in the mailboxes
         self._others: deque[Frame] = deque()
@@ -107,8 +107,9 @@ class BusModel:
         if self.room is not None:
             self.room -= 1
         if split(frame.id)[0] in RPDOS:
-            happen, self._at_rpdo = self._at_rpdo, lambda: None
-            happen()
+            due, self._at_rpdo = self._at_rpdo, []
+            for happen in due:
+                happen()
         if frame.id == SYNC:
             happen, self._at_sync = self._at_sync, lambda: None
             happen()
@@ -138,7 +139,11 @@ class BusModel:
 
     def at_next_rpdo(self, happen: Callable[[], None]) -> None:
         """Calls a function once, when the executor hands out an RPDO."""
-        self._at_rpdo = happen
+        self._at_rpdo.append(happen)
+
+    def await_no_rpdo(self) -> None:
+        """Calls no function at the next RPDO."""
+        self._at_rpdo.clear()
 
     def at_next_sync(self, happen: Callable[[], None]) -> None:
         """Calls a function once, when the executor hands out a SYNC."""
