@@ -69,7 +69,7 @@ class Volleys:
         self._world.boards.loses = None
         for bus in self._world.buses.values():
             bus.at_next_sync(nothing)
-            bus.at_next_rpdo(nothing)
+            bus.await_no_rpdo()
             bus.lose_echo(0)
             bus.restore()
 
