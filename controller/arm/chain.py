@@ -27,12 +27,9 @@ PLATFORMS: dict[tuple[int, ...], str] = {(6, 3): "six in space", (3, 3): "three 
 
 
 def build_modules(groups: Sequence[ModuleSettings], folder: Path, faults: list[str]) -> list[Module]:
-    """Returns the valid modules of the chain.
+    """Returns the valid modules of the chain from `modules` of the file; `folder` is that of the tables.
 
-    Args:
-        groups: `modules` of the file.
-        folder: folder of the tables.
-        faults: a sentence is appended for each wrong field.
+    A sentence is appended to `faults` for each wrong field.
     """
     modules: list[Module] = []
     for g, group in enumerate(groups):
@@ -87,7 +84,6 @@ def build_vgt(group: VgtSettings, path: str, faults: list[str], *, base_bar: boo
 
 
 def build_joint(group: RevoluteSettings | PrismaticSettings, path: str, faults: list[str]) -> list[Module]:
-    """Returns the joint; none if there are faults."""
     before = len(faults)
     if math.hypot(*group.axis) < 1e-9:
         faults.append(f"{path}.axis: a direction is needed, got {group.axis}")
@@ -114,7 +110,6 @@ def build_joint(group: RevoluteSettings | PrismaticSettings, path: str, faults: 
 
 
 def build_platform(group: PlatformSettings, path: str, faults: list[str]) -> list[Module]:
-    """Returns the platform; none if there are faults."""
     before, (contracted, extended) = len(faults), group.lengths
     if contracted >= extended:
         faults.append(f"{path}.lengths: {contracted:g} contracted, so not {extended:g} extended")

@@ -36,7 +36,6 @@ class Model:
 
     Attributes:
         description: description of the arm, as in the file or with another base.
-        parameters: the P parameters.
     """
 
     def __init__(self, description: Description, parameters: Sequence[Parameter]) -> None:
@@ -51,34 +50,26 @@ class Model:
         self._places += [(-1, 0)] * ("tip" in description)
 
     def changed(self, steps: Array) -> Description:
-        """Returns the description with its parameters changed by steps (P,)."""
         return changed(self.description, self.parameters, steps)
 
     def tips(self, samples: Samples, steps: Array) -> Frame:
         """Returns the tips (n, 4, 4) of the samples' configurations.
 
-        Raises:
-            ValueError: there is no such arm: a truss does not close, or a platform has no assembly.
+        Raises ValueError if there is no such arm: a truss does not close, or a platform has no assembly.
         """
         return self._chain(samples, self._frames(self.changed(steps)))[-1]
 
     def residuals(self, samples: Samples, steps: Array) -> Array:
         """Returns the residuals (n, C), computed minus measured: coordinates, then rotations if they were measured.
 
-        A rotation residual is the sine of the angle between both, times the axis; a planar arm has only its z.
-
-        Raises:
-            ValueError: there is no such arm.
+        A rotation residual is the sine of the angle between both, times the axis; a planar arm has only its z. Raises
+        ValueError like `tips`.
         """
         tips = self.tips(samples, steps)
         return self._compared(samples, tips - samples.tips, tips)
 
     def jacobian(self, samples: Samples, steps: Array) -> Array:
-        """Returns the derivatives (n, C, P) of the residuals by the parameters.
-
-        Raises:
-            ValueError: there is no such arm.
-        """
+        """Returns the derivatives (n, C, P) of the residuals by the parameters. Raises ValueError like `tips`."""
         description = self.changed(steps)
         stacks = self._frames(description)
         chain, chosen = self._chain(samples, stacks), self._chosen(samples)
@@ -143,15 +134,13 @@ def slopes(frames_at: Callable[[float], list[Frame]], step: float) -> list[Array
 
 
 def parts(description: Description) -> list[Description]:
-    """Returns the base, the entries of `modules`, and the tip if there is one."""
     return [description["base"], *description["modules"], *([description["tip"]] if "tip" in description else [])]
 
 
 def frames_of(part: Description, near: list[Frame] | None = None) -> list[Frame]:
-    """Returns the frames (K, 4, 4) of each kind of module in a part; `near` are the frames of a similar part.
+    """Returns the frames (K, 4, 4) of each kind of module in a part; `near`: those of a similar part.
 
-    Raises:
-        ValueError: there is no such module.
+    Raises ValueError if there is no such module.
     """
     if "type" not in part:
         return [frame_of(part)[None]]

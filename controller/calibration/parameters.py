@@ -44,7 +44,6 @@ class Parameter:
 
     @property
     def path(self) -> str:
-        """The path of the field."""
         path = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in self.where)[1:]
         return path if self.axis is None else f"{path} about {'xyz'[self.axis]}"
 
@@ -72,7 +71,7 @@ def described(arm: Arm, *, each: bool) -> Description:
 
 
 def single(entry: Description, k: int) -> Description:
-    """Returns an entry for module k, from 0, of an entry."""
+    """Returns a copy of an entry for its module k, from 0."""
     own = {**copy.deepcopy(entry), "count": 1}
     if own["type"] == "vgt":
         own["first_diagonal"] = ("BC", "AD")[(k + (own["first_diagonal"] == "AD")) % 2]
@@ -98,7 +97,7 @@ def frame_of(settings: Description) -> Frame:
 def parameters(description: Description, length: float, modules: int) -> tuple[Parameter, ...]:
     """Returns all parameters of an arm, from its length and number of modules.
 
-    The base has a wide prior, so that it takes changes that modules could take, too.
+    The base has a wide prior, so that changes that modules could explain as well go to the base.
     """
     found = list(of_frame(("base",), description["base"], length, np.pi))
     if "tip" in description:
@@ -134,7 +133,6 @@ def leaves(where: tuple[Key, ...], value: Any) -> Iterator[tuple[Key, ...]]:
 
 
 def value_at(description: Description, where: Sequence[Key]) -> Any:
-    """Returns the value at a place."""
     return reduce(getitem, where, description)  # type: ignore[arg-type]
 
 

@@ -1,7 +1,7 @@
 """Revolute and prismatic joints with two or more positions, each followed by a link.
 
 The actuators 1, 2, ... are the digits of the position's number in Gray code, most significant first. A move to the next
-position switches one actuator. A drive with a position table so reads no other position on the way, even if its inputs
+position switches one actuator. So a drive with a position table reads no other position on the way, even if its inputs
 change one after the other. In mid-travel the joint is between the least and the greatest position that may be read.
 """
 

@@ -38,7 +38,6 @@ class Module:
 
     @property
     def proven(self) -> bool:
-        """Whether the bounds in mid-travel are proven."""
         return self.rates is not None or self.motion is None
 
     def bounds(self, fixed: Array, moving: NDArray[np.int64]) -> Array:

@@ -1,5 +1,3 @@
-"""The routes of the page."""
-
 import asyncio
 import base64
 import contextlib
@@ -38,22 +36,19 @@ from hyperbit.controller.panel.arms.pages import Page
 from hyperbit.controller.panel.shield import LOCAL, PublicAddress, Shield, TooLarge, policy
 
 STATIC = Path(__file__).parent / "static"
-SESSION_EVERY = 1.0  # [s] between two checks that the session of an open page goes on
+SESSION_EVERY = 1.0  # [s] between two checks of an open page's session
 NO_LOGIN, TOO_MANY, BAD = 4401, 4429, 4400  # close codes of the WebSocket
 
 
 class PanelServer:
     """The page's server.
 
-    Attributes:
-        app: the ASGI application.
-
     Args:
         open_session: opens the Zenoh session; called when the server starts.
         access: checks who may view and command.
-        prefix: prefix of all Zenoh keys.
+        prefix: of all Zenoh keys.
         tls: whether the page itself is served over TLS.
-        hosts: names that are accepted as host; None: any.
+        hosts: accepted host names; None: any.
         public: address at a reverse proxy; None: there is no proxy.
         clock: returns the time of the pages' heartbeats [s].
     """
@@ -104,7 +99,6 @@ class PanelServer:
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        """Keeps the session open while the server runs."""
         session = await asyncio.to_thread(self._open_session)
         try:
             self._arms = Arms(session, self._prefix)
@@ -128,13 +122,12 @@ class PanelServer:
     # --- requests over HTTP
 
     async def _shell(self, request: Request) -> Response:
-        """Answers the page itself. It needs no login, because it contains no data."""
+        """Answers with the page itself. It needs no login, because it contains no data."""
         if not is_name(request.path_params.get("name", "a")):
             raise HTTPException(404, "There is no such arm.")
         return HTMLResponse(self._page)
 
     async def _density(self, request: Request) -> Response:
-        """Answers the density of an arm's workspace."""
         if self._person(request) is None:
             raise HTTPException(401, "Log in first.")
         view = self.arms.views.get(request.path_params["name"])
@@ -144,7 +137,7 @@ class PanelServer:
         return Response(data, media_type=kind)
 
     async def _metrics(self, request: Request) -> Response:
-        """Answers the metrics of all arms in Prometheus' format, to people and to programs with a bearer token."""
+        """Answers with the metrics of all arms in Prometheus' format, to people and to programs with a bearer token."""
         if self._person(request) is None:
             kind, _, token = request.headers.get("authorization", "").partition(" ")
             if kind.lower() != "bearer":
@@ -199,20 +192,18 @@ class PanelServer:
         return response
 
     async def _leave(self, request: Request) -> Response:
-        """Ends the session, and deletes its cookie."""
         self._access.leave(request.cookies.get(self._cookie))
         response = Response(status_code=204)
         response.delete_cookie(self._cookie, **self._cookie_kind)
         return response
 
     async def _delay(self, request: Request) -> None:
-        """Delays the answer to a wrong token."""
         await asyncio.sleep(self._wrong.delay(address_of(request)))
 
     # --- the WebSocket of a page
 
     async def _live(self, socket: WebSocket) -> None:
-        """Sends a page the data of an arm, or the list of arms, and serves its requests until the page is closed."""
+        """Sends the data of an arm, or the list of arms, to a page, and serves its requests until it closes."""
         person, name = self._person(socket), socket.path_params.get("name")
         await socket.accept()
         if person is None:
@@ -268,7 +259,6 @@ class PanelServer:
 
 
 def address_of(connection: HTTPConnection) -> str:
-    """Returns the IP address of the other end of a connection; "" if it has none."""
     return connection.client.host if connection.client else ""
 
 
@@ -279,7 +269,6 @@ def inline_scripts(text: str) -> str:
 
 
 async def refuse(request: Request, error: Exception) -> Response:
-    """Answers a refusal with a sentence."""
     status = error.status_code if isinstance(error, HTTPException) else 500
     known = {404: "There is no such address.", 405: "This address does not support this method."}
     detail = error.detail if isinstance(error, HTTPException) else ""
@@ -289,5 +278,4 @@ async def refuse(request: Request, error: Exception) -> Response:
 
 
 async def too_large(request: Request, error: Exception) -> Response:
-    """Answers that a body is too large or too slow."""
     return PlainTextResponse("The body is too large, or arrives too slowly.\n", status_code=413)

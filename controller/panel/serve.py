@@ -19,6 +19,8 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.host.notify import Notifier
 from hyperbit.controller.host.signals import end_on_signals
 from hyperbit.controller.network import session
+from hyperbit.controller.network.endpoints import parse_endpoint
+from hyperbit.controller.network.reach import open_session
 from hyperbit.controller.panel.access.access import Access
 from hyperbit.controller.panel.access.people import PersonEntry, digest_of, new_token, read_people
 from hyperbit.controller.panel.access.sessions import sessions_file
@@ -33,8 +35,6 @@ WATCHDOG_EVERY = 2.0  # [s]
 
 
 class Address(NamedTuple):
-    """Address of the page: host and port."""
-
     host: str
     port: int
 
@@ -50,7 +50,7 @@ class Address(NamedTuple):
 
     @property
     def hosts(self) -> tuple[str, ...] | None:
-        """Names that requests may have as their host; None: any. Foreign names may be resolved to this computer."""
+        """Host names that requests may have; None: any. Foreign names may resolve to this computer."""
         return (*LOCAL, self._bracketed) if self.local else None
 
     @property
@@ -58,12 +58,11 @@ class Address(NamedTuple):
         return f"[{self.host}]" if ":" in self.host else self.host
 
     def written(self, port: int, *, secure: bool) -> str:
-        """Returns the URL of the page."""
         return f"{'https' if secure else 'http'}://{self._bracketed}:{port}/"
 
 
 class Tls(NamedTuple):
-    """Files for TLS: certificate, private key, and optionally the authority of client certificates."""
+    """Files for TLS; `clients` is the authority of client certificates."""
 
     certificate: Path
     key: Path
@@ -71,11 +70,7 @@ class Tls(NamedTuple):
 
 
 def parse_address(text: str) -> Address:
-    """Parses HOST:PORT.
-
-    Raises:
-        InputFaults: the text has another form.
-    """
+    """Parses HOST:PORT. Raises InputFaults if the text has another form."""
     host, _, port = text.rpartition(":")
     if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:
         raise InputFaults(Path("--listen"), [f"{text!r}: HOST:PORT is needed, such as 127.0.0.1:7480"])
@@ -99,11 +94,7 @@ def parse_public_address(text: str) -> PublicAddress:
 
 
 def listening(address: Address) -> list[socket.socket]:
-    """Returns sockets that listen at an address: one for each IP address of its host.
-
-    Raises:
-        OSError: the address is in use, or is none of this computer.
-    """
+    """Returns a listening socket for each IP address of the host. Raises OSError if the address is not free."""
     sockets, port = list[socket.socket](), address.port
     failed: OSError | None = None
     for family, _, _, _, target in socket.getaddrinfo(address.host, port, type=socket.SOCK_STREAM):
@@ -120,13 +111,15 @@ def listening(address: Address) -> list[socket.socket]:
 
 
 def zenoh_configuration(endpoints: Sequence[str], file: Path | None) -> zenoh.Config:
-    """Returns a Zenoh configuration that connects to daemons as soon as they are there.
+    """Returns a Zenoh configuration that connects to daemons as soon as they start.
 
     A Zenoh client connects to one endpoint only, which must be there. So the panel is a peer that does not listen.
 
     Raises:
-        ValueError: the file is no Zenoh configuration.
+        ValueError: the file is no Zenoh configuration, or an endpoint is none.
     """
+    for endpoint in () if file is not None else endpoints:
+        parse_endpoint(endpoint)
     config = session.configuration("peer") if file is None else session.from_file(file)
     if file is None:
         config.insert_json5("connect/endpoints", json.dumps(list(endpoints)))
@@ -167,7 +160,7 @@ def serve(
     sockets = listening(address)
     access = Access(listed, sessions_file())
     panel = PanelServer(
-        lambda: zenoh.open(config), access, prefix=prefix, tls=tls is not None, hosts=address.hosts, public=public
+        lambda: open_session(config), access, prefix=prefix, tls=tls is not None, hosts=address.hosts, public=public
     )
     written = None if public is None else f"{public.origin}{public.path}"
     asyncio.run(_serve(panel, address, tls, tokens, sockets, written))

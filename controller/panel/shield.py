@@ -37,12 +37,8 @@ def policy(scripts: str) -> str:
 class Shield:
     """Checks each request and sets the headers of each answer.
 
-    Args:
-        app: the application behind the shield.
-        csp: content security policy.
-        scheme: "https" if the page itself has TLS, otherwise "http".
-        hosts: names that are accepted as host, which prevents DNS rebinding; None: any.
-        public: address at the proxy; None: there is no proxy.
+    `csp` is the content security policy; `scheme` is "https" if the page itself has TLS. `hosts` are accepted host
+    names, which prevents DNS rebinding; None: any. `public` is the address at a reverse proxy; None: there is none.
     """
 
     def __init__(
@@ -63,7 +59,6 @@ class Shield:
         }
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serves a request."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -86,7 +81,6 @@ class Shield:
         await self._app(scope, receive, answer)
 
     def _refusal(self, scope: Scope) -> tuple[int, str] | None:
-        """Returns status and message of a refusal; None if the request is accepted."""
         headers = Headers(scope=scope)
         hosts = headers.getlist("host")
         if len(hosts) != 1:
@@ -113,11 +107,7 @@ class TooLarge(Exception):
 
 
 def limited(receive: Receive) -> Receive:
-    """Returns a function that receives a body of bounded size in bounded time.
-
-    Raises:
-        TooLarge: the body is too large or too slow.
-    """
+    """Returns a function that receives a body of bounded size in bounded time, or raises TooLarge."""
     size = 0
 
     async def bounded() -> Message:

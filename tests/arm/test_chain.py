@@ -71,7 +71,7 @@ def test_a_chain_of_all_types(read):
         ({**REVOLUTE, "axis": [0, 0, 0]}, ".axis: a direction is needed, got [0.0, 0.0, 0.0]"),
         ({**REVOLUTE, "axis": [0, 1]}, ".axis: Expected `array` of length >= 3 (given: [0, 1])"),
         ({**REVOLUTE, "angles": [0.2]}, ".angles: Expected `array` of length >= 2 (given: [0.2])"),
-        ({**REVOLUTE, "angles": [-15, 0]}, ".angles[1]: Expected `float` >= -6.2832 (given: -15)"),
+        ({**REVOLUTE, "angles": [-15, 0]}, ".angles[1]: Expected `float` >= -12.5664 (given: -15)"),
         ({**REVOLUTE, "angles": [0.1, 0.2, 0.1]}, ".angles: 0.1 occurs twice"),
         ({**REVOLUTE, "angles": [0.1, math.nan]}, ".angles[2]: nan is not a finite number"),
         (

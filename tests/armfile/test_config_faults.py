@@ -97,7 +97,7 @@ FAULTS = [
     ("obstacles.2.name", "pillar", "obstacles[3].name: 'pillar' is the name of another obstacle already"),
     ("obstacles.1.box.size", [0.4, 0], "obstacles[2].box.size[2]: Expected `float` > 0.0 (given: 0)"),
     ("obstacles.1.box.size", [0.4, 1, 1], "obstacles[2].box.size: 3 coordinates, a planar arm's have 2"),
-    ("obstacles.1.box.angle", 90, "obstacles[2].box.angle: Expected `float` <= 6.2832 (given: 90)"),
+    ("obstacles.1.box.angle", 90, "obstacles[2].box.angle: Expected `float` <= 12.5664 (given: 90)"),
     ("obstacles.1.box.orientation", [0, 0, 0, 1], "obstacles[2].box.orientation: a box of the plane is turned by an"),
     ("obstacles.2.half_plane.normal", [0, 0], "obstacles[3].half_plane.normal: a direction is needed, got [0"),
     ("obstacles.1", {}, "obstacles[2]: one of disc, box, half_plane is needed for a planar arm, got none of them"),

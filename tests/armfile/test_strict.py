@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import Meta, Struct
 
-from hyperbit.controller.armfile.strict import MOST_FAULTS, InputFaults, check, read_yaml
+from hyperbit.controller.armfile.documents import read_yaml
+from hyperbit.controller.armfile.strict import MOST_FAULTS, InputFaults, check
 
 
 def read(tmp_path: Path, content: str | bytes):
@@ -26,7 +27,11 @@ def refusal(tmp_path: Path, content: str | bytes) -> str:
 
 
 def test_plain_yaml_is_read(tmp_path):
-    assert read(tmp_path, "a: [1, 2.5, x, true]\nb: {c: null}") == {"a": [1, 2.5, "x", True], "b": {"c": None}}
+    assert read(tmp_path, "a: [1, 2.5, x, true, 0]\nb: {c: null, d: 0x1D, e: 0.5}") == {
+        "a": [1, 2.5, "x", True, 0],
+        "b": {"c": None, "d": 29, "e": 0.5},
+    }
+    assert read(tmp_path, b"\xef\xbb\xbfa: 1") == {"a": 1}, "a byte order mark is no text"
 
 
 def test_a_missing_file(tmp_path):
@@ -63,6 +68,12 @@ BOMB = "a: &a [x, x]\nb: &b [*a, *a, *a, *a]\nc: &c [*b, *b, *b, *b]\nd: [*c, *c
         ("a: !!timestamp x", "is not YAML: a value does not suit its !!tag"),
         ("a: 2020-13-45", "is not YAML: month must be in 1..12"),
         ("a: " + "9" * 5000, "is not YAML: Exceeds the limit"),
+        ("a: 010", "is not YAML: 010 is 8 in YAML: write the number without 0 before it, : and _"),
+        ("a: -1:30", "is not YAML: -1:30 is -90 in YAML: write the number"),
+        ("a: 1_2", "is not YAML: 1_2 is 12 in YAML: write the number"),
+        ("a: 1:30.5", "is not YAML: 1:30.5 is 90.5 in YAML: write the number"),
+        ("a: 1_0.5", "is not YAML: 1_0.5 is 10.5 in YAML: write the number"),
+        ("a: 0x_1", "is not YAML: 0x_1 is 1 in YAML: write the number"),
         ("[" * 1500, "is not YAML: maximum recursion depth exceeded"),
         ("\n".join(" " * k + "a:" for k in range(1500)), "is not YAML: maximum recursion depth exceeded"),
         (BOMB, "is not YAML: alias *a: write its value out instead in"),

@@ -199,7 +199,7 @@ def test_a_missing_daemon_fails_with_a_message(hyperbit):
     for command in (("send", "planar16", "--to", "1,2"), ("watch", "planar16")):
         code, _, err = hyperbit(*command, "--connect", "tcp/127.0.0.1:1")
         assert code == 1
-        assert "no daemon at tcp/127.0.0.1:1" in err
+        assert "nobody listens at tcp/127.0.0.1:1" in err
 
 
 @pytest.mark.parametrize("words", [(), ("--to", "a"), ("no-such-goal.yaml",), ("goal.yaml", "--to", "1,2")])

@@ -134,7 +134,7 @@ def read_notation(data: bytes) -> int:
             continue
         assert parse_configuration(arm, format_configuration(arm, configuration)).tolist() == configuration.tolist()
     try:
-        assert np.isfinite(parse_goal(text, 2, "--goal")[0]).all()
+        assert np.isfinite(parse_goal(text.split(","), 2, "--goal")[0]).all()
     except InputFaults as error:
         assert all(error.faults)  # noqa: PT017 - no test
     return 1

@@ -45,7 +45,7 @@ class FaultKinds:
     def draw(self) -> tuple[str, Fault]:
         """Returns the name of a fault, and the fault."""
         makers = [self._of_bus, self._of_board, self._of_frames, self._of_actuator, self._of_motion, self._of_executor]
-        makers += [self._of_running_boards] * 3 + [self._of_motion] * 2 + [self._pulses.draw] * 2
+        makers += [self._of_running_boards] * 2 + [self._of_motion] * 2 + [self._pulses.draw] * 20
         while True:
             made = self._random.choice(makers)()
             if made:
@@ -94,7 +94,9 @@ class FaultKinds:
 
     def _of_board(self) -> dict[str, Fault]:
         timing, boards = self._world.arm.timing, self._world.boards
-        board = self._random.choice(list(boards.simulated.names))
+        names = list(boards.simulated.names)
+        paired = [name for name in names if boards.names.get(name, 0) & self._world.judge.arm.paired]
+        board = self._random.choice(paired or names if self._random.random() < 0.5 else names)
         silent = 1.2 * timing.heartbeat_timeout + timing.heartbeat + AT_ONCE
         lost = Expected(codes("board-lost"), (board,), silent, also=codes("interlock"), cleared=True)
         cut = lost._replace(also=codes("interlock", "board-rebooted"), cleared=False)

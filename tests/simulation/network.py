@@ -212,8 +212,8 @@ class Network:
 class SimulatedLink(ExecutorLink):
     """The planner's link over simulated sockets."""
 
-    def __init__(self, network: Network, arm: str, digest: str, clock: Callable[[], float]) -> None:
-        super().__init__(Path(), arm, digest, clock)
+    def __init__(self, network: Network, arm: str, digest: str, clock: Callable[[], float], simulated: bool) -> None:
+        super().__init__(Path(), arm, digest, clock, simulated=simulated)
         self._network = network
 
     @property

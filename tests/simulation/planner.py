@@ -236,6 +236,11 @@ class ScriptedPlanner:
             message = Stop(INTERRUPTS) if self._random.random() < 0.5 else Cancel(INTERRUPTS, None, "interrupted")
             self._executor.hear(client, FromClient(client, message))
 
+    def cancel_now(self) -> None:
+        """Sends a cancel that arrives at once."""
+        if (client := self.connection.client) is not None:
+            self._executor.hear(client, FromClient(client, Cancel(INTERRUPTS, None, "interrupted")))
+
     def halt(self) -> None:
         """Makes an operator stop the arm, if an executor runs."""
         if self.connection.client is not None:

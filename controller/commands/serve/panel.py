@@ -54,7 +54,7 @@ def panel(
     try:
         config = zenoh_configuration(connect or [ENDPOINT], zenoh_file)
     except ValueError as error:
-        raise InputFaults(Path("--zenoh"), [str(error)]) from None
+        raise InputFaults(Path("--connect" if zenoh_file is None else "--zenoh"), [str(error)]) from None
     try:
         at_proxy = None if public is None else parse_public_address(public)
         serve(parse_address(listen), tls, people, config, prefix, at_proxy)

@@ -18,8 +18,9 @@ from rich.text import Text
 
 from hyperbit.controller.commands import ENDPOINT, common
 from hyperbit.controller.commands.arguments import ArmName, AsJson, Connect, ZenohFile
-from hyperbit.controller.commands.common import CommandFailed, arm_name, print_json
-from hyperbit.controller.commands.connection import START, connected
+from hyperbit.controller.commands.common import CommandFailed, arm_name, drawn, print_json
+from hyperbit.controller.commands.connection import connected
+from hyperbit.controller.network.endpoints import START
 
 COLOURS = {"ready": "green", "executing": "cyan", "starting": "yellow", "fault": "red", "stopped": "red"}
 
@@ -120,12 +121,15 @@ class View:
     def _actuators(self, state: dict[str, Any]) -> RenderableType:
         commanded = state["commanded"] or [None] * len(state["measured"])
         text = Text("actuators by module (base first, ")
-        text.append("▮ extended, ▯ contracted, ").append("? unknown, ", style="yellow")
+        extended, contracted = drawn("▮", "#"), drawn("▯", "-")
+        text.append(f"{extended} extended, {contracted} contracted, ").append("? unknown, ", style="yellow")
         text.append("red: not as commanded", style="red").append(")\n")
         for k, (wanted, is_) in enumerate(zip(commanded, state["measured"], strict=True)):
             text.append(" " if k in self._firsts else "")
             style = "red" if wanted is not None and is_ is not None and wanted != is_ else "none"
-            text.append("?" if is_ is None else "▮" if is_ else "▯", style="yellow" if is_ is None else style)
+            text.append(
+                "?" if is_ is None else extended if is_ else contracted, style="yellow" if is_ is None else style
+            )
         return text
 
     def _hardware(self, diagnostics: dict[str, Any]) -> RenderableType:

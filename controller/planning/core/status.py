@@ -1,4 +1,4 @@
-"""The payloads of `state` and `diagnostics`, when they are published, and what systemd and the log are told."""
+"""The payloads of `state` and `diagnostics`, their times of publication, and messages to systemd and the log."""
 
 import logging
 import math
@@ -32,8 +32,6 @@ WARNINGS = frozenset(  # codes of what stops no motion
 
 
 class Status:
-    """Makes and publishes `state` and `diagnostics`."""
-
     def __init__(
         self, parts: Parts, premises: Premises, programs: Programs, goals: Goals, queries: Queries, stream: Stream
     ) -> None:
@@ -41,7 +39,7 @@ class Status:
         self._premises, self._programs = premises, programs
         self._goals, self._queries, self._stream = goals, queries, stream
         self.warnings: tuple[Fault, ...] = ()  # of the shell, which logs them itself
-        # The fields of `state` that depend on measured actuator states only, and the packed states they are made from.
+        # The fields of `state` that depend only on measured states, and these states, packed.
         self._measured: tuple[tuple[bytes, bytes] | None, Payload] | None = None
         self.changed = True  # whether `state` may have changed since it was published
         self._published = self._diagnosed = -math.inf
@@ -49,7 +47,7 @@ class Status:
         self._logged: dict[tuple[str, str], Fault] = {}  # by code and source
 
     def report(self) -> None:
-        """Publishes what is due, and feeds systemd's watchdog."""
+        """Publishes the due messages, and feeds systemd's watchdog."""
         now = self._moment.now
         if now >= self._state_due():
             self.publish_state()

@@ -149,7 +149,7 @@ def test_a_file_without_regions_is_unusable_input(hyperbit, tmp_path):
 def test_a_missing_daemon_fails_with_a_message(hyperbit, words):
     code, _, err = hyperbit(*words, "--connect", "tcp/127.0.0.1:1")
     assert code == 1
-    assert "no daemon at tcp/127.0.0.1:1" in err
+    assert "nobody listens at tcp/127.0.0.1:1" in err
     assert "Next: start it by: hyperbit run ARM.yaml" in err
 
 

@@ -66,7 +66,7 @@ def test_fleet_names_the_arms_that_have_a_daemon(hyperbit, endpoint):
 def test_fleet_without_a_daemon_fails_with_a_message(hyperbit):
     code, out, err = hyperbit("fleet", "--connect", "tcp/127.0.0.1:1")
     assert (code, out) == (1, "")
-    assert "no daemon at tcp/127.0.0.1:1" in err
+    assert "nobody listens at tcp/127.0.0.1:1" in err
 
 
 def test_watch_prints_changes_as_lines_in_a_pipe(hyperbit, endpoint):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from random import Random
 from typing import TYPE_CHECKING
 
@@ -232,7 +233,7 @@ class Trouble:
         """Lets something happen soon after the begin of each second stage that must be clear, until the calm."""
         turn = self._round
 
-        def consider() -> None:
+        def consider(bus: BusModel) -> None:
             if not self._active or turn != self._round:
                 return
             account = self._world.judge.account
@@ -240,11 +241,10 @@ class Trouble:
             strict |= account.stream is not None and account.stream.message.strict
             if strict and self._random.random() < 0.9:
                 self._world.agenda.after(self._random.uniform(0.0, 0.05), happen)
-            for bus in self._world.buses.values():
-                bus.at_next_rpdo(consider)
+            bus.at_next_rpdo(partial(consider, bus))
 
         for bus in self._world.buses.values():
-            bus.at_next_rpdo(consider)
+            bus.at_next_rpdo(partial(consider, bus))
 
     def _loosen(self) -> None:
         """Cuts the wires of an extended actuator for a moment, while its board answers late.

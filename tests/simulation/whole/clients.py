@@ -20,7 +20,7 @@ ACTS = {
     **{"goal": 40, "jog": 10, "plan": 6, "cancel": 3, "cancel goal": 4, "stop": 1.5, "reset": 3, "degrade": 3},
     **{"obstacles": 6, "arm": 2, "stream": 6, "tip": 10, "garbage": 2, "repeat": 6, "many goals": 0.5, "wait": 10},
     **{"poses": 2.0, "again": 1.0, "flood": 0.15, "crowd": 0.4, "many arms": 0.03},
-    **{"burst": 8, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 0.3},
+    **{"burst": 8, "result": 3, "vanish": 1, "same id": 1.5, "many plans": 0.3, "fault": 2.0},
 }
 ASIDE = {"arm": 4, "plan": 3, "poses": 2, "result": 2, "tip": 5, "garbage": 1}  # while the clients wait for a motion
 BURSTS = (

@@ -16,7 +16,7 @@ from hyperbit.controller.planning.core.events import (
     Payload,
     Record,
 )
-from hyperbit.controller.program import Counted, Diagnostics, Down, Snapshot, Up, unpack
+from hyperbit.controller.program import Counted, Diagnostics, Down, PlayableFaults, Snapshot, Up, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.judge.interface.facts import Request
@@ -70,6 +70,7 @@ class Daemon:
         executor: the executor's process.
         note: takes events for the story.
         judge: judges what clients see.
+        simulation: faults that can be played in simulated boards; None: the boards count as real.
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class Daemon:
         executor: ExecutorProcess,
         note: Callable[[object], None],
         judge: Callable[[Daemon], InterfaceJudge],
+        simulation: PlayableFaults | None,
     ) -> None:
         self.executed, self.arm, self.agenda, self.pace = executed, arm, agenda, pace_of(arm.settings)
         weights = drawn("weights")
@@ -102,6 +104,8 @@ class Daemon:
         self._errs = self._random.choice([0.0, 0.0, 0.3])
         self.awake_since, self.slow, self.congestion, self._offset = 0.0, 0.0, 0.0, UNIX
         self.judge = judge(self)
+        self.simulated, self.judge.gateway.playable = simulation is not None, simulation
+        self.judge.account.simulated = self.simulated
         self.witness = PlannerWitness(self.judge, agenda, self.mood, note)
         self.zenoh = ZenohModel(agenda, drawn("zenoh"), self, lambda: self.awake_since)
         self._claims = drawn("claims")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import tempfile
 from pathlib import Path
 from random import Random
@@ -42,7 +43,7 @@ class SavedPoses:
 
     def fill(self, full: bool) -> None:
         """Lets the disk be full, or no longer: another file cannot be begun."""
-        fresh = self._path.with_suffix(".new")
+        fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
         if full and not fresh.is_dir():
             fresh.unlink(missing_ok=True)
             fresh.mkdir()

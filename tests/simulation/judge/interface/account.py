@@ -40,6 +40,7 @@ class InterfaceAccount:
         scenes: number of scenes that workers build.
         slow: whether rounds of the planner's loop take long.
         congested: whether peers read slowly.
+        simulated: whether the executor simulates its boards.
         full: whether the socket to the executor is full.
         lead: time of one stage [s]; `travel` and `rest` are the times of one actuator, of the arm's file.
         inrush: whether few actuators may switch at once, so that a stage waits for the one before.
@@ -66,7 +67,7 @@ class InterfaceAccount:
         self.interlock_open: Callable[[], bool] = lambda: False
         self.bias: tuple[float, ...] | None = None
         self.offset, self.clamp, self.hold = (0.0, 0.0), 0.0, 0.0
-        self.slow = self.congested = self.full = False
+        self.slow = self.congested = self.full = self.simulated = False
         self.ledger_counts: tuple[int, ...] = ()
         self.disk_failed = False
         self.numbers = 0

@@ -333,6 +333,7 @@ GROUNDS: dict[str, Callable[[InterfaceAccount, Request], bool]] = {
     "line-with-pose": _line_with_pose,
     "line-too-fast": _too_fast,
     "plan-canceled": _plan_canceled,
-    "not-simulated": lambda a, request: request.key == "fault",
+    "not-simulated": lambda a, request: request.key == "fault" and not a.simulated,
+    "no-such-fault": lambda a, request: request.key == "fault" and a.simulated,
     "interlock-open": _interlock,
 }

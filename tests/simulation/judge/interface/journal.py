@@ -106,7 +106,8 @@ class Journal:
         for key in self._faults.keys() - told:
             since = awake - self._faults[key]
             require(since < AGREE_WITHIN, f"the journal tells {key} for {since:g} s, and state does not")
-        status = f"STATUS={payload['mode']}: {payload['reason']}"
+        boards = " (simulated)" if self._a.simulated else ""
+        status = f"STATUS={payload['mode']}{boards}: {payload['reason']}"
         lately = [text for at, text in self._statuses if awake - at < AGREE_WITHIN]
         before = [text for at, text in self._statuses if awake - at >= AGREE_WITHIN]
         permitted = [*before[-1:], *lately]

@@ -132,6 +132,8 @@ class Requests:
                 self._locks(request)
             case "result":
                 self._judge_result(request, answer)
+            case "fault":
+                require(a.simulated, f"{text}; the boards are real")
             case "plan":
                 judge_plan(a, request, answer, text)
 

@@ -199,7 +199,7 @@ class Searches:
         before, self._prepared = self._prepared, search
         if goal is None:
             same = before is not None and before.goal is None and basis(before) == basis(search)
-            kinds = ("motion asked", "scene")  # a scene that fails leaves the same obstacles, with another number
+            kinds = ("motion asked", "scene", "tables")  # what is built anew may be as before, with another number
             interrupted = before is not None and any(a.had(kind, before.at - 0.1) for kind in kinds)
             require(not same or interrupted, f"{text} was prepared before, and nothing has changed")
             return

@@ -18,7 +18,7 @@ CHECKED_WITHIN = 0.5  # [s], awake, from obstacles or an arm that moved to the w
 CHECKED_AGAIN = 1.0  # [s] from a check that fails to the next one
 TOLD_WITHIN = 1.5  # [s], awake, from the end of a goal to a state that no longer names it
 OWN = {"degraded", "unknown-state", "in-obstacle", "executor-lost", "internal-error"}  # faults of the planner
-SHELL = {"clock-set", "network-lost", "ledger-unwritten"}
+SHELL = {"clock-set", "certificate-ends", "network-lost", "ledger-unwritten"}
 
 
 class States:
