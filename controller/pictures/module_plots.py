@@ -16,7 +16,7 @@ from hyperbit.controller.armfile.settings import Diagonal
 from hyperbit.controller.manipulator import frames
 from hyperbit.controller.manipulator.joints import prismatic, revolute
 from hyperbit.controller.manipulator.manipulator import Manipulator
-from hyperbit.controller.manipulator.module import Module, transforms
+from hyperbit.controller.manipulator.module import Module, tipped, transforms
 from hyperbit.controller.manipulator.notation import format_configuration
 from hyperbit.controller.manipulator.platform import platform
 from hyperbit.controller.manipulator.vgt import vgt
@@ -26,6 +26,11 @@ if TYPE_CHECKING:  # matplotlib takes half a second to import: only those who dr
 
 DARK, BLUE, ORANGE, LIGHT = "#16191D", "#0072B2", "#D55E00", "#B8C0C8"
 LENGTHS = (0.2, 0.25)  # contracted and extended
+PLANAR = [[-0.1, 0.0], [0.0, 0.0], [0.1, 0.0]], [[-0.1, 0.0], [0.1, 0.0], [0.1, 0.0]]  # joints below and above
+SPATIAL = tuple(
+    [[0.13 * np.cos(angle), 0.13 * np.sin(angle), 0.0] for angle in np.radians(degrees)]
+    for degrees in ((350, 10, 110, 130, 230, 250), (310, 50, 70, 170, 190, 290))
+)
 Array = NDArray[np.float64]
 
 
@@ -38,8 +43,8 @@ def save_types(path: Path) -> None:
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 7.4), layout="constrained")
-    axes = figure.subplots(2, 3).ravel()
+    figure = Figure(figsize=(14, 7.4), layout="constrained")
+    axes = figure.subplots(2, 4).ravel()
     trusses: tuple[tuple[Diagonal, str], ...] = (("BC", "vgt, diagonal BC"), ("AD", "vgt, diagonal AD: the next one"))
     for own, (diagonal, title) in zip(axes, trusses, strict=False):
         draw_truss(own, vgt(diagonal, 0.2, LENGTHS, LENGTHS, LENGTHS, base_bar=True), diagonal, title)
@@ -47,9 +52,11 @@ def save_types(path: Path) -> None:
     draw_joint(
         axes[3], prismatic((0, 1, 0), (0.0, 0.08, 0.16), frames.planar(0, 0.1)), "prismatic: lengths 0, 0.08, 0.16"
     )
-    draw_platform(axes[4])
+    draw_platform(axes[4], PLANAR, "platform: three legs in the plane")
+    draw_platform(axes[5], SPATIAL, "platform: six legs in space")
     states = [frames.planar(0, 0.2), frames.planar(0.08, 0.22, -0.5), frames.planar(-0.1, 0.25, 0.4)]
-    draw_joint(axes[5], transforms(states, planar=True), "transforms: any frames")
+    draw_joint(axes[6], transforms(states, planar=True), "transforms: any frames")
+    draw_tool(axes[7])
     figure.savefig(path, dpi=100)
 
 
@@ -135,26 +142,61 @@ def draw_joint(axes: Axes, module: Module, title: str) -> None:
     axes.text(0, -0.03, f"actuators {names}; 1 = extended", ha="center", va="top", fontsize=9, color=DARK)
 
 
-def draw_platform(axes: Axes) -> None:
-    """Draws a planar platform with the numbers of its legs, all contracted, and all extended in light gray."""
-    base, top = [[-0.1, 0.0], [0.0, 0.0], [0.1, 0.0]], [[-0.1, 0.0], [0.1, 0.0], [0.1, 0.0]]
+def draw_platform(axes: Axes, joints: Sequence[Sequence[Sequence[float]]], title: str) -> None:
+    """Draws a platform with the numbers of its legs, all contracted; and all extended, in light gray."""
+    base, top = joints
     module = platform(base, top, (0.2, 0.24))
-    bare(axes, "platform: three legs in the plane")
-    for segment in module.body[-1]:
+    legs, flat = len(module.actuators), module.planar
+    bare(axes, title)
+    for segment in seen(module.body[-1], flat=flat):
         line(axes, segment, LIGHT, 1.2)
-    for k, segment in enumerate(module.body[0]):
-        leg = k < len(module.actuators)
-        line(axes, segment, BLUE if leg else DARK, 3.0 if leg else 2.0)
-        if leg:
-            low, high = segment[:, :2]
-            label(axes, 0.4 * high + 0.6 * low, module.actuators[k], BLUE, 12)
-            axes.text(low[0], low[1] - 0.012, f"base[{k}]", ha="center", va="top", fontsize=8, color=DARK)
-    places: dict[tuple[float, float], list[str]] = {}
-    for k, place in enumerate(module.body[0][: len(module.actuators), 1]):
-        places.setdefault((round(float(place[0]), 6), round(float(place[1]), 6)), []).append(f"top[{k}]")
-    for (x, y), names in places.items():
-        axes.text(x, y + 0.014, ", ".join(names), ha="center", va="bottom", fontsize=8, color=DARK)
+    body = seen(module.body[0], flat=flat)
+    for segment in body[legs:]:
+        line(axes, segment, DARK, 2.0)
+    for segment in body[:legs]:
+        line(axes, segment, BLUE, 3.0)
+    for name, end, shift, side in (("base", 0, -0.012, "top"), ("top", 1, 0.014, "bottom")):
+        places: dict[tuple[float, float], list[str]] = {}
+        for k, (x, y) in enumerate(body[:legs, end].round(6).tolist()):
+            places.setdefault((x, y), []).append(f"{name}[{k}]" if flat else str(k + 1) if end == 0 else "")
+        for (x, y), names in places.items():
+            axes.text(x, y + shift, ", ".join(names), ha="center", va=side, fontsize=8, color=DARK)
+    for k, segment in enumerate(body[:legs]):
+        label(axes, 0.5 * segment[1] + 0.5 * segment[0], module.actuators[k], BLUE, 10)
+    if flat:
+        draw_frame(axes, module.frames[0], "")
+    else:
+        axes.text(
+            0,
+            float(body[..., 1].min()) - 0.05,
+            "leg k from base[k - 1] to top[k - 1]",
+            ha="center",
+            fontsize=9,
+            color=DARK,
+        )
+
+
+def draw_tool(axes: Axes) -> None:
+    """Draws the last module of an arm, a truss, and the frame of a tool's tip in the module's frame."""
+    bare(axes, "tip: the frame of a tool")
+    module = vgt("BC", 0.2, LENGTHS, LENGTHS, LENGTHS, base_bar=True)
+    tooled = tipped(module, frames.planar(0.05, 0.2, 0.6))
+    for segment in module.body[0]:
+        line(axes, segment, BLUE, 2.0)
+    line(axes, tooled.body[0][-1], DARK, 4.0)
+    label(axes, tooled.body[0][-1].mean(axis=0), "tool", DARK, 10)
     draw_frame(axes, module.frames[0], "")
+    axes.text(0.06, 0.14, "frame of the\nlast module", fontsize=8, color=ORANGE, va="top")
+    axes.text(0.05, -0.03, "position [0.05, 0.2], orientation 0.6", ha="center", va="top", fontsize=9, color=DARK)
+    draw_frame(axes, tooled.frames[0], "tip")
+
+
+def seen(points: Array, *, flat: bool) -> Array:
+    """Returns points (..., 3) as seen from the front and above, shape (..., 2); of a flat drawing as they are."""
+    if flat:
+        return np.asarray(points[..., :2])
+    turned = points @ frames.turned((0, 0, 1), 0.3)[:3, :3].T @ frames.turned((1, 0, 0), -1.1)[:3, :3].T
+    return np.asarray(turned[..., :2])
 
 
 def label(axes: Axes, place: Array, text: str, colour: str, size: float) -> None:

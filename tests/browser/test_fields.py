@@ -60,6 +60,7 @@ def test_go_sends_no_goal_while_a_field_is_empty(trouble: Trouble, driver: objec
     assert not enabled(shown)
     keys(shown, "0.6")
     eventually(lambda: enabled(shown))
+    trouble.daemon.asked.clear()
     shown.press("#go")
     eventually(lambda: "goal" in trouble.daemon.commands() and last_goal(trouble, "goal")["position"] == [0.6, 2.8])
 

@@ -144,6 +144,7 @@ def test_a_goal_that_cannot_be_planned_does_not_go(trouble: Trouble, driver: obj
 
 def test_a_goal_of_this_page_may_be_replaced(trouble: Trouble, driver: object) -> None:
     shown = planned(trouble, driver)
+    trouble.daemon.asked.clear()
     shown.press("#go")
     goals = eventually(lambda: [payload for key, payload in trouble.daemon.asked if key == "goal"])
     told(trouble, shown, mode="executing", goal=goals[-1]["id"], reason="to my goal")

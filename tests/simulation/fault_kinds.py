@@ -16,7 +16,7 @@ from tests.simulation.executor.process import LOOP_FAILS
 from tests.simulation.judge.expected import Expected
 from tests.simulation.planner import ScriptedPlanner
 from tests.simulation.pulse_faults import PulseFaults
-from tests.simulation.single_fault import ASKED, AT_ONCE, NO_FAULT, READ_BACK, Fault, codes, nothing
+from tests.simulation.single_fault import ASKED, AT_ONCE, NO_FAULT, READ_AT_ONCE, READ_BACK, Fault, codes, nothing
 
 if TYPE_CHECKING:
     from tests.simulation.buses.bus_model import BusModel
@@ -230,7 +230,9 @@ class FaultKinds:
             made["TPDO is lost"] = Fault(lose_tpdo, nothing, NO_FAULT)
         if channel.pulse is None and not world.judge.proofs.forgone >> k & 1:
             also = codes("stuck", "not-switched", "unexpected-motion")
-            unheard = Expected(also, (label, board), READ_BACK + late, also=also)
+            at_once = READ_AT_ONCE + world.arm.rest
+            within = READ_BACK + late if world.judge.arm.sensed >> k & 1 else at_once
+            unheard = Expected(also, (label, board), within, also=also)
             made["a board loses a SYNC"] = Fault(lose_sync, nothing, unheard)
         return made
 

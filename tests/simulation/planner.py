@@ -221,11 +221,11 @@ class ScriptedPlanner:
         self._wanted = self._number
         return self._number
 
-    def ask_to_switch(self, actuator: int, times: int = 1, pause: float = 0.0) -> None:
+    def ask_to_switch(self, actuator: int, times: int = 1, pause: float = 0.0, strict: bool = False) -> None:
         """Sends a program that switches one actuator, perhaps to and fro with pauses [s]."""
         assert self.snapshot is not None
         self._number += 1
-        self._drawn = self._author.switch(self.snapshot, self._number, actuator, times, pause)
+        self._drawn = self._author.switch(self.snapshot, self._number, actuator, times, pause, strict)
         self.connection.send(self._drawn.program)
         self._wanted = self._number
 

@@ -25,6 +25,7 @@ LONG = 2.2  # [s] for which a fault may last, so that two attempts to leave it f
 ANSWERED = 0.1  # [s] until a reset is answered
 HOMED = 0.7  # share of the faults before which a program homes the arm
 VOLLEYS = 0.45  # share of the volleys, where neither executor nor planner ends
+OWED = 4.2  # [s] for which lost answers may still come, and reads take so long that pulses may be over before
 RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm, and the next one is ready
 
 
@@ -73,6 +74,8 @@ class SingleFaults:
             world.trouble.made[f"only: {name}"] += 1
             world.note(f"only fault: {name}")
             self._judge(name, fault, planner)
+            if any(not world.judge.arm.sensed >> k & 1 for k in world.kinds.pulse):
+                world.pass_time(OWED)
         planner.patient = False
         if not world.record.suspect and not world.judge.account.clear:
             world.judge.quiet_from(world.agenda.now)

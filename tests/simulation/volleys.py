@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from tests.simulation.world import World
 
 ROUNDS = 7
+MANY = 3  # numbers of switches to choose from: they come as soon as possible
 LONGEST_HOLD = 0.015  # [s] for which frames stay in the controller, far below each time-out
-LATE = 0.03  # [s] of late answers
+LATE = 0.08  # [s] of late answers
 ECHO_LOST = 0.05  # [s] after which the executor knows that an echo was lost
 DISTURBED = 0.12  # [s] of a round
 
@@ -68,7 +69,7 @@ class Volleys:
         self._world.boards.loses = None
         for bus in self._world.buses.values():
             bus.at_next_sync(nothing)
-            bus.at_next_rpdo(nothing)
+            bus.await_no_rpdo()
             bus.lose_echo(0)
             bus.restore()
 
@@ -81,8 +82,8 @@ class Volleys:
         blind = not world.judge.arm.sensed >> k & 1
 
         def switch(*times: int) -> None:
-            pause = max(world.kinds.travel[k]) + ECHO_LOST
-            planner.ask_to_switch(k, times=random.choice(times or (1,)), pause=pause)
+            pause = max(world.kinds.travel[k]) + ECHO_LOST * (len(times) < MANY)
+            planner.ask_to_switch(k, random.choice(times or (1,)), pause, strict=random.random() < 0.5)
 
         def hold() -> None:
             """Frames stay in the controller for a moment."""
@@ -128,7 +129,7 @@ class Volleys:
         def with_(name: str, value: float) -> Callable[[], None]:
             def cause() -> None:
                 setattr(bus, name, value)
-                switch(1, 2, 3)
+                switch(2, 3, 4)
 
             return cause
 

@@ -46,7 +46,7 @@ export function showFields(editor, arm) {
       turns.forEach((field, k) => field.set((angles[k] = shown[k] === null ? null : shown[k] / DEGREE)));
     }
     tolerance.set(editor.tolerance);
-    step.set(editor.step);
+    if (!step.contains(document.activeElement)) step.set(editor.step); // an empty step changes nothing
     path.set(editor.pathTolerance);
     orientation.hidden = arm.dimension !== 2 || !point;
     for (const field of turns) field.hidden = arm.dimension !== 3 || !point;
