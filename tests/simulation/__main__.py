@@ -64,7 +64,6 @@ class Turns:
         of: number of steps of each kind.
 
     Args:
-        kinds: of worlds.
         first: seed of the first world of each kind.
     """
 
@@ -74,45 +73,26 @@ class Turns:
 
     @property
     def steps(self) -> int:
-        """Number of all steps."""
         return sum(self.of.values())
 
     def next(self) -> tuple[str, int]:
-        """Returns kind and seed of the next world."""
         kind = min(self.of, key=self.of.__getitem__)
         return kind, self._seeds[kind]
 
     def ran(self, kind: str, steps: int) -> None:
-        """Counts the steps of a world that has run."""
         self.of[kind] += steps
         self._seeds[kind] += 1
 
     def seeds(self) -> str:
-        """Returns the seeds so far in words."""
         return ", ".join(f"{self._first} to {seed - 1} ({kind})" for kind, seed in self._seeds.items())
 
 
 def world_of(seed: int, kind: str) -> World | BoardWorld:
-    """Returns a world.
-
-    Args:
-        seed: of all random numbers.
-        kind: one of `KINDS`.
-    """
     return BoardWorld(seed) if kind == "boards" else World(seed, whole=kind == "whole")
 
 
 def run(seed: int, kind: str, most: int, told: bool, counts: Counter[str], failed: list[str]) -> int:
-    """Runs one world; returns the number of its steps.
-
-    Args:
-        seed: of the world.
-        kind: one of `KINDS`.
-        most: number of steps.
-        told: whether to print all events and raise the exception if it fails.
-        counts: counts what happened.
-        failed: takes the name of the world if it fails.
-    """
+    """Runs one world; returns the number of its steps."""
     world, name = world_of(seed, kind), f"{seed} {kind}"
     try:
         world.run(most)

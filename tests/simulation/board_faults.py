@@ -31,18 +31,10 @@ Made = tuple[Callable[[], object], Callable[[], object], Expected]
 
 
 class BoardFaults:
-    """Draws faults of boards.
-
-    Args:
-        world: with a scripted planner.
-        random: draws.
-    """
-
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
 
     def draw(self) -> dict[str, Made]:
-        """Returns faults with their causes and mends."""
         world = self._world
         name = self._random.choice(list(world.boards.simulated.names))
         board = world.boards.simulated.board(name)
@@ -121,7 +113,6 @@ class BoardFaults:
         return made
 
     def _of_switch(self) -> dict[str, Made]:
-        """Returns faults of a board whose output is switched."""
         world, random, planner = self._world, self._random, self._world.planner
         assert isinstance(planner, ScriptedPlanner)
         account, wiring = world.judge.account, world.arm.wiring

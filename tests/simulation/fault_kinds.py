@@ -31,19 +31,13 @@ WAYS = {"clear": "answers", "touched": "finds an obstacle", "silent": "is silent
 
 
 class FaultKinds:
-    """Draws a fault for the arm as it stands.
-
-    Args:
-        world: with a scripted planner.
-        random: draws.
-    """
+    """Draws a fault for the arm as it stands."""
 
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
         self._boards, self._pulses = BoardFaults(world, random), PulseFaults(world, random)
 
     def draw(self) -> tuple[str, Fault]:
-        """Returns the name of a fault, and the fault."""
         makers = [self._of_bus, self._of_board, self._of_frames, self._of_actuator, self._of_motion, self._of_executor]
         makers += [self._of_running_boards] * 2 + [self._of_motion] * 2 + [self._pulses.draw] * 20
         while True:

@@ -32,7 +32,6 @@ class Socket(Connection):
     """The planner's end of one connection, as `ExecutorLink` uses it.
 
     Args:
-        network: to the executor.
         client: number and process of this end.
     """
 
@@ -47,11 +46,9 @@ class Socket(Connection):
 
     @property
     def ready(self) -> bool:
-        """Whether there is something to read."""
         return bool(self.arrived) or self.ended
 
     def fileno(self) -> int:
-        """Returns a number."""
         return self.client.number
 
     def recv(self, most: int) -> bytes:
@@ -81,7 +78,6 @@ class Socket(Connection):
         """Waits in vain: no time passes in a step."""
 
     def shut(self) -> None:
-        """Ends the connection."""
         if not self.shut_down:
             self.shut_down = True
             self.arrived.clear()
@@ -113,16 +109,8 @@ class Network:
     """All connections to the executor.
 
     Attributes:
-        sent: messages of planner and operator, by kind.
-        wake: wakes the planner's process.
         sends: takes what the planner sends, after its Hello.
         hears: takes what arrives at the planner's end; None: the end of the connection.
-
-    Args:
-        arm: name of the arm.
-        agenda: time.
-        random: for delays.
-        executor: at the other end.
     """
 
     def __init__(self, arm: str, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
@@ -141,7 +129,6 @@ class Network:
         self._places = places
 
     def drain(self) -> None:
-        """Makes the planner's socket writable again."""
         self._places = None
         self.wake()
 
@@ -185,13 +172,11 @@ class Network:
             self._end(client)
 
     def to_executor(self, client: ClientId, message: Down) -> None:
-        """Gives a packet that has arrived to the executor."""
         if client in self._sockets:
             self.sent[type(message).__name__] += 1
             self._executor.hear(client, FromClient(client, message))
 
     def gone(self, client: ClientId) -> None:
-        """Tells the executor that the planner's end was closed."""
         if self._sockets.pop(client, None) is not None:
             self._executor.hear(client, ClientGone(client))
 
@@ -210,15 +195,12 @@ class Network:
 
 
 class SimulatedLink(ExecutorLink):
-    """The planner's link over simulated sockets."""
-
     def __init__(self, network: Network, arm: str, digest: str, clock: Callable[[], float], simulated: bool) -> None:
         super().__init__(Path(), arm, digest, clock, simulated=simulated)
         self._network = network
 
     @property
     def ready(self) -> bool:
-        """Whether there is something to read."""
         return self.pending or (isinstance(self._connection, Socket) and self._connection.ready)
 
     def connect(self, now: float) -> None:

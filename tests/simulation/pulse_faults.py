@@ -21,12 +21,7 @@ PULSING = 0.008  # [s] from the SYNC that begins a pulse until its bus goes down
 
 
 class PulseFaults:
-    """Draws faults of pulses.
-
-    Args:
-        world: with a scripted planner.
-        random: draws.
-    """
+    """Draws faults of pulses."""
 
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random

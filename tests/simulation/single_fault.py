@@ -27,7 +27,6 @@ class Fault(NamedTuple):
 
 
 def codes(*names: str) -> frozenset[str]:
-    """Returns codes of faults."""
     return frozenset(names)
 
 

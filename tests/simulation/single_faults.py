@@ -30,12 +30,7 @@ RESTARTED = 15.0  # [s] until an executor that was ended has contracted the arm,
 
 
 class SingleFaults:
-    """Draws single faults, and judges what the executor tells of them.
-
-    Args:
-        world: with a scripted planner.
-        random: draws.
-    """
+    """Draws single faults, and judges what the executor tells of them."""
 
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random

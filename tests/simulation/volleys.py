@@ -23,13 +23,6 @@ DISTURBED = 0.12  # [s] of a round
 
 
 class Volleys:
-    """Draws volleys.
-
-    Args:
-        world: with a scripted planner.
-        random: draws.
-    """
-
     def __init__(self, world: World, random: Random) -> None:
         self._world, self._random = world, random
 

@@ -47,18 +47,13 @@ class World:
     """One arm, its executor, its boards and its clients.
 
     Attributes:
-        agenda: time and events.
-        record: history of the world.
-        trouble: causes faults.
         kinds: outputs and end-stops of the actuators.
         planner: the scripted planner, or the daemon.
         daemon: the whole daemon but its executor; None in a world with a scripted planner.
         let_go: mask of the actuators with two outputs that their boards contract without the executor.
 
     Args:
-        seed: seed of all random numbers.
         whole: whether the planner's core, its shell and clients are in the world; False: a scripted planner.
-        remembered: number of last events for the story.
     """
 
     def __init__(self, seed: int, whole: bool = False, remembered: int = 300) -> None:
@@ -121,14 +116,8 @@ class World:
         self._memory = Memory()
         self.executor.start()
 
-    # --- it runs
-
     def run(self, steps: int) -> None:
-        """Runs `steps` steps, in turns with requests but no trouble, with both, and with neither.
-
-        Raises:
-            Violation: an invariant does not hold.
-        """
+        """Runs `steps` steps, in turns with requests but no trouble, with both, and with neither."""
         end = self.agenda.steps + steps
         self.calm()
         while True:
@@ -148,7 +137,6 @@ class World:
                 break
 
     def pass_time(self, seconds: float) -> None:
-        """Runs all steps of a time [s]."""
         until = self.agenda.now + seconds
         while self.agenda.now < until:
             self.one_step()
@@ -195,11 +183,7 @@ class World:
         return self.arm.timing.boot_timeout + PATIENCE
 
     def wait(self, holds: Callable[[], bool], text: str, patience: float) -> None:
-        """Runs steps until something holds.
-
-        Raises:
-            Violation: it does not hold after `patience` seconds.
-        """
+        """Runs steps until something holds."""
         until = self.agenda.now + patience
         while not holds():
             snapshot = self.planner.snapshot
@@ -231,10 +215,7 @@ class World:
         self._memory.judge(record.instance, self.executor.core, len(self.judge.programs.unacknowledged))
 
     def drawn_half(self) -> bool:
-        """Returns True half of the time."""
         return self._random.random() < 0.5
-
-    # --- its parts
 
     def _look(self, name: str) -> Look:
         board = self.boards.simulated.board(name)
@@ -258,8 +239,6 @@ class World:
         if self.daemon is not None:
             self.daemon.mend()
 
-    # --- for the invariants, and for a person
-
     def reaches(self, actuator: int) -> bool:
         """Returns whether frames of the executor reach the board of an actuator, and take effect there."""
         channel = self.arm.wiring.channels[actuator]
@@ -279,17 +258,14 @@ class World:
         return before != self._counts
 
     def note(self, event: object) -> None:
-        """Stores an event for the story."""
         self.events.append((self.agenda.now, event))
 
     def counts(self) -> Counter[str]:
-        """Returns how often each thing happened."""
         counts = self.record.counts + self.trouble.made
         counts += Counter({f"sent {word}": count for word, count in self.planner.connection.sent.items()})
         return counts if self.daemon is None else counts + self.daemon.counts
 
     def story(self) -> str:
-        """Returns the last events, one a line."""
         return "\n".join(f"{time - 1000:.6f} {event}" for time, event in self.events)
 
 

@@ -51,12 +51,7 @@ class BusModel:
         echo_owed: whether the echoes of a command and of the heartbeats after it were lost.
 
     Args:
-        name: of the bus.
-        bitrate: [bit/s].
-        agenda: time.
-        random: for loss, duplication and delays.
         to_boards: takes a frame of the executor when it has left, what it belongs to, and whether the boards lose it.
-        to_executor: takes an event.
     """
 
     def __init__(
@@ -123,7 +118,6 @@ class BusModel:
         self.begin()
 
     def from_board(self, frame: Frame) -> None:
-        """Takes a frame of a board."""
         function = split(frame.id)[0]
         if self.mute and function == SDO_ANSWER:
             return
@@ -135,14 +129,11 @@ class BusModel:
         else:
             self.from_other(frame)
 
-    # --- faults and their ends
-
     def at_next_rpdo(self, happen: Callable[[], None]) -> None:
         """Calls a function once, when the executor hands out an RPDO."""
         self._at_rpdo.append(happen)
 
     def await_no_rpdo(self) -> None:
-        """Calls no function at the next RPDO."""
         self._at_rpdo.clear()
 
     def at_next_sync(self, happen: Callable[[], None]) -> None:
@@ -177,11 +168,9 @@ class BusModel:
         self._echoes_to_lose, self._loses_syncs = count, sync
 
     def hear_answers(self) -> None:
-        """Ends the loss of SDO answers."""
         self.mute = False
 
     def restore(self) -> None:
-        """Ends all faults of the bus."""
         self.capacity, self.acknowledged = CAPACITY, True
         self.loss = self.duplication = self.answer_delay = 0.0
         self.room, self.stuck, self.echoes = None, False, True
@@ -194,8 +183,6 @@ class BusModel:
         self.state = state
         self._to_executor(BusChanged(self.name, state, why, (128, 0) if state == "passive" else None))
         self.begin()
-
-    # --- the wire
 
     def begin(self) -> None:
         """Puts the next frame on the wire if the wire is free."""
@@ -215,7 +202,6 @@ class BusModel:
         self._agenda.after(wire_bits(size) / self.bitrate, self._finish)
 
     def _finish(self) -> None:
-        """Delivers the frame on the wire."""
         on_wire, self._on_wire = self._on_wire, None
         lost = self._random.random() < self.loss
         twice = not lost and self._random.random() < self.duplication

@@ -58,7 +58,6 @@ class Trouble:
     """Causes a fault about once a second; each fault ends after a time.
 
     Attributes:
-        made: number of faults by kind.
         kinds: weights of the kinds; a world has only some of them.
     """
 
@@ -72,12 +71,10 @@ class Trouble:
         self._mean = random.choice([0.3, 1.0, 3.0])
 
     def begin(self) -> None:
-        """Starts to cause faults."""
         self._active, self._round = True, self._round + 1
         self._next(self._round)
 
     def end(self) -> None:
-        """Ends all faults."""
         self._active = False
         self._world.mend()
 
@@ -178,7 +175,6 @@ class Trouble:
                 self._break(kind, board, label)
 
     def _disturb(self, kind: str, daemon: Daemon) -> None:
-        """Causes a fault of the planner's processes, of its workers or its disk."""
         random, mood = self._random, daemon.mood
         match kind:
             case "planner is restarted":

@@ -50,7 +50,6 @@ def draw_arm(random: Random, whole: bool = False) -> ExecutedArm:
     """Returns an arm of 2..12 actuators on 1..4 boards and 1..2 buses.
 
     Args:
-        random: draws.
         whole: whether a whole daemon drives it; without it, fewer heartbeats take steps, and more arms contract.
     """
     rates = [125_000, 500_000, 1_000_000]  # [bit/s]

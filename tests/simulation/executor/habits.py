@@ -20,10 +20,6 @@ class Habits:
         watchdog: systemd's watchdog time [s]; None without a watchdog.
         simulation: faults that can be played in the boards; None: the boards count as real.
         problem: what is wrong with the switch journal; None: nothing.
-        dropped: number of dropped messages.
-
-    Args:
-        random: draws.
     """
 
     def __init__(self, random: Random) -> None:

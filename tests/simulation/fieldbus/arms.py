@@ -43,8 +43,6 @@ SHARED = frozenset(  # variants that map dummies
 
 
 class Drawn(NamedTuple):
-    """A wiring with its boards."""
-
     wiring: Wiring
     timing: Timing
     variants: dict[str, Variant]

@@ -15,8 +15,6 @@ COMMITTED = 0.6  # [s] until a command must be over
 
 
 class CommandMaker(FaultMaker):
-    """Makes faults of one command."""
-
     def __init__(self, world: BoardWorld) -> None:
         super().__init__(world)
         self._states = world.use.possible(

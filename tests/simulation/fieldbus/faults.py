@@ -24,12 +24,6 @@ MAKERS = SupervisionFaults, BusFaults, ObjectFaults, CommandFaults, UnsentFaults
 
 
 class Faults:
-    """Draws single faults.
-
-    Args:
-        world: of boards.
-    """
-
     def __init__(self, world: BoardWorld) -> None:
         self._world = world
 
@@ -88,7 +82,6 @@ class Faults:
         self._come_back(name, expected)
 
     def _judge_known(self, name: str, expected: Expected) -> None:
-        """Judges which states are known."""
         world = self._world
         master, boards = world.master, world.wiring.boards
         if expected.also:

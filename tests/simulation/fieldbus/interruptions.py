@@ -23,11 +23,7 @@ AGAIN = 3  # boots without trouble after which the boards are ready
 
 
 class Interruptions:
-    """Draws what goes wrong in a boot.
-
-    Args:
-        world: of boards.
-    """
+    """Draws what goes wrong in a boot."""
 
     def __init__(self, world: BoardWorld) -> None:
         self._world = world
@@ -52,7 +48,6 @@ class Interruptions:
         self._end()
 
     def _end(self) -> None:
-        """Ends the trouble; boots until the boards are ready."""
         world = self._world
         world.site.intercept = lambda bus, frame: ""
         for bus in world.site.buses.values():
@@ -63,7 +58,6 @@ class Interruptions:
             world.boot(new=True)
 
     def _begin(self) -> float:
-        """Begins a boot; returns the time."""
         world = self._world
         world.prepare(new=True)
         world.start_boot(new=True)

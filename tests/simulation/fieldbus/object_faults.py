@@ -23,8 +23,6 @@ CODES = (0x2310, 0x5000, 0x8F00)
 
 
 class ObjectFaults(FaultMaker):
-    """Makes faults of one drawn board."""
-
     def __init__(self, world: BoardWorld) -> None:
         super().__init__(world)
         self._found = world.found[self._name]

@@ -16,8 +16,6 @@ TPDOS = range(0x180, 0x580, 0x100)
 
 
 class UnsentFaults(CommandMaker):
-    """Makes faults of one command that cannot be carried out."""
-
     def RPDO_is_not_sent(self) -> Fault | None:
         if not (self._fit and self._waits()):
             return None

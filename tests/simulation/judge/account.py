@@ -157,11 +157,8 @@ class Account:
         told: mode that a snapshot or the log told last; nobody may be connected.
         ready_at: time when the mode `ready` or `executing` was shown after others [s].
         greatest: greatest number of an accepted program or stream.
-        run: the running program.
         stream: number of the followed stream and its end; None if none is followed.
-        commit: the last commit.
         mover: the last commit that switched an actuator.
-        homed_at: time of the last commit that might bring actuators of unknown state to a known one [s].
         ticked: time of the last tick [s].
         asked_states: states in which locked actuators without an end-stop are locked, by the arm's file or a request.
         homed_at: time of the last commit that may have homed actuators of unknown state [s].

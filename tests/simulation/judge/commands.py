@@ -36,12 +36,9 @@ class Commands:
     """Judges the commits of one executor.
 
     Attributes:
-        look: the boards by name.
         suspect: mask of the actuators whose boards have missed a frame since their boot; the world sets it.
 
     Args:
-        account: of the executor.
-        arm: the executor's arm.
         proofs: tells which pulses may be given again.
     """
 
@@ -62,17 +59,13 @@ class Commands:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._lines: dict[tuple[str, int], list[Line]] = {}  # of each RPDO, by bus and COB-ID
         self._held = deque[int](maxlen=8)  # states that were shown or commanded since the boot
         self._told = (0, 0)  # extending and contracting outputs that were commanded on
         self._setpoints = deque[Setpoint](maxlen=KEPT_SETPOINTS)
         self._mover: Commit | None = None
 
-    # --- what was asked for
-
     def receive(self, message: Setpoint) -> None:
-        """Takes a set-point of the planner."""
         a = self._a
         if a.shown is not None and message.epoch == a.shown.epoch:
             self._setpoints.append(message)
@@ -154,8 +147,6 @@ class Commands:
         asked = run is not None or bool(self._alive) or self._contracts
         return (mask | a.locked if asked else 0), merged(a.locked, a.locked_states, states)
 
-    # --- what is commanded
-
     def commit(self, bus: str, cob_id: int, data: bytes) -> None:
         """Judges an RPDO that is handed out; the account has its commit."""
         a, commit = self._a, self._a.commit
@@ -233,10 +224,7 @@ class Commands:
                         lines += [Line(place + o[0] - first, *o[1:]) for o in found]
                     place += count
 
-    # --- SYNC
-
     def sync(self, bus: str) -> None:
-        """Judges a SYNC that is handed out."""
         a, commit = self._a, self._a.commit
         require(commit is not None and bus in commit.open, f"{bus}: a SYNC without RPDOs")
         assert commit is not None

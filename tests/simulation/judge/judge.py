@@ -34,9 +34,6 @@ class Judge:
 
     The world calls the methods below as things happen. `quiet_from` and `disturb` tell whether the world works as it
     should: then each fact must be exact. In a disturbed world only what must hold at all times is judged.
-
-    Args:
-        arm: the executor's arm; its wiring, times and limits are read.
     """
 
     def __init__(self, arm: Any) -> None:
@@ -61,8 +58,6 @@ class Judge:
         self.objects, self.endings = BoardObjects(arm), Endings(self.account, arm)
         self.traffic, self.log = Traffic(self.account, arm), Log(self.account, self.endings.lets_go)
 
-    # --- the world
-
     def at(self, now: float) -> None:
         """Sets the time of the next facts [s]."""
         self.account.now = now
@@ -72,17 +67,13 @@ class Judge:
         self.account.clear_since = now
 
     def looks_at(self, boards: dict[str, Look]) -> None:
-        """Sets what the boards show, by their names."""
         self.traffic.look = self.commands.look = boards
 
     def disturb(self) -> None:
         """Ends the time in which nothing disturbs the world."""
         self.account.clear_since = math.inf
 
-    # --- the executor's process
-
     def begins(self, instance: int) -> None:
-        """A process of the executor has started."""
         self.account.instance = instance
         self.endings.begins()
         self._forget()
@@ -99,7 +90,6 @@ class Judge:
             part.begin()
 
     def dies(self) -> None:
-        """The process has ended."""
         if self._over and self.account.clear:
             self.programs.ends()
             self.requests.ends()
@@ -110,7 +100,6 @@ class Judge:
         self._forget()
 
     def quits(self) -> None:
-        """The process is asked to end."""
         self.close_step()
         a = self.account
         if not a.quitting:
@@ -138,7 +127,6 @@ class Judge:
         self.pulses.ticks()
 
     def close_step(self) -> None:
-        """The process has handled an event."""
         if self._asked_to_end is not None:
             self.log.quits(self._asked_to_end)
         elif self._ticks:
@@ -152,7 +140,6 @@ class Judge:
         self.close_step()
 
     def echoes(self, bus: str, frame_id: int) -> None:
-        """The process hears that a frame of its own was sent."""
         self.close_step()
         tells = frame_id == SYNC or frame_id in self._behind.get(bus, ())
         if tells:
@@ -171,7 +158,6 @@ class Judge:
             self._commits[bus].awaited.discard(bus)
 
     def _lose_silent(self) -> None:
-        """The planner was silent for too long."""
         self.snapshots.epoch_causes += self.account.clear
         self.messages.lose_planner()
 
@@ -205,8 +191,6 @@ class Judge:
             a.commit.awaited.add(bus)
             return a.commit
         return None
-
-    # --- the boards
 
     def misses(self, suspect: int) -> None:
         """Since their boot the boards of a mask of actuators have missed a frame."""

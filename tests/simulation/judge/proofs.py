@@ -22,10 +22,6 @@ class Proofs:
         missed: mask of the actuators whose last pulse was over before it was read; it may be given again.
         states: states of the last pulses.
         heard_at: when the process heard that a SYNC was sent [s].
-
-    Args:
-        account: of the executor.
-        arm: the executor's arm.
     """
 
     def __init__(self, account: Account, arm: Any) -> None:
@@ -39,7 +35,6 @@ class Proofs:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._ready_at = math.inf  # end of the last boot [s]
         self.missed = self.states = self._open = 0
         self.heard_at = -math.inf
@@ -82,7 +77,6 @@ class Proofs:
                 self._asked[bus, cob_id & 0x7F, sub] = self._a.now
 
     def hears(self, bus: str, cob_id: int, data: bytes) -> None:
-        """Takes an answer that the process hears."""
         if cob_id & 0x780 != SDO_ANSWER or len(data) != 8 or data[0] & EXPEDITED != 0x43 & EXPEDITED or not self._open:
             return
         index, sub, node = int.from_bytes(data[1:3], "little"), data[3], cob_id & 0x7F
@@ -100,7 +94,6 @@ class Proofs:
                 self._open &= ~(1 << k)
 
     def done(self, run: Run, verified: bool, text: str) -> None:
-        """Judges that a program is done."""
         wrong = run.moved & self.unread
         require(not wrong, f"{text} is done, and nobody has read back the outputs of {wrong:b}")
         told = verified == (not run.moved & self.forgone)

@@ -70,11 +70,6 @@ class Clients:
 
     Attributes:
         calm: they only do what makes the arm ready.
-        wishes: draws what they ask for.
-
-    Args:
-        daemon: whose clients they are.
-        random: for requests and times.
     """
 
     def __init__(self, daemon: Daemon, random: Random) -> None:
@@ -91,8 +86,6 @@ class Clients:
         self._rate = random.choice([5.0, 20.0, 40.0])
         self._crowd = random.choice([0.0, 0.4, 0.8])  # share of the motions to which obstacles come
         self._agenda.after(1.0, self._act)
-
-    # --- the network
 
     def ask(self, key: str, payload: dict[str, Any] | bytes = b"{}", *, query: bool = True) -> Sent:
         """Sends a request of the client that acts now; returns it, to which replies are added."""
@@ -129,8 +122,6 @@ class Clients:
         if old:
             self.ask("goal", self._random.choice(old).payload)
 
-    # --- what they do
-
     def _act(self) -> None:
         if self.calm:
             self._client = 0
@@ -147,7 +138,6 @@ class Clients:
         self._agenda.after(self._random.expovariate(self._rate), self._act)
 
     def _draw(self) -> str:
-        """Returns what to do next."""
         random, state = self._random, self._daemon.state
         mode = "" if state is None else state["mode"]
         if self._wait():

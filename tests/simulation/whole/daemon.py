@@ -12,10 +12,7 @@ import msgspec
 from hyperbit.controller.arm.arm import Arm
 from hyperbit.controller.executor.arm.arm import ExecutedArm
 from hyperbit.controller.motion.stages.pacing import pace_of
-from hyperbit.controller.planning.core.events import (
-    Payload,
-    Record,
-)
+from hyperbit.controller.planning.core.events import Payload, Record
 from hyperbit.controller.program import Counted, Diagnostics, Down, PlayableFaults, Snapshot, Up, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
@@ -43,18 +40,10 @@ class Daemon:
 
     Attributes:
         process: the present process of the planner; None between two.
-        clients: ask it.
-        connection: its connections to the executor.
-        zenoh: the network between clients and process.
-        judge: judges what clients see.
-        witness: sees what the planner does.
         saved: the saved poses, which survive the processes.
-        storage: what survives the processes.
-        mood: of its workers.
         state: the last payload of `state`; None without a process.
         results: payloads of results, by id.
         snapshot: the latest that came from the executor; None without a connection.
-        counts: of what happened.
         together: the service manager ends the executor with the planner.
         wanted: whether a goal was sent while all is calm.
         awake_since: time when the last halt of the process ended [s].
@@ -63,13 +52,7 @@ class Daemon:
         congestion: longest time that a message of the outbox waits for a peer that reads slowly [s].
 
     Args:
-        executed: the arm of the executor.
-        arm: the same arm of the planner.
-        agenda: time and events.
         drawn: returns random numbers for a purpose.
-        executor: the executor's process.
-        note: takes events for the story.
-        judge: judges what clients see.
         simulation: faults that can be played in simulated boards; None: the boards count as real.
     """
 
@@ -118,10 +101,7 @@ class Daemon:
         self.network.sends = self._sends
         agenda.after(0.0, self.start)
 
-    # --- the process and its service manager
-
     def start(self) -> None:
-        """Starts a process if none runs."""
         if self.process is None:
             self._processes += 1
             self.judge.at(self.agenda.now)
@@ -144,7 +124,6 @@ class Daemon:
         self.agenda.after(self._random.choice([0.2, 1.0, 3.0]), self.start)
 
     def fails(self, reason: str) -> None:
-        """Takes why the core has ended its process."""
         self._note(("planner fails", reason))
         self.counts["planners that failed"] += 1
 
@@ -153,7 +132,6 @@ class Daemon:
             self.process.wake_soon()
 
     def _hears(self, message: Up | None) -> None:
-        """Takes what arrives at the planner's end of the socket."""
         self.judge.at(self.agenda.now)
         if message is None:
             self.snapshot = None
@@ -166,7 +144,6 @@ class Daemon:
         self.judge.hears(message)
 
     def _sends(self, message: Down) -> None:
-        """Takes what leaves the planner's end of the socket."""
         self.judge.at(self.agenda.now)
         self.judge.link.sends(message)
 
@@ -180,10 +157,7 @@ class Daemon:
         """Returns the wall clock [UNIX s]."""
         return self.agenda.now + self._offset
 
-    # --- what leaves and enters the process
-
     def arrives(self, sent: Sent, key: str) -> Request:
-        """Takes a message of a client that arrives at the gateway."""
         self.counts[f"asked {key}"] += 1
         self._note(("arrives", sent.client, key, sent.name, sent.payload, sent.attachment, sent.query))
         self.judge.at(self.agenda.now)
@@ -195,7 +169,6 @@ class Daemon:
         self.judge.gateway.unserved(sent.name)
 
     def replies(self, request: object, data: bytes) -> None:
-        """Takes a reply that leaves the process."""
         assert isinstance(request, Request)
         self._note(("replies", request.number, request.key, data[:400]))
         answer = msgspec.json.decode(data)
@@ -205,7 +178,6 @@ class Daemon:
         self.judge.replies(request, data)
 
     def publishes(self, key: str, data: bytes) -> None:
-        """Takes a publication that leaves the process."""
         self.counts[f"published {key}"] += 1
         self.judge.at(self.agenda.now)
         if key == "state":
@@ -219,18 +191,14 @@ class Daemon:
         self.judge.publishes(key, data)
 
     def ends_in_order(self) -> None:
-        """Takes that the process ends in order."""
         self.counts["planners that quit"] += 1
         self.judge.ends_in_order()
 
     def record(self, record: Record) -> None:
-        """Takes what the ledger has written."""
         row = self.storage.rows[record.identity]
         if record.ended is not None and row.accepted is not None:
             self.judge.at(self.agenda.now)
             self.judge.recorded(row.accepted.goal, record.ended.status)
-
-    # --- troubles
 
     @property
     def awake(self) -> bool:
@@ -301,14 +269,12 @@ class Daemon:
         self.judge.account.full = True
 
     def drain_socket(self) -> None:
-        """Makes the socket to the executor writable again."""
         self.judge.at(self.agenda.now)
         self.judge.account.full = False
         self.judge.account.note("full")
         self.network.drain()
 
     def set_clock(self) -> None:
-        """Changes the wall clock."""
         by = self._random.choice([-3600.0, -1.0, -0.1, 0.1, 1.0, 3600.0])
         self._offset += by
         self.judge.at(self.agenda.now)
@@ -330,11 +296,8 @@ class Daemon:
             self.judge.warnings.ledger(self.process.ledger.waits)
 
     def be_calm(self, calm: bool) -> None:
-        """Makes the clients calm."""
         self.clients.calm, self.wanted = calm, False
         self.search.errs = 0.0 if calm else self._errs
-
-    # --- as the planner of a world
 
     @property
     def at_rest(self) -> bool:

@@ -102,5 +102,4 @@ def integer(states: NDArray[np.integer]) -> int:
 
 
 def away(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """Returns the distance of two points."""
     return math.dist(first.tolist(), second.tolist())

@@ -16,13 +16,6 @@ MEMORY = Path("/dev/shm")
 
 
 class SavedPoses:
-    """The file.
-
-    Args:
-        random: for damages.
-        judge: is told what becomes of the file.
-    """
-
     def __init__(self, random: Random, judge: Gateway) -> None:
         self._random, self._judge = random, judge
         self._folder = tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None)
@@ -30,7 +23,6 @@ class SavedPoses:
         poses_module.log.setLevel(logging.CRITICAL + 1)
 
     def poses(self) -> Poses:
-        """Returns the poses that a new process reads."""
         judge = self._judge
         if judge.damaged and self._random.random() < 0.5:  # somebody has removed the file
             self._path.unlink()

@@ -44,7 +44,6 @@ class Mood:
         return self.delay > USUAL_DELAY or self.fails > 0.0 or self.hangs
 
     def mend(self) -> None:
-        """Ends all faults."""
         self.delay, self.fails, self.hangs = USUAL_DELAY, 0.0, False
 
 
@@ -53,13 +52,6 @@ class Searcher:
 
     Attributes:
         watch: takes number and task of each that ends, with its last answer.
-
-    Args:
-        agenda: time.
-        random: for delays.
-        search: answers tasks.
-        mood: of the world.
-        post: takes the answers.
     """
 
     def __init__(
@@ -74,7 +66,6 @@ class Searcher:
 
     @property
     def busy(self) -> int:
-        """Number of tasks that were not answered."""
         return sum(map(len, self._lanes.values()))
 
     def end(self) -> None:
@@ -113,7 +104,6 @@ class Searcher:
             self._agenda.after(delay, lambda: self._proceed(number, self._search.answers(task), task))
 
     def _proceed(self, number: int, answers: Iterator[Answer], task: Task) -> None:
-        """Gives the next answer of a task."""
         if not self._runs(number) or number in self._abandoned:
             return
         answer = next(answers)

@@ -43,7 +43,6 @@ class Seen:
         self.staged: tuple[int, int] | None = None  # object of a write whose second step is missing
 
     def wrote(self, index: int, sub: int, value: int, present: int) -> None:
-        """A value is written in place of the present one."""
         self.writes.append((index, sub, value))
         self.log.append(("write", index, sub))
         self.changed |= present != value
@@ -54,17 +53,11 @@ class Boots:
 
     Attributes:
         found: the boards as the present boot found them.
-        seen: frames to each board.
-        running: whether a boot runs.
         requests: SDO requests on each bus.
         left: objects of each board after its last boot.
         failed: boards whose last boot by this master has failed, perhaps after outputs were written.
         repeats: requests for one object that may be repeated.
         allowance: [s] more for boards that answer slowly, or whose errors end by themselves.
-
-    Args:
-        wiring: of the arm.
-        looks: the boards by name.
     """
 
     def __init__(self, wiring: JudgedWiring, looks: dict[str, Look]) -> None:
@@ -78,7 +71,6 @@ class Boots:
         self.requests: Counter[str] = Counter()
 
     def begin(self, found: dict[str, Found]) -> None:
-        """A boot begins with boards as they were found."""
         self.found, self.running = found, True
         self.seen = {name: Seen() for name in found}
         self.requests.clear()
@@ -88,7 +80,6 @@ class Boots:
         self.seen[name] = Seen()
 
     def hands_out(self, bus: str, cob_id: int, data: bytes) -> None:
-        """The master hands out a frame during a boot."""
         if cob_id == 0:
             name = f"{bus}/{data[1]}"
             require(name in self.seen, f"NMT {data.hex()} for a node that is no board of {bus}")
@@ -132,10 +123,8 @@ class Boots:
 
         Args:
             faults: of the boot, with code, source and message.
-            warnings: likewise.
             ready: whether the master says that all boards are ready.
             seconds: its length [s].
-            timing: heartbeat times.
         """
         self.running = False
         self._judge_words([told.message for told in (*faults, *warnings)])

@@ -27,10 +27,6 @@ class Switching:
     Attributes:
         echoing: whether the master gets its own frames back.
         states: levels of all output lines, as commanded and as found by the last boot.
-
-    Args:
-        wiring: of the arm.
-        looks: the boards by name.
     """
 
     def __init__(self, wiring: JudgedWiring, looks: dict[str, Look]) -> None:
@@ -68,7 +64,6 @@ class Switching:
         self._unechoed, self._unsure = set(), set()
 
     def driven(self) -> int:
-        """Returns the levels of all lines at the pins."""
         states = 0
         for board in self._wiring.boards.values():
             pins = self._looks[board.name].pins()
@@ -123,7 +118,6 @@ class Switching:
         self.idle = not self._syncs
 
     def hands_out(self, bus: str, cob_id: int, data: bytes) -> None:
-        """The master hands out an RPDO or a SYNC."""
         key = bus, cob_id
         if cob_id == SYNC:
             require(bus in self._syncs and data == b"", f"{bus}: a SYNC {data.hex()} that no command needs")
@@ -140,7 +134,6 @@ class Switching:
             self._unechoed.add(key)
 
     def echoes(self, bus: str, cob_id: int, now: float) -> None:
-        """A frame of the master was sent."""
         self._unechoed.discard((bus, cob_id))
         if cob_id == SYNC:
             self.synced[bus] = now
@@ -151,11 +144,9 @@ class Switching:
         self.states, self._unsure = states, set(self._frames)
 
     def parts_of(self, name: str) -> list[Part]:
-        """Returns the shares of a board in the frames."""
         return [part for parts in self._frames.values() for part in parts if part.board.name == name]
 
     def lines_on(self, bus: str) -> int:
-        """Returns the mask of the lines on a bus."""
         return sum(board.lines for board in self._wiring.boards.values() if board.bus == bus)
 
     def ended(self, outputs: int, switched: list[tuple[int, float]], failed: str | None) -> None:

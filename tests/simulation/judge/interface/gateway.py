@@ -28,11 +28,7 @@ class Gateway:
     """Judges what the planner's core does not know.
 
     Attributes:
-        recorded: whether a recorder listens.
         playable: faults that can be played in the boards; None: the boards count as real.
-
-    Args:
-        account: of the planner's side.
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
@@ -44,15 +40,12 @@ class Gateway:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._unnoted: dict[int, tuple[Request, float]] = {}
         self._instant, self._arrived, self._pauses = -1.0, Counter[str](), 0
         self._malformed: dict[str, deque[float]] = {}
         self._explained: dict[str, deque[float]] = {}
         self._changes: deque[tuple[float, int]] = deque([(self._a.awake, 0)], maxlen=400)
         self._lists: deque[tuple[float, dict[str, Any]]] = deque([(self._a.now, dict(self.poses))], maxlen=400)
-
-    # --- arrivals
 
     def arrives(self, request: Request) -> None:
         """Takes a request before the gateway does."""
@@ -86,10 +79,7 @@ class Gateway:
             seconds == PAUSE and most >= FLOOD, f"the gateway pauses for {seconds} s after {most} requests on a key"
         )
 
-    # --- answers
-
     def answers(self, request: Request, answer: Payload) -> None:
-        """Judges an answer that leaves."""
         a = self._a
         accepted = answer.get("accepted") is not False
         if accepted and "*" in request.name:
@@ -108,10 +98,7 @@ class Gateway:
         if self.recorded and request.key != "arm":
             self._unnoted[request.number] = request, a.awake
 
-    # --- notes
-
     def note(self, payload: Payload) -> None:
-        """Judges a note on a request."""
         a = self._a
         require(self.recorded, f"the note {payload} is for nobody")
         mine = [r for r in a.requests if r.key == payload["key"] and noted(r, payload)]
@@ -138,8 +125,6 @@ class Gateway:
             known = request.accepted or len(second) < MOST_NOTES
             held_up = a.congested or a.lately("congested", 3.0) or a.quits
             require(not known or held_up, f"{request} was answered by {request.answer}, without a note")
-
-    # --- poses
 
     def _expect(self, request: Request) -> None:
         """Decides what becomes of a request on poses, which takes effect at its arrival."""
@@ -178,8 +163,6 @@ class Gateway:
         held_up = a.congested or a.lately("congested", 1.0)
         require(least <= payload["poses"] <= most or held_up, f"state tells the poses {payload['poses']}, not {most}")
 
-    # --- the description
-
     def _judge_simulation(self, answer: Payload, text: str) -> None:
         """Judges whether the boards are simulated, and which faults can be played while an executor is there."""
         require(answer["simulated"] is (self.playable is not None), f"{text} says simulated: {answer['simulated']}")
@@ -195,7 +178,6 @@ class Gateway:
             require(told == {**wanted, "faults": faults}, f"{text} tells the faults {told}")
 
     def description(self, request: Request, answer: Payload) -> None:
-        """Judges the description of the arm."""
         a, text = self._a, f"the answer to {request}"
         missing, wanted = DESCRIBED - answer.keys(), asked_for(request)
         require(not missing, f"{text} has no {missing}")

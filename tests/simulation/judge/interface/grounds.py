@@ -23,9 +23,6 @@ MOST_TRIES = 10  # plans of one goal while the arm moves
 COLLISIONS = ("no-clear-path", "no-way", "goal-in-obstacle", "plan-collides")
 
 
-# --- what the snapshots tell
-
-
 def _any(a: InterfaceAccount, request: Request, holds: Callable[[Snapshot], bool]) -> bool:
     return any(heard.snapshot is not None and holds(heard.snapshot) for heard in _decided_by(a, request))
 
@@ -56,7 +53,6 @@ def _in_fault(a: InterfaceAccount, request: Request) -> bool:
 
 
 def known(snapshot: Snapshot) -> int:
-    """Returns the mask of the known actuators."""
     return unpack(snapshot.known)
 
 
@@ -78,9 +74,6 @@ def _planned_from(snapshot: Snapshot) -> int:
 def _commanded(snapshot: Snapshot) -> int:
     held = unpack(snapshot.locked) & known(snapshot)
     return unpack(snapshot.measured) & held | unpack(snapshot.outputs) & ~held
-
-
-# --- what came
 
 
 def _overtaken(a: InterfaceAccount, request: Request) -> bool:
@@ -161,9 +154,6 @@ def _busy(a: InterfaceAccount, request: Request) -> bool:
 
 def _running(a: InterfaceAccount, request: Request) -> bool:
     return any(ran.ended is None or ran.heard_at >= a.now - 5.0 for ran in a.ran(request.goal or ""))
-
-
-# --- what is asked for
 
 
 def _too_fast(a: InterfaceAccount, request: Request) -> bool:

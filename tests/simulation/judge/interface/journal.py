@@ -25,18 +25,13 @@ BY_GATEWAY = ("not-named", "busy", "unknown-goal")
 
 
 class Journal:
-    """Judges lines and notifications.
-
-    Args:
-        account: of the planner's side.
-    """
+    """Judges lines and notifications."""
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a = account
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         a = self._a
         self._lines: deque[tuple[float, str]] = deque(maxlen=300)
         self._faults: dict[tuple[str, str], float] = {}  # that lines tell, and since when, awake
@@ -45,10 +40,7 @@ class Journal:
         self._statuses: deque[tuple[float, str]] = deque(maxlen=20)
         self._watchdog = a.awake
 
-    # --- lines
-
     def logs(self, level: int, text: str, fields: Mapping[str, str]) -> None:
-        """Takes a line of the planner's core."""
         a = self._a
         self._lines.append((a.now, text))
         if "HYPERBIT_FAULT" in fields:
@@ -92,8 +84,6 @@ class Journal:
         known = any(text == line for _, text in self._lines)
         require(known or len(self._lines) == self._lines.maxlen, f"the journal does not have the result {payload}")
 
-    # --- states
-
     def state(self, payload: Payload) -> None:
         """Compares the faults of a state with the lines, and its mode and reason with the status for systemd."""
         awake = self._a.awake
@@ -114,10 +104,7 @@ class Journal:
         full = len(self._statuses) == self._statuses.maxlen
         require(status in permitted or full, f"systemd was told {permitted}, and state is {status}")
 
-    # --- systemd
-
     def notifies(self, assignment: str) -> None:
-        """Takes what systemd is told."""
         a = self._a
         if assignment.startswith("STATUS="):
             last = self._statuses[-1][1] if self._statuses else ""

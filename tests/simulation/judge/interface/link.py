@@ -20,9 +20,6 @@ class Link:
 
     Attributes:
         timeout: of the arm's file, half the time after which a silent executor is given up [s].
-
-    Args:
-        account: of the planner's side.
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
@@ -30,7 +27,6 @@ class Link:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._alive_at = self._heard_at = self._a.awake
         self._connected = self._counted = False
         self._first = True
@@ -44,7 +40,6 @@ class Link:
             self._connected, self._counted, self._first, self._alive_at = True, False, True, self._a.awake
 
     def ends(self) -> None:
-        """The connection has ended."""
         self._connected = False
         self._waiting.clear()
 
@@ -92,7 +87,6 @@ class Link:
                 require(not twice, f"{message} cancels a program that has a result")
 
     def asks(self, question: Question) -> None:
-        """The executor asks whether a stage is clear."""
         self._questions[question.question] = question
 
     def _judge_clearance(self, message: Clearance) -> None:
@@ -110,7 +104,6 @@ class Link:
         return [r for r in self._a.requests if r.key == key and r.answer is None]
 
     def gives_up(self, reason: str) -> None:
-        """The planner ends the connection."""
         a = self._a
         silent = a.awake - self._heard_at
         keys = ("stop", "cancel", "reset", "degrade")
@@ -132,5 +125,4 @@ class Link:
 
 
 def locks(request: Request) -> tuple[object, object]:
-    """Returns label and state of a lock that a request asks for."""
     return request.body.get("actuator"), request.body.get("state")

@@ -46,9 +46,6 @@ class Requests:
 
     Attributes:
         barred: takes each stop and cancel with its answer.
-
-    Args:
-        account: of the planner's side.
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
@@ -58,11 +55,8 @@ class Requests:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._barriers: list[Request] = []
         self._claims.clear()
-
-    # --- arrivals
 
     def arrives(self, request: Request) -> None:
         """Records a request, and which one it repeats."""
@@ -96,10 +90,7 @@ class Requests:
             if request.original is not None:
                 return
 
-    # --- answers
-
     def answers(self, request: Request, answer: Payload) -> None:
-        """Judges an answer."""
         a = self._a
         require(request.answer is None, f"{request} is answered again: {answer}")
         request.answer, request.answered_at = answer, a.now
@@ -291,8 +282,6 @@ class Requests:
         fields = ("id", "status", "code", "message", "switches")
         same = any(all(result[name] == known[name] for name in fields) for known in every)
         require(same or a.had("planner ended", a.now - 10.0), f"{request} is answered by {answer}; told were {every}")
-
-    # --- time
 
     def _later(self, seconds: float, judge: Callable[[], None]) -> None:
         self._claims.append((self._a.awake + seconds, judge))

@@ -33,11 +33,7 @@ class Searches:
 
     Attributes:
         prepares: whether the next search is prepared while no request waits.
-        steps: number of steps of the planner's core.
         least, most: number of tasks since `count`.
-
-    Args:
-        account: of the planner's side.
     """
 
     def __init__(self, account: InterfaceAccount) -> None:
@@ -45,7 +41,6 @@ class Searches:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self._running: dict[int, Search] = {}
         self._prepared: Search | None = None  # the last one
         self._prepared_awake = -math.inf  # end of the last one
@@ -63,10 +58,7 @@ class Searches:
         self.least = self.most = len(self._running)
         return found
 
-    # --- facts
-
     def begins(self, search: Search) -> None:
-        """A worker gets a task."""
         a = self._a
         search.at, search.awake = a.now, a.awake
         text = f"the task {search.number} ({search.kind})"
@@ -107,7 +99,6 @@ class Searches:
             search.hurried = True
 
     def abandons(self, number: int) -> None:
-        """A worker shall end a task."""
         search = self._running.get(number)
         require(search is None or not search.abandoned, f"the task {number} is abandoned again")
         if search is not None:
@@ -138,8 +129,6 @@ class Searches:
             self._prepared_awake = self._a.awake
         if search is not None and search.kind == "goal" and planned and not search.abandoned:
             self._planned = search, self._a.awake
-
-    # --- a task
 
     def _judge_start(self, search: Search, text: str) -> None:
         """Compares the start with the newest snapshot, and the tables with its locks."""
@@ -209,8 +198,6 @@ class Searches:
         ends = [min(r.answered_at, a.now) for r in mine]
         lately = a.now - max(ends) <= REHEARSED + 0.5 or a.had("still", a.now - 3.0) or a.had("disk", a.now - 3.0)
         require(lately or a.congested, f"{text} rehearses {goal}, which is over")
-
-    # --- time
 
     def tick(self) -> None:
         """Finds searches that nobody needs, and those that do not begin."""

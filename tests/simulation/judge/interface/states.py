@@ -22,24 +22,17 @@ SHELL = {"clock-set", "certificate-ends", "network-lost", "ledger-unwritten"}
 
 
 class States:
-    """Judges what is published about the arm.
-
-    Args:
-        account: of the planner's side.
-    """
+    """Judges what is published about the arm."""
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a, self._words = account, Words(account)
         self.begin()
 
     def begin(self) -> None:
-        """Forgets the last process."""
         self.latest: Payload | None = None
         self._told = self._a.awake
         self._obstacles = 0
         self._waypoint: tuple[object, int] = (None, -1)
-
-    # --- state
 
     def state(self, payload: Payload) -> None:
         """Judges a state: one snapshot of the last moments explains all of its fields."""
@@ -205,8 +198,6 @@ class States:
         require((turned is None) == (wanted is None), f"state tells the target {target}; it is {asked}")
         fits = turned is None or wanted is None or abs(turn(turned, wanted)) < 1e-6
         require(fits, f"state tells the target {target}; it is {asked}")
-
-    # --- time
 
     def tick(self) -> None:
         """Finds states that do not come."""

@@ -17,11 +17,7 @@ SET = "the system's clock was set by {:+.1f} s: stamps follow it, motions do not
 
 
 class JudgedWarnings:
-    """Judges warnings.
-
-    Args:
-        account: of the planner's side.
-    """
+    """Judges warnings."""
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a = account
@@ -48,7 +44,6 @@ class JudgedWarnings:
     # ---
 
     def state(self, payload: Payload) -> None:
-        """Judges the warnings in a state."""
         a = self._a
         told = {fault["code"]: fault["message"] for fault in payload["faults"]}
         held_up = a.lately("still", POLLED) or a.lately("congested", POLLED) or a.congested or a.slow
