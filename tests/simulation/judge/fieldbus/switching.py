@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from tests.simulation.judge.fieldbus.wires import INVALID, JudgedBoard, JudgedWiring, Look, bits_in, bytes_of
+from tests.simulation.judge.fieldbus.wires import INVALID, JudgedBoard, JudgedWiring, Look, bits_in
 from tests.simulation.judge.verdict import require
 
 Key = tuple[str, int]  # bus and COB-ID
@@ -168,10 +168,6 @@ class Switching:
 
     def _only_sync(self, mask: int) -> bool:
         return all(part.waits for key, parts in self._frames.items() if self._lines(key) & mask for part in parts)
-
-    def bytes_to_read(self, mask: int) -> dict[str, list[int]]:
-        """Returns the sub-indices that must be read back by board, after lines of a mask were switched."""
-        return {b.name: bytes_of(b.used) for b in self._wiring.boards.values() if b.lines & mask}
 
 
 Told = Callable[[], int]
