@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 SHOWN = 0.1  # [s] until a warning is told, by the next snapshot
 THREE_READS = 3.0  # [s] until outputs were read three times: each about a second after the one before
 ASKED = 0.3  # [s] until the boards of a late actuator were asked
-COMMANDED = 0.8  # [s] until a frame that cannot be sent is told, behind a rest time
 OBJECTS = 60  # of one board that are read in turn, at most
 SLOWEST = 7.0  # [s], longest time of a turn through all objects that is worth waiting for
 STORM = 25  # emergencies at once

@@ -19,7 +19,6 @@ LONGEST = 25.0  # [s] of a boot with repeated requests
 SDO_TIMEOUT = 0.5  # [s] of one request
 MOST_RESTARTS = 5  # of one board in a boot
 DEVICE_TYPE = b"\x00\x10"  # its index in an SDO frame
-AGAIN = 3  # boots without trouble after which the boards are ready
 
 
 class Interruptions:

@@ -61,7 +61,7 @@ class JudgedArm:
         self.limited, self.rest = arm.inrush is not None, arm.rest
         self.timing, self.planner_timeout = timing, arm.planner_timeout
         self.declared = arm.locked, arm.locked_states & arm.locked
-        self.contracts_at_end, self.continues_on_stuck = arm.contract_on_stop, arm.continue_on_stuck
+        self.contracts_at_end = arm.contract_on_stop
         self.buses = [bus.name for bus in arm.wiring.buses]
         self.size = (self.count + 7) // 8
 

@@ -155,7 +155,6 @@ class SimulatedSession:
             if declared in self.declared:
                 request = self.network.observer.arrives(sent, declared.name.rpartition("/")[2])
                 it = SimulatedQuery(sent, self, request) if sent.query else SimulatedSample(sent)
-                self.network.arriving = request
                 declared.handle(it)
 
     def leave(self, happen: Callable[[], None]) -> None:
@@ -185,7 +184,6 @@ class ZenohModel:
         gone: clients that have vanished.
         lost: whether the daemon has lost all clients; what these send meanwhile does not arrive.
         matching: whether a recorder listens.
-        arriving: what the observer returned for the message that is handed over now.
     """
 
     def __init__(self, agenda: Agenda, random: Random, observer: Observer, awake_at: Callable[[], float]) -> None:
@@ -194,7 +192,6 @@ class ZenohModel:
         self.gone: set[int] = set()
         self.lost = False
         self.matching = Matching(random.random() < 0.3)
-        self.arriving: object = None
         self._last: dict[int, float] = {}
 
     def open(self) -> SimulatedSession:

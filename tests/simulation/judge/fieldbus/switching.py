@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 from tests.simulation.judge.fieldbus.wires import INVALID, JudgedBoard, JudgedWiring, Look, bits_in
@@ -168,6 +167,3 @@ class Switching:
 
     def _only_sync(self, mask: int) -> bool:
         return all(part.waits for key, parts in self._frames.items() if self._lines(key) & mask for part in parts)
-
-
-Told = Callable[[], int]

@@ -18,8 +18,6 @@ EXACT = 0.001  # [s]
 SILENT = 2.0  # [s] after which an executor without an answer counts as silent
 MOST_WAITING, MOST_PLANS, MOST_UNANSWERED = 16, 4, 100  # goals and jogs; plan queries; requests on one key
 LONGEST_PLANNING = 60.0  # [s]
-TABLES_WITHIN = 8.0  # [s] for which a goal waits for the tables of other locks
-MOST_TRIES = 10  # plans of one goal while the arm moves
 COLLISIONS = ("no-clear-path", "no-way", "goal-in-obstacle", "plan-collides")
 
 

@@ -48,8 +48,6 @@ class Searches:
         self._searched: tuple[Payload, float] | None = None  # the last goal whose search has ended, and when
         self._planned: tuple[Search, float] | None = None  # the last plan, until something is done with it
         self._second, self._in_second = 0, 0
-        self._busy_until = self._a.awake  # awake time at which a request waited last
-        self._last_goal: tuple[Payload, float] | None = None  # of one waypoint, and until when it may be rehearsed
         self._last = self.least = self.most = 0
 
     def count(self) -> tuple[int, int]:
