@@ -195,6 +195,12 @@ def test_a_value_of_another_size_is_another_device(answers):
     assert "bytes to 6200h sub 1; 1 are needed" in fault.message
 
 
+def test_a_segment_that_comes_twice_counts_once():
+    first, last = b"\x0a\x91\x01\x00\x00\x00\x00\x00", b"\x1b\x02\x00\x00\x00\x00\x00\x00"  # two bytes each
+    line = Line([b"\x41\x00\x10\x00\x04\x00\x00\x00"], [first, first], [last])
+    assert line.run(objects.read("can0/5", 0x1000, 0, 4)) == 0x00020191
+
+
 def test_segments_without_end_are_given_up():
     segments = [[bytes([0x10 * (k % 2), *range(7)])] for k in range(1000)]
     line = Line([b"\x40\x00\x62\x01\0\0\0\0"], *segments)
