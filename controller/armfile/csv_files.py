@@ -48,6 +48,7 @@ def csv_rows(path: Path) -> Iterator[CsvRow]:
         raise
     except (OSError, ValueError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else error
+        reason = f"{error}; save it as UTF-8" if isinstance(error, UnicodeDecodeError) else reason
         raise InputFaults(path, [f"cannot be read: {reason}"]) from None
 
 

@@ -58,9 +58,12 @@ def read_yaml(path: Path) -> Any:
     """Returns the plain value of a YAML file.
 
     Raises:
-        InputFaults: the file is missing, unreadable or not YAML.
+        InputFaults: the file is missing, unreadable, empty or not YAML.
     """
-    return parse_yaml(read_text(path), path)
+    text = read_text(path)
+    if not text.strip("\0 \t\r\n"):
+        raise InputFaults(path, ["is empty, as a failure of the power can leave it: write it again"])
+    return parse_yaml(text, path)
 
 
 def read_text(path: Path) -> str:
@@ -73,6 +76,8 @@ def read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8-sig")  # Windows' editors write a byte order mark
     except FileNotFoundError:
         raise InputFaults(path, ["no such file"]) from None
+    except UnicodeDecodeError as error:
+        raise InputFaults(path, [f"cannot be read: {error}; save it as UTF-8"]) from None
     except (OSError, ValueError) as error:
         raise InputFaults(path, [f"cannot be read: {error}"]) from None
 

@@ -36,8 +36,12 @@ class InputFaults(ValueError):
     def __init__(self, path: Path, faults: Sequence[str], lines: Sequence[int | None] = ()) -> None:
         """Stores the faults; the message has one line for each."""
         self.faults = tuple(fault.encode("utf-8", "backslashreplace").decode() for fault in faults)
-        self.lines = tuple(lines)
+        self.lines, self._path = tuple(lines), path
         super().__init__(fault_list(str(path), self.faults, self.lines))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Returns how pickle builds the exception again, in another process."""
+        return InputFaults, (self._path, self.faults, self.lines)
 
 
 def fault_list(file: str, faults: Sequence[str], lines: Sequence[int | None] = ()) -> str:

@@ -119,9 +119,12 @@ def load_wired(path: Path) -> Arm:
 def arm_name(arm: str) -> str:
     """Returns the name of an arm, given by its file or name. It reads only the name: an arm imports the kernels."""
     path = Path(arm)
+    faults = list[str]()
     if not path.is_file() and not arm.endswith((".yaml", ".yml")):
+        if check({"name": arm}, Named, faults) is None:
+            raise InputFaults(Path(repr(arm)), ["no name of an arm: 1 to 64 letters, digits, _ and - are needed"])
         return arm
-    raw, faults = read_yaml(path), list[str]()
+    raw = read_yaml(path)
     value = {"name": raw["name"]} if isinstance(raw, dict) and "name" in raw else {}
     if (named := check(value, Named, faults)) is None:
         raise InputFaults(path, faults)

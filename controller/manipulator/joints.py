@@ -80,5 +80,5 @@ def joint_motion(
     displacements: Array,
 ) -> tuple[Frame, Array]:
     """Returns frames and bodies of a joint in mid-travel, see Module.motion; for the arguments see joint."""
-    frames = np.array([position(value) for value in shares(bits, displacements) @ values]) @ link
+    frames = np.reshape([position(value) for value in shares(bits, displacements) @ values], (-1, 4, 4)) @ link
     return frames, lines(frames)

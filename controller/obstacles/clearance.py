@@ -94,7 +94,7 @@ class BodyClearance:
 
 def balls(bodies: Array) -> Array:
     """Returns centre and radius (..., 4) of balls around line segments (..., L, 2, 3)."""
-    ends = bodies.reshape(*bodies.shape[:-3], -1, 3)
+    ends = bodies.reshape(*bodies.shape[:-3], 2 * bodies.shape[-3], 3)
     middle = (ends.min(axis=-2) + ends.max(axis=-2)) / 2
     radius = np.linalg.norm(ends - middle[..., None, :], axis=-1).max(axis=-1)
     return np.concatenate([middle, radius[..., None]], axis=-1)

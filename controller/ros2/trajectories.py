@@ -8,12 +8,13 @@ import numpy as np
 
 from hyperbit.controller.manipulator.manipulator import Manipulator
 from hyperbit.controller.manipulator.notation import format_configuration
-from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, seconds, yaw
+from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, orientation, seconds, yaw
 
 INVALID_JOINTS = -2
 AXES = ("tip_x", "tip_y", "tip_z")
 YAW = "tip_yaw"
 NEAR = 0.01  # greatest distance of an actuator's position from 0 or 1
+ERASED = -1.0  # a tolerance that there is not
 MOST_POINTS = 10_000
 
 
@@ -69,9 +70,9 @@ def tip_goal(goal: Any, place: Place) -> Fields:
         point = [*(float(columns[name][k]) for name in axes), *([0.0] * (3 - len(axes)))]
         entry: Fields = {"t": t, "position": place.position(frame, point, f"trajectory.points[{k}]")}
         if YAW in columns:
-            angle = float(columns[YAW][k]) + math.atan2(frame[1, 0], frame[0, 0])
-            turn = [0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)]
-            entry["orientation"] = angle if place.dimension == 2 else turn
+            cos, sin = math.cos(columns[YAW][k]), math.sin(columns[YAW][k])
+            turned = frame[:3, :3] @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            entry["orientation"] = orientation(turned, place.dimension)
         waypoints.append(entry)
     return {"waypoints": waypoints, "stamp": found.stamp, **_tolerances(goal, axes)}
 
@@ -120,10 +121,21 @@ def _configuration(manipulator: Manipulator, states: Sequence[int | None], where
 
 
 def _tolerances(goal: Any, axes: Sequence[str]) -> Fields:
-    """Returns `tolerance` and `path_tolerance` of the daemon's goal; 0 in a message means the default."""
+    """Returns `tolerance` and `path_tolerance` of the daemon's goal. 0 means the default, and -1 no tolerance.
+
+    A position always has a tolerance: that of the arm's file.
+    """
     result: Fields = {}
+    for where, entries in (("goal_tolerance", goal.goal_tolerance), ("path_tolerance", goal.path_tolerance)):
+        if unknown := [it.name for it in entries if it.name not in (*axes, YAW)]:
+            names = ", ".join((*axes, YAW))
+            raise BadGoal(f"{where}: {unknown[0][:50]!r}, expected joints of the tip: {names}", INVALID_JOINTS)
     positions = _tolerance(goal.goal_tolerance, "goal_tolerance", axes)
     turns = _tolerance(goal.goal_tolerance, "goal_tolerance", (YAW,))
+    if any(it.name == YAW and it.position == ERASED for it in goal.goal_tolerance):
+        turns = math.pi  # any orientation
+    if _tolerance(goal.path_tolerance, "path_tolerance", (YAW,)) is not None:
+        raise BadGoal(f"path_tolerance: {YAW}: lines are followed by position only, leave it out")
     tolerance = {name: value for name, value in (("position", positions), ("orientation", turns)) if value is not None}
     if tolerance:
         result["tolerance"] = tolerance
@@ -135,8 +147,9 @@ def _tolerances(goal: Any, axes: Sequence[str]) -> Fields:
 def _tolerance(entries: Sequence[Any], where: str, names: Sequence[str]) -> float | None:
     """Returns the least position tolerance of the named joints."""
     values = [float(it.position) for it in entries if it.name in names]
-    if any(not math.isfinite(value) or value < 0 for value in values):
-        raise BadGoal(f"{where}: a tolerance is negative or not finite; 0 means that of the arm's file")
+    if any(not math.isfinite(value) or (value < 0 and value != ERASED) for value in values):
+        words = "a tolerance is negative or not finite; 0 means that of the arm's file, -1 none"
+        raise BadGoal(f"{where}: {words}")
     return min((value for value in values if value > 0), default=None)
 
 

@@ -11,7 +11,7 @@ from hyperbit.drivers.canopen.wire.cia301 import Frame
 from hyperbit.drivers.canopen.wiring import LINES, BoardId, Channel, Timing, Wiring
 from hyperbit.drivers.simulation.actuator import CONTRACTED, EXTENDED, Actuator
 from hyperbit.drivers.simulation.firmware import SimulatedBoard, Wired
-from hyperbit.drivers.simulation.variants import STANDARD, Variant
+from hyperbit.drivers.simulation.variants import STANDARD, Variant, as_wired
 
 _ORDINARY = 0.5  # travel time of an actuator without faults, as a fraction of the longest travel time
 _LEAST_PULSE = 0.005  # [s] for which one of two coils must be energised
@@ -49,8 +49,11 @@ class SimulatedBuses:
         self._interlocks = {lock.name: lock for lock in wiring.interlocks}
         self._boards: dict[str, dict[int, SimulatedBoard]] = {bus.name: {} for bus in wiring.buses}
         self._by_name: dict[str, SimulatedBoard] = {}
+        listed = {(entry.bus, entry.node): entry for entry in wiring.nodes}
         for (bus, node), here in wire(wiring, self._actuators).items():
             variant = (variants or {}).get(f"{bus}/{node}", STANDARD)
+            if (bus, node) in listed:
+                variant = as_wired(variant, listed[bus, node], wiring.error_state)
             board = SimulatedBoard(node, here, partial(self._send, bus), variant)
             self._boards[bus][node] = self._by_name[f"{bus}/{node}"] = board
         for name in variants or {}:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
+from hyperbit.drivers.canopen.wiring import NodeWiring
 from hyperbit.drivers.simulation import dictionary
 from hyperbit.drivers.simulation.dictionary import Changes, array, number, pdo
 
@@ -93,6 +94,22 @@ _SIXTEEN_BYTES = {
     **array(0x6207, [0] * 16),
 }
 
+
+def _maker_object(index: int, error_state: Literal["hold", "off"]) -> Variant:
+    """Returns a board whose outputs are in an object of its maker."""
+    return Variant(
+        f"outputs in {index:04X}h of the maker, no objects of CiA 401 but inputs",
+        absent=frozenset({0x6200, 0x6202, 0x6206, 0x6207}),
+        changes={
+            **_device_type(0),
+            **array(index, [0] * 8, mappable=True),
+            **pdo(0x1400, 0x200, _entries(index, 1, 8)),
+        },
+        output_object=index,
+        error_state=error_state,
+    )
+
+
 STANDARD = Variant("all objects of board.eds: heartbeats, 64 outputs in RPDO1, 64 inputs in TPDO1")
 
 VARIANTS: Mapping[str, Variant] = {
@@ -154,17 +171,7 @@ VARIANTS: Mapping[str, Variant] = {
     "no-device-type": Variant("1000h is 0, though 6200h is there", changes=_device_type(0)),
     "many-profiles": Variant("1000h is 0000FFFFh: several profiles, 6200h is there", changes=_device_type(0xFFFF)),
     "all-bits": Variant("1000h with all bits (Festo CPX, ifm)", changes=_device_type(0x000F_0191)),
-    "maker-object": Variant(
-        "outputs in 2201h of the maker, no objects of CiA 401 but inputs",
-        absent=frozenset({0x6200, 0x6202, 0x6206, 0x6207}),
-        changes={
-            **_device_type(0),
-            **array(0x2201, [0] * 8, mappable=True),
-            **pdo(0x1400, 0x200, _entries(0x2201, 1, 8)),
-        },
-        output_object=0x2201,
-        error_state="off",
-    ),
+    "maker-object": _maker_object(0x2201, "off"),
     "no-error-mode": Variant(
         "no 6206h and 6207h: outputs hold in the error state", absent=_ERROR_MODES, error_state="hold"
     ),
@@ -229,6 +236,21 @@ VARIANTS: Mapping[str, Variant] = {
         "1001h = 01h stands, 5000h, and keeps it pre-operational", errors=(StandingError(0x5000, 0x01),), starts=False
     ),
 }
+
+
+def as_wired(variant: Variant, node: NodeWiring, error_state: str | None) -> Variant:
+    """Returns a board with the identity and the object of its outputs that its entry in the arm's file asks for.
+
+    Args:
+        variant: of the board.
+        node: the entry.
+        error_state: of boards whose entry has none.
+    """
+    if variant is STANDARD and node.object != variant.output_object:
+        variant = _maker_object(node.object, "hold" if (node.error_state or error_state) == "hold" else "off")
+    identity = enumerate((node.vendor, node.product, node.revision, node.serial), 1)
+    own = {(0x1018, sub): value for sub, value in identity if value is not None}
+    return replace(variant, stored={**variant.stored, **own}) if own else variant
 
 
 def choose(words: Iterable[str], boards: Iterable[str]) -> dict[str, Variant]:

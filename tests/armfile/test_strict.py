@@ -47,6 +47,16 @@ def test_text_that_is_not_utf8(tmp_path):
     assert refusal(tmp_path, b"name: \xff\xfe").startswith("cannot be read: 'utf-8' codec can't decode")
 
 
+@pytest.mark.parametrize("content", [b"", b"\n \n", bytes(4096)])
+def test_an_empty_file_is_told(tmp_path, content):
+    assert refusal(tmp_path, content).startswith("is empty, as a failure of the power can leave it")
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
+def test_another_encoding_is_told_with_the_right_one(tmp_path, encoding):
+    assert refusal(tmp_path, "name: \xe4".encode(encoding)).endswith("save it as UTF-8")
+
+
 BOMB = "a: &a [x, x]\nb: &b [*a, *a, *a, *a]\nc: &c [*b, *b, *b, *b]\nd: [*c, *c, *c, *c]\n"
 
 

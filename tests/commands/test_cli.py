@@ -154,7 +154,7 @@ def test_an_arm_is_a_file_only_if_it_is_a_regular_file(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("", "name: required, but missing"),
+        ("", "is empty"),
         ("- 1", "name: required, but missing"),
         ("name: a/b", "name: "),
         ("name: [a]", "name: "),

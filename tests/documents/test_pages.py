@@ -10,7 +10,7 @@ import msgspec
 import pytest
 import yaml
 
-from tests.documents import facts, page, running
+from tests.documents import facts, page, reference, running
 
 PAGES = page.find()
 FRONT = page.ROOT / "README.md"
@@ -120,3 +120,7 @@ def test_the_front_page_names_each_page():
     front = page.read(FRONT)
     linked = {(FRONT.parent / target).resolve() for target in page.links(front)}
     assert set(PAGES) - {FRONT} <= linked
+
+
+def test_the_reference_of_the_library_is_that_of_its_docstrings():
+    assert reference.PATH.read_text() == reference.text(), "python -m tests.documents.reference"

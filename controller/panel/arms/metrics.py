@@ -10,8 +10,11 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from starlette.requests import Request
 from starlette.responses import Response
 
+from hyperbit.controller.panel.arms.faults import ADVICE
+
 Message = Mapping[str, Any]
 
+STATUSES = ("succeeded", "canceled", "replaced", "aborted")
 MODES = ("starting", "ready", "executing", "fault", "stopped")
 MOST_ACTUATORS = 500  # larger arms have no series for each actuator: Prometheus keeps each series for weeks
 MOST_KINDS = 100  # codes or statuses of one arm; further ones are counted as "other"
@@ -88,10 +91,12 @@ def figures(arms: Iterable[Seen], counters: Counters) -> list[Metric]:
     info.add_metric([version("hyperbit")], 1.0)
     goals = CounterMetricFamily("hyperbit_goals", "Results of goals, jogs included.", labels=["arm", "status"])
     faults = CounterMetricFamily("hyperbit_faults", "Faults that began.", labels=["arm", "code"])
-    for family, counts in ((goals, counters.goals), (faults, counters.faults)):
-        for labels, number in counts.items():
-            family.add_metric(labels, number)
     seen = list(arms)
+    # A series that begins with its first event has no increase in Prometheus, so each begins with 0.
+    for family, counts, kinds in ((goals, counters.goals, STATUSES), (faults, counters.faults, tuple(ADVICE))):
+        every = dict.fromkeys(((arm.name, kind) for arm in seen for kind in kinds), 0) | counts
+        for labels, number in every.items():
+            family.add_metric(labels, number)
     return [info, goals, faults, *of_states(seen), *of_diagnostics(seen)]
 
 

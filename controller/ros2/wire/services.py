@@ -9,12 +9,14 @@ from typing import Any
 
 import zenoh
 
-from hyperbit.controller.ros2.wire.attachments import Attachment
+from hyperbit.controller.ros2.wire import attachments
+from hyperbit.controller.ros2.wire.attachments import Attachment, BadAttachment
 from hyperbit.controller.ros2.wire.cdr import serialize
 from hyperbit.controller.ros2.wire.tokens import Token
 from hyperbit.controller.ros2.wire.topics import Dropped, Received, receive
 from hyperbit.controller.ros2.wire.types import Types
 
+REFUSED = {"action_msgs/srv/CancelGoal": {"return_code": 1}}  # responses that refuse, unless 0 does
 MOST_OPEN = 64  # requests of a service that wait for their reply
 log = logging.getLogger(__name__)
 
@@ -43,8 +45,8 @@ class Service:
     """Hands the requests of one service to a handler, one after another, in a thread of Zenoh's.
 
     Attributes:
-        dropped: number of requests dropped without reply, by reason: attachment, size, content, open (too many were
-            open) or callback (the handler raised before it replied).
+        dropped: number of requests dropped, by reason: attachment, size, content, open (too many were open) or callback
+            (the handler raised before it replied). A dropped request with an attachment gets an empty response.
     """
 
     def __init__(
@@ -88,14 +90,25 @@ class Service:
             self._handler(Request(received, lambda value: self._reply(number, received, value)))
         except Dropped as error:
             self.dropped[error.reason] += 1
-            query.drop()  # type: ignore[no-untyped-call]  # else its client waits as long as a log holds this traceback
+            self._decline(query)
         except Exception:
             with self._lock:
                 replied = self._open.pop(number, None) is None
             if not replied:
                 self.dropped["callback"] += 1
-                query.drop()  # type: ignore[no-untyped-call]
+                self._decline(query)
             log.exception("the handler of %s failed", self.token.text)
+
+    def _decline(self, query: zenoh.Query) -> None:
+        """Replies to a request that is not served, because a client of rmw_zenoh waits for a reply without end.
+
+        The response is empty: its numbers are 0, so that nothing is accepted.
+        """
+        with query, contextlib.suppress(BadAttachment, zenoh.ZError):
+            source = attachments.parse(None if query.attachment is None else query.attachment.to_bytes())
+            data = serialize(REFUSED.get(self._name, {}), f"{self._name}_Response", self._types)
+            attachment = Attachment(source.sequence, time.time_ns(), source.gid).data
+            query.reply(self._key, data, attachment=attachment)
 
     def _reply(self, number: int, received: Received, value: Any) -> None:
         data = serialize(value, f"{self._name}_Response", self._types)

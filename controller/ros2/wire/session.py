@@ -13,7 +13,7 @@ import zenoh
 from hyperbit.controller.ros2.wire.tokens import ADMIN_SPACE, BadToken, Token, parse
 
 ROUTER = "tcp/localhost:7447"
-MOST_FRAGMENTS = 2_000_000  # bytes, about: longest message that Zenoh assembles; it drops longer ones
+MOST_FRAGMENTS = 10_000_000  # bytes, about: longest message that Zenoh assembles; it drops longer ones
 LONGEST_PAUSE = 4.0  # [s] between two attempts to reach the router
 
 

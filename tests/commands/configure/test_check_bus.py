@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import subprocess
 import threading
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import can
 import pytest
 import yaml
 
-from hyperbit.controller.commands.configure.check import summary
+from hyperbit.controller.arm.arm import load
+from hyperbit.controller.commands.configure.check import summary, wrong_rates
 from hyperbit.controller.program import VERSION, Welcome, encode
 from tests.commands.conftest import ARM
 
@@ -89,3 +91,16 @@ def test_an_executor_that_answers_at_its_socket_is_refused(check, tmp_path):
         threading.Thread(target=serve, daemon=True).start()
         code, _, err = check()
     assert (code, f"the executor of {NAME} is running (it answers at" in err) == (1, True)
+
+
+def test_a_bus_with_another_bit_rate_than_the_files_is_told(monkeypatch):
+    link = [{"linkinfo": {"info_data": {"bittiming": {"bitrate": 250_000}}}}]
+    done = subprocess.CompletedProcess((), 0, json.dumps(link).encode())
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: done)
+    [(bus, text)] = wrong_rates(load(ARM))
+    assert bus.name == "can0"
+    where = "/etc/systemd/network/80-can0.network"
+    assert text == f"can0 has 250000 bit/s, the arm's file 1000000: change {where} or the file"
+    for nothing in (b"", b"[]", b"[{}]"):
+        done.stdout = nothing
+        assert not list(wrong_rates(load(ARM)))
