@@ -14,8 +14,6 @@ PLANAR, SPATIAL = ("x", "y", "th"), ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """The frames (4, 4) of a file's rows, and whether its columns are planar."""
-
     frames: list[frames.Frame]
     planar: bool
 
@@ -23,13 +21,8 @@ class Table:
 def read_table(folder: Path, name: str, path: str, faults: list[str]) -> Table | None:
     """Returns the frames in a CSV file, or None with the faults appended.
 
-    The first line names the columns, in any order: x, y, th [rad], or x, y, z and a quaternion qx, qy, qz, qw.
-
-    Args:
-        folder: of the arm's file.
-        name: of the CSV file, relative to the folder.
-        path: of the field that names the file.
-        faults: appended to, each beginning with `path`.
+    The first line names the columns, in any order: x, y, th [rad], or x, y, z and a quaternion qx, qy, qz, qw. `folder`
+    is that of the arm's file; each fault begins with `path`, the field that names the CSV file.
     """
     before, table = len(faults), read_states(folder, name, path, faults)
     if table is None:

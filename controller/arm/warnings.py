@@ -70,6 +70,8 @@ def length_warnings(arm: Arm) -> list[str]:
         "body_radius": settings.body_radius,
         "workspace.pixel": settings.workspace.pixel,
     }
+    if arm.tip is not None:
+        lengths["tip.position"] = float(np.linalg.norm(arm.tip[:3, 3]))
     if settings.tracker is not None:
         lengths |= {"tracker.noise": settings.tracker.noise, "tracker.clamp": settings.tracker.clamp}
     for path, own in lengths.items():
@@ -92,9 +94,13 @@ def angle_warnings(settings: ArmSettings) -> list[str]:
     """Returns a warning for each angle that is likely to be in degrees."""
     found: dict[str, object] = {"base.orientation": settings.base.orientation}
     found["tolerance.orientation"] = settings.tolerance.orientation
+    if settings.tip is not None:
+        found["tip.orientation"] = settings.tip.orientation
     for g, group in enumerate(settings.modules):
         if isinstance(group, RevoluteSettings):
-            found |= {f"modules[{g}].angles[{k}]": angle for k, angle in enumerate(group.angles)}
+            found |= {f"modules[{g}].angles[{k}]": angle for k, angle in enumerate(group.angles or ())}
+            pairs = enumerate(group.cylinders or ())
+            found |= {f"modules[{g}].cylinders[{k}][{j}]": a for k, pair in pairs for j, a in enumerate(pair)}
         if isinstance(group, RevoluteSettings | PrismaticSettings):
             found[f"modules[{g}].link.orientation"] = group.link.orientation
         if isinstance(group, TransformsSettings):

@@ -62,19 +62,21 @@ class VgtSettings(Struct, tag_field="type", tag="vgt", forbid_unknown_fields=Tru
 
 
 class RevoluteSettings(Struct, tag_field="type", tag="revolute", forbid_unknown_fields=True, frozen=True):
-    """`count` revolute joints that stand at one of the angles [rad], each followed by a link."""
+    """`count` revolute joints at one of the angles, or turned by cylinders in series [rad], each followed by a link."""
 
-    angles: Annotated[list[Angle], Meta(min_length=2, max_length=4096)]
+    angles: Annotated[list[Angle], Meta(min_length=2, max_length=4096)] | None = None
+    cylinders: Annotated[list[tuple[Angle, Angle]], Meta(min_length=1, max_length=12)] | None = None
     axis: Direction = field(default_factory=lambda: [0.0, 0.0, 1.0])
     link: FrameSettings = FrameSettings([0.0, 0.0])
     count: Count = 1
 
 
 class PrismaticSettings(Struct, tag_field="type", tag="prismatic", forbid_unknown_fields=True, frozen=True):
-    """`count` prismatic joints that stand at one of the lengths, each followed by a link."""
+    """`count` prismatic joints at one of the lengths, or moved by cylinders in series, each followed by a link."""
 
     axis: Vector
-    lengths: Annotated[list[Coordinate], Meta(min_length=2, max_length=4096)]
+    lengths: Annotated[list[Coordinate], Meta(min_length=2, max_length=4096)] | None = None
+    cylinders: Annotated[list[tuple[Coordinate, Coordinate]], Meta(min_length=1, max_length=12)] | None = None
     link: FrameSettings = FrameSettings([0.0, 0.0])
     count: Count = 1
 
@@ -285,6 +287,7 @@ class ArmSettings(Struct, forbid_unknown_fields=True, frozen=True):
     # Silence of the planner until the executor holds.
     planner_timeout: Annotated[float, Meta(ge=0.5, le=60, description="in seconds")] = 1.0
     base: FrameSettings = FrameSettings([0.0, 0.0])
+    tip: FrameSettings | None = None
     workspace: WorkspaceSettings = WorkspaceSettings()
     planning: PlanningSettings = PlanningSettings()
     method: Method = MINIMUM_SWITCH

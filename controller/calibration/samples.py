@@ -39,10 +39,7 @@ def read_samples(path: Path, manipulator: Manipulator) -> Samples:
 
     The first line names the columns, in any order. The state is `configuration`, as `hyperbit fk` takes it, or
     `actuators`, a 0 or 1 for each actuator in the arm's order. The tip is x, y with an optional th [rad] for a planar
-    arm. For a spatial arm it is x, y, z with an optional quaternion qx, qy, qz, qw.
-
-    Raises:
-        InputFaults: the file cannot be read, or lines have faults.
+    arm. For a spatial arm it is x, y, z with an optional quaternion qx, qy, qz, qw. Raises InputFaults with all faults.
     """
     faults: list[str] = []
     found: list[tuple[Configuration, Frame, int]] = []
@@ -64,11 +61,7 @@ def read_samples(path: Path, manipulator: Manipulator) -> Samples:
 
 
 def checked_columns(path: Path, columns: Sequence[str], *, planar: bool) -> tuple[str, list[str]]:
-    """Returns the column of the arm's state and the columns of the tip, in the file's order.
-
-    Raises:
-        InputFaults: columns are missing or unknown.
-    """
+    """Returns the column of the arm's state and those of the tip, in the file's order. Raises InputFaults."""
     states, tip = [c for c in columns if c in STATES], [c for c in columns if c not in STATES]
     known = (PLANAR[:2], PLANAR) if planar else (SPATIAL[:3], SPATIAL)
     if len(states) != 1 or sorted(tip) not in [sorted(names) for names in known]:
@@ -97,11 +90,7 @@ def read_sample(
 
 
 def actuator_states(text: str) -> NDArray[np.int8]:
-    """Returns the states (A,) of a text of 0 and 1.
-
-    Raises:
-        ValueError: the text has other characters.
-    """
+    """Returns the states (A,) of a text of 0 and 1. Raises ValueError if the text has other characters."""
     if set(text.strip()) - {"0", "1"}:
         raise ValueError(f"a 0 or 1 for each actuator is needed, got {text!r}")
     return np.array([int(digit) for digit in text.strip()], dtype=np.int8)

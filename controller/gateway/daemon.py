@@ -1,6 +1,6 @@
 """The planner's process: builds its parts from the Zenoh session to the server, and closes them in order.
 
-Its own warnings are of the system's clock, the Zenoh network and the ledger; none of them stops the arm.
+Its own warnings concern the system's clock, the Zenoh network and the ledger; none of them stops the arm.
 """
 
 import contextlib
@@ -46,7 +46,7 @@ log = logging.getLogger(__name__)
 # Zenoh's default of two, all would soon be blocked, and a `stop` from another client would wait.
 RECEIVERS = "(rx: (worker_threads: 16))"
 
-RECORDS = 500  # steps of the core that are recorded in one piece at most; the loop writes them when it is calm
+RECORDS = 500  # most steps of the core in one recorded block; the loop writes a block when it is calm
 CLOCK_STEP = 0.5  # [s]; a greater jump of the clock was set, not slewed
 CERTIFICATES_EVERY = 3600.0  # [s]
 REMEMBERED = 10.0  # [s] for which a warning stays after its cause
@@ -103,7 +103,7 @@ def running(
         poses = Poses(ledger.with_name(f"{ledger.stem}.poses.json"), first)
         server = Server(session, name, GatewayParts(planner, outbox, goals, poses, partial(find, ledger)))
         closing.callback(server.close)
-        planner.loop.start()  # not before the keys are declared: who receives a state may send a request
+        planner.loop.start()  # after the keys are declared: a receiver of a state may send a request
         gc.collect()
         gc.freeze()  # the collector need not scan long-lived objects while a goal waits
         closing.callback(gc.unfreeze)
@@ -136,7 +136,7 @@ class Warnings:
         self._ending = list[str]()
         self._offset = wall() - clock()
         self._lost_at = 0.0
-        self._own: dict[str, tuple[Fault, float]] = {}  # by code; and when each ends [s]
+        self._own: dict[str, tuple[Fault, float]] = {}  # by code; each with its end [s]
 
     def active(self) -> tuple[Fault, ...]:
         now = self._clock()

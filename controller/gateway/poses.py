@@ -77,7 +77,7 @@ class Poses:
         return done(words)
 
     def _write(self, saved: dict[str, SavedGoal]) -> None:
-        """Replaces the file, or raises Refusal; a crash leaves the old one or the new one."""
+        """Replaces the file, or raises Refusal; a crash leaves the old file or the new one."""
         if self._problem is not None:
             raise Refusal(Reason.POSES_UNWRITTEN, why=self._problem)
         content = msgspec.json.format(msgspec.json.encode(saved), indent=1)
@@ -90,11 +90,7 @@ class Poses:
 
 
 def decode_poses(payload: bytes) -> PosesMessage:
-    """Returns the message in a `poses` payload; the goal's own fields are not checked.
-
-    Raises:
-        Refusal: the payload is invalid; the message names the field. No other exception is raised.
-    """
+    """Parses a `poses` payload, but not the goal's own fields. Raises only Refusal, which names the field."""
     message = parse(payload, PosesMessage, "poses", MOST_BYTES)
     saves, removes = message.save is not None and message.goal is not None, message.remove is not None
     if saves == removes or (message.save is None) != (message.goal is None):

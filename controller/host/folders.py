@@ -47,11 +47,7 @@ def writable(folder: Path) -> bool:
 
 
 def state_folder(*, simulated: bool = False) -> Path:
-    """Returns systemd's StateDirectory, otherwise the user's state folder.
-
-    Args:
-        simulated: whether the boards of the arm are simulated; such arms have a folder of their own.
-    """
+    """Returns systemd's StateDirectory, or the user's state folder. Simulated arms have a folder of their own."""
     own = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
     folder = Path(own) if own else user_folder("XDG_STATE_HOME", ".local/state") / "hyperbit"
     return folder / SIMULATED if simulated else folder

@@ -30,11 +30,7 @@ def usual_folders() -> list[Path]:
 
 
 def choose(folders: Iterable[Path]) -> str | None:
-    """Makes numba use a temporary folder if none of its usual folders can be written.
-
-    Returns:
-        A sentence for the user; None if a usual folder can be written.
-    """
+    """Makes numba use a temporary folder if none of its usual ones is writable; returns a sentence on this, or None."""
     tried = list(folders)
     if any(writable(folder) for folder in tried):
         return None

@@ -18,7 +18,7 @@ from hyperbit.controller.armfile.strict import InputFaults
 from hyperbit.controller.library.density import Density
 from hyperbit.controller.library.errors import ArmError, ConfigurationError, GoalError, LockError
 from hyperbit.controller.library.goals import Number
-from hyperbit.controller.library.modules import Module, base_settings, build, checked
+from hyperbit.controller.library.modules import Module, build, checked, frame_settings
 from hyperbit.controller.library.obstacles import Obstacle, obstacle_settings
 from hyperbit.controller.manipulator.locked import LockedStates, lock_actuators, transferred
 from hyperbit.controller.manipulator.manipulator import Configuration, Manipulator
@@ -42,6 +42,7 @@ class Arm:
         modules: entries of the chain, base first, see `vgt`, `revolute`, `prismatic`, `platform` and `transforms`.
         name: letters, digits, "_" and "-".
         base: position (2,) or (3,), or frame (4, 4), of the first module in the world; the origin if None.
+        tip: position (2,) or (3,), or frame (4, 4), of the tool's tip in the last module's frame; that frame if None.
         tolerance: greatest distance of the tip from goals that have no tolerance.
         angle_tolerance: greatest angle of the tip from goals that have an orientation and no tolerance [rad].
         obstacles: obstacles in the world; no module may touch them.
@@ -59,6 +60,7 @@ class Arm:
         *,
         name: str = "arm",
         base: ArrayLike | None = None,
+        tip: ArrayLike | None = None,
         tolerance: Number = 2e-3,
         angle_tolerance: Number = 0.05,
         obstacles: Sequence[Obstacle] = (),
@@ -73,7 +75,8 @@ class Arm:
         fields = {
             "name": name,
             "modules": list(modules),
-            "base": base_settings(base),
+            "base": frame_settings((0.0, 0.0) if base is None else base, "base"),
+            "tip": None if tip is None else frame_settings(tip, "tip"),
             "tolerance": {"position": float(tolerance), "orientation": float(angle_tolerance)},
             "obstacles": regions,
             "body_radius": float(body_radius),

@@ -52,8 +52,7 @@ def configuration(mode: str, *, listen: str | None = None, connect: str | None =
 def from_file(path: Path) -> zenoh.Config:
     """Returns the configuration in a Zenoh file; relative paths of certificates and keys start at the file's folder.
 
-    Raises:
-        ValueError: the file is missing or no Zenoh configuration, or a certificate or key cannot be read.
+    Raises ValueError if the file, a certificate or a key cannot be read, or is no Zenoh configuration.
     """
     try:
         config = zenoh.Config.from_file(str(path))
@@ -77,7 +76,7 @@ def lease(config: zenoh.Config) -> float:
 
 
 def reachable(session: zenoh.Session, config: zenoh.Config) -> Callable[[], bool]:
-    """Returns a function that returns whether a session is connected to one of its endpoints, if it has any."""
+    """Returns a function that tests whether a session is connected to one of its endpoints, if it has any."""
     endpoints = json.loads(config.get_json("connect/endpoints"))
     return lambda: not endpoints or bool(session.info.routers_zid() or session.info.peers_zid())
 

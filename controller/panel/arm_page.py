@@ -68,13 +68,7 @@ class Flood(Exception):
 
 
 class ArmPage:
-    """Serves the requests of one page. Used only on the event loop of the pages.
-
-    Args:
-        view: data of the page's arm.
-        page: the page.
-        threads: threads that all pages share.
-    """
+    """Serves the requests of one page. Used only on the event loop of the pages."""
 
     def __init__(self, view: ArmView, page: Page, threads: RequestThreads) -> None:
         self._view, self._page, self._threads = view, page, threads
@@ -82,11 +76,7 @@ class ArmPage:
         self._open: set[asyncio.Task[None]] = set()
 
     def receive_request(self, request: PageRequest) -> None:
-        """Accepts a request; its answer is sent to the page.
-
-        Raises:
-            Flood: the page sent too many requests and must be closed.
-        """
+        """Accepts a request; its answer is sent to the page. Raises Flood if the page sent too many requests."""
         urgent = isinstance(request, UrgentRequest)
         limit = self._stops if urgent else self._limit
         if not limit.take_token():
@@ -103,7 +93,6 @@ class ArmPage:
             task.add_done_callback(self._open.discard)
 
     def refuse(self, number: int, message: str) -> None:
-        """Sends the page a refusal of its request number `number`."""
         self._page.reply(encoded({"section": "reply", "n": number, "accepted": False, "message": message}))
 
     def _refuse(self, request: PageRequest, message: str) -> None:
@@ -122,7 +111,6 @@ class ArmPage:
         return self._view.control.refusal(self._page)
 
     async def _serve(self, request: PageRequest) -> None:
-        """Carries a request out and answers it."""
         try:
             answer = await self._carry_out(request)
         except Unanswered as error:
@@ -218,5 +206,4 @@ class ArmPage:
 
 
 def encoded(message: Mapping[str, Any]) -> bytes:
-    """Returns a message as JSON."""
     return msgspec.json.encode(message)

@@ -30,19 +30,19 @@ from hyperbit.controller.program import Fault
 
 log = logging.getLogger(__name__)
 
-WRITE_EVERY = 5.0  # [s] between two transactions with counts alone, because each one wears flash memory
+WRITE_EVERY = 5.0  # [s] between two transactions with counts alone: each one wears flash memory
 MOST_MARKS = 1_000  # the executor stores no more results
 
 
 class Ledger:
     """Records goals, results and counts. No method waits, except `close`.
 
-    A thread with one connection writes the waiting records at once, in one transaction. Counts are written with them,
+    A thread with one connection writes all waiting records at once, in one transaction. Counts are written with them,
     or alone after `write_every`. If the file cannot be written, `fault` says why, and the data is written later. A
     damaged file is renamed; a new file begins with the present counts, but without the goals.
 
-    In the ledger's thread, `recorded` takes the number of each record when it is written or cannot be written, and
-    `fatal` takes a message when the thread dies.
+    In the ledger's thread, `recorded` takes the number of each record after it was written or failed, and `fatal` takes
+    a message when the thread dies.
 
     Raises:
         FileInUse: another process writes this ledger.
@@ -69,11 +69,11 @@ class Ledger:
         self._thread.start()
 
     def record(self, record: Record) -> None:
-        """Records a goal, its result, or both; then `recorded` is called with its number."""
+        """Queues a goal, its result, or both; later `recorded` is called with the record's number."""
         self._queue.put(record)
 
     def counts(self, counts: Sequence[int]) -> None:
-        """Takes the executor's counts, one for each actuator; a count never falls. For one thread."""
+        """Stores the executor's counts, one for each actuator; a count never falls. For one thread."""
         if len(counts) != len(self.known):
             log.error("the executor counts %d actuators, the ledger %d", len(counts), len(self.known))
             return
@@ -157,15 +157,15 @@ class Mark(NamedTuple):  # a published result, one JSON array in a line
 class PublishedResults:
     """Marks of the newest results, made before each is published, in memory and in a file.
 
-    After the start for one thread, the outbox's.
+    After the start only the outbox's thread uses it.
 
-    If a planner is killed before the executor gets the acknowledgement of a result, the next planner finds the mark. If
-    the ledger has the result, that planner does not publish it again; otherwise it tells clients that the result is
-    repeated. The file needs no fsync: it survives the death of the process, and a reboot deletes the executor's results
-    as well.
+    A planner may be killed before the executor gets the acknowledgement of a result. Then the next planner finds the
+    mark. If the ledger has the result, that planner does not publish it again; otherwise it tells clients that the
+    result is repeated. The file needs no fsync: it survives the death of the process, and a reboot deletes the
+    executor's results as well.
 
-    The file has at most twice MOST_MARKS lines. Lines that are torn, or are no marks, are ignored. Its folder is in
-    memory, and must exist.
+    The file has at most twice MOST_MARKS lines. Torn lines and other text are ignored. Its folder is in memory, and
+    must exist.
     """
 
     def __init__(self, path: Path) -> None:
@@ -177,7 +177,7 @@ class PublishedResults:
         self._marks = {Identity(*mark[:2]): mark for mark in map(decoded, content.splitlines()) if mark is not None}
 
     def known(self) -> dict[Identity, ResultEntry]:
-        """Returns the marked results by program; their times are not known."""
+        """Returns the marked results by program; their times are unknown."""
         return {identity: ResultEntry(0.0, *mark[2:]) for identity, mark in self._marks.items()}
 
     def add(self, identity: Identity, payload: Mapping[str, Any]) -> None:

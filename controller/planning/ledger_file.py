@@ -52,7 +52,7 @@ FORGOTTEN = "DELETE FROM goals WHERE number <= (SELECT max(number) FROM goals) -
 
 
 class Damaged(Exception):
-    """SQLite's check found the file damaged."""
+    pass
 
 
 class LedgerFile:
@@ -67,7 +67,7 @@ class LedgerFile:
     def write(self, records: Sequence[Record], counts: Sequence[int]) -> None:
         """Writes records and absolute counts in one transaction, or raises.
 
-        An acceptance that the file has, and a result of a goal that has ended, change nothing.
+        An acceptance that the file already has changes nothing; nor does a second result.
         """
         connection = self._opened()
         present = dict(zip(self._actuators, counts, strict=True))
@@ -131,7 +131,7 @@ def default_path(arm: str, *, simulated: bool = False) -> Path:
 
 
 def counted(path: Path) -> dict[str, int]:
-    """Returns the number of switches of each actuator so far; empty if the ledger is missing or cannot be read."""
+    """Returns the number of switches of each actuator; empty if the ledger is missing or unreadable."""
     if not path.exists():  # the first start
         return {}
     try:
@@ -142,7 +142,7 @@ def counted(path: Path) -> dict[str, int]:
 
 
 def owed(path: Path) -> dict[Identity, AcceptanceEntry]:
-    """Returns the newest thousand goals without a result, the oldest first; none if the ledger cannot be read.
+    """Returns the newest thousand goals without a result, the oldest first; none if the ledger is unreadable.
 
     Goals of earlier versions have no identity: no result can be found for them.
     """

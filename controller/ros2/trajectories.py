@@ -13,32 +13,22 @@ from hyperbit.controller.ros2.poses import BadGoal, Fields, Place, orientation, 
 INVALID_JOINTS = -2
 AXES = ("tip_x", "tip_y", "tip_z")
 YAW = "tip_yaw"
-NEAR = 0.01  # of a position of an actuator from 0 or 1
+NEAR = 0.01  # greatest distance of an actuator's position from 0 or 1
 ERASED = -1.0  # a tolerance that there is not
 MOST_POINTS = 10_000
 
 
 class Trajectory(NamedTuple):
-    """What of a goal is common to both kinds of joints.
-
-    Attributes:
-        joints: names of the joints.
-        positions: shape (points, joints).
-        times: after the stamp [s], shape (points,).
-        stamp: UNIX time of the begin [s]; 0: at once.
-    """
+    """The part of a goal that both kinds of joints share."""
 
     joints: tuple[str, ...]
-    positions: np.ndarray[tuple[int, int], np.dtype[np.float64]]
-    times: list[float]
-    stamp: float
+    positions: np.ndarray[tuple[int, int], np.dtype[np.float64]]  # shape (points, joints)
+    times: list[float]  # after the stamp [s], shape (points,)
+    stamp: float  # UNIX time of the start [s]; 0: at once
 
 
 def trajectory(goal: Any) -> Trajectory:
-    """Returns the points of a goal.
-
-    Args:
-        goal: control_msgs/action/FollowJointTrajectory_Goal.
+    """Returns the points of a control_msgs/action/FollowJointTrajectory_Goal.
 
     Raises:
         BadGoal: it has no points or joints, a joint twice, positions that do not match the joints, or a number that is
@@ -67,11 +57,7 @@ def trajectory(goal: Any) -> Trajectory:
 
 
 def tip_goal(goal: Any, place: Place) -> Fields:
-    """Returns the daemon's goal of a trajectory of the tip.
-
-    Raises:
-        BadGoal: the joints are not tip_x, tip_y, and so on; or as `trajectory`.
-    """
+    """Returns the daemon's goal of a trajectory of the tip. Raises BadGoal if the joints are not tip_x, tip_y, ..."""
     found = trajectory(goal)
     axes = AXES[: place.dimension]
     if set(found.joints) - {YAW} != set(axes):
@@ -92,15 +78,14 @@ def tip_goal(goal: Any, place: Place) -> Fields:
 
 
 def actuator_goal(goal: Any, manipulator: Manipulator, states: Sequence[int | None]) -> Fields:
-    """Returns the daemon's goal of a trajectory of actuators; actuators that it does not name stay.
+    """Returns the daemon's goal of a trajectory of actuators. Unnamed actuators stay.
 
     Args:
         goal: of the action; a position is 0 (contracted) or 1 (extended).
-        manipulator: the arm's chain.
         states: present states of the actuators (A,), None where unknown.
 
     Raises:
-        BadGoal: a joint is no actuator, a position is neither 0 nor 1, or states together are no configuration.
+        BadGoal: a joint is no actuator, a position is neither 0 nor 1, or the states form no configuration.
     """
     found = trajectory(goal)
     labels = list(manipulator.actuators)
@@ -121,7 +106,7 @@ def actuator_goal(goal: Any, manipulator: Manipulator, states: Sequence[int | No
 
 
 def _configuration(manipulator: Manipulator, states: Sequence[int | None], where: str) -> str:
-    """Returns the text of the configuration that has these actuator states."""
+    """Returns the text of the configuration with these actuator states."""
     result, begin = [], 0
     for number, module in enumerate(manipulator.modules, 1):
         own = states[begin : begin + len(module.actuators)]
@@ -160,7 +145,7 @@ def _tolerances(goal: Any, axes: Sequence[str]) -> Fields:
 
 
 def _tolerance(entries: Sequence[Any], where: str, names: Sequence[str]) -> float | None:
-    """Returns the least position tolerance of some joints; None if none is given."""
+    """Returns the least position tolerance of the named joints."""
     values = [float(it.position) for it in entries if it.name in names]
     if any(not math.isfinite(value) or (value < 0 and value != ERASED) for value in values):
         words = "a tolerance is negative or not finite; 0 means that of the arm's file, -1 none"
@@ -169,6 +154,5 @@ def _tolerance(entries: Sequence[Any], where: str, names: Sequence[str]) -> floa
 
 
 def tip_positions(told: Mapping[str, Any], joints: Sequence[str]) -> list[float]:
-    """Returns the positions of tip joints of a pose of the daemon."""
     known = dict(zip(AXES, told["position"], strict=False)) | {YAW: yaw(told)}
     return [known.get(name, math.nan) for name in joints]

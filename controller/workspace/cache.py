@@ -28,7 +28,7 @@ def default_directory() -> Path:
 
 
 def key(manipulator: Manipulator, pixel: float, level_pixels: int) -> str:
-    """Returns a digest of the input of the mapping: geometry and pixels, not the base frame."""
+    """Returns a digest of the input of the mapping: geometry and pixels, without the base frame."""
     digest = hashlib.sha256(f"{FORMAT} {pixel!r} {level_pixels} {manipulator.dimension}".encode())
     for array in (manipulator.states, manipulator.rotations, manipulator.translations):
         digest.update(repr(array.shape).encode() + array.tobytes())
@@ -45,7 +45,7 @@ def load_or_map(
     """Returns the densities from the cache, or maps and stores them.
 
     A damaged or wrong file is replaced. The folder is created if needed. If it cannot be written, a warning is logged.
-    For the arguments see map_densities; `progress` is not called if the densities are in the cache.
+    For the arguments see map_densities; cached densities do not call `progress`.
     """
     wanted = key(manipulator, pixel, level_pixels)
     path = directory / f"{wanted[:24]}.npz"

@@ -19,74 +19,43 @@ _NO_CHANGES: Changes = MappingProxyType({})
 
 
 class StandingError(NamedTuple):
-    """An error that a board has from power-on until its repair.
+    """An error that a board has from power-on until its repair."""
 
-    Attributes:
-        code: error code of its emergency.
-        register: bits of 1001h.
-    """
-
-    code: int
-    register: int
+    code: int  # of its emergency
+    register: int  # bits of 1001h
 
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """Differences from the standard board, which has all objects of board.eds, heartbeats, and 64 outputs in RPDO1.
+    """Differences from the standard board, which has all objects of board.eds, heartbeats, and 64 outputs in RPDO1."""
 
-    Attributes:
-        text: the peculiarity, for the command line.
-        absent: indices of objects that the board does not have.
-        changes: objects that it has in place of standard ones, or in addition.
-        read_only: indices of objects that SDO cannot write.
-        deaf: indices of objects that confirm a write and keep their value.
-        stored: values in its flash memory, in place of the default values.
-        output_object: index of the array of output bytes.
-        synchronous: whether RPDOs may wait for SYNC.
-        one_supervision: whether it allows only one of node guarding and heartbeats.
-        saves: whether each SDO write goes to the flash memory.
-        error_state: outputs in the error state: as 6206h and 6207h say, hold, or off.
-        shows_error_state: whether an SDO read of 6200h shows the outputs in the error state, not the last command.
-        off_outside_operational: whether the outputs are off in all NMT states but operational.
-        time_step: times of heartbeats and guarding are rounded down to multiples of it [ms].
-        keeps_loss: whether the loss of the master stands until a reset, without an emergency 0000h.
-        keeps_outputs: whether the outputs keep their levels at an NMT reset of communication.
-        no_object: abort code of an SDO to an object that it does not have.
-        logs_ends: whether the end of an error is an entry of 1003h too.
-        pads: whether TPDOs are filled up to 8 bytes.
-        errors: standing errors.
-        starts: whether it obeys the NMT command that makes it operational.
-        answer_delay: delay of its SDO answers [s].
-        boot_time: time from power-on, or an NMT reset of the node, to its boot-up message [s].
-    """
-
-    text: str
-    absent: frozenset[int] = frozenset()
-    changes: Changes = field(default_factory=lambda: _NO_CHANGES)
-    read_only: frozenset[int] = frozenset()
-    deaf: frozenset[int] = frozenset()
+    text: str  # the peculiarity, for the command line
+    absent: frozenset[int] = frozenset()  # indices of objects that the board lacks
+    changes: Changes = field(default_factory=lambda: _NO_CHANGES)  # objects in place of standard ones, or in addition
+    read_only: frozenset[int] = frozenset()  # indices of objects that SDO cannot write
+    deaf: frozenset[int] = frozenset()  # indices of objects that confirm a write and keep their value
+    # values in its flash memory, in place of the default values
     stored: Mapping[tuple[int, int], int] = field(default_factory=lambda: _NOTHING)
-    output_object: int = 0x6200
-    synchronous: bool = True
-    one_supervision: bool = False
-    saves: bool = False
-    error_state: Literal["modes", "hold", "off"] = "modes"
-    shows_error_state: bool = False
-    off_outside_operational: bool = False
-    time_step: int = 1
-    keeps_loss: bool = False
-    keeps_outputs: bool = True
-    no_object: int = 0x0602_0000
-    logs_ends: bool = False
-    pads: bool = False
+    output_object: int = 0x6200  # index of the array of output bytes
+    synchronous: bool = True  # RPDOs may wait for SYNC
+    one_supervision: bool = False  # allows only one of node guarding and heartbeats
+    saves: bool = False  # each SDO write goes to the flash memory
+    error_state: Literal["modes", "hold", "off"] = "modes"  # outputs then go as in 6206h and 6207h, hold, or off
+    shows_error_state: bool = False  # an SDO read of 6200h shows the outputs in the error state, not the last command
+    off_outside_operational: bool = False  # outputs are on in operational only
+    time_step: int = 1  # heartbeat and guarding times are rounded down to multiples of it [ms]
+    keeps_loss: bool = False  # the loss of the master stands until a reset, without an emergency 0000h
+    keeps_outputs: bool = True  # through an NMT reset of communication
+    no_object: int = 0x0602_0000  # abort code of an SDO to an absent object
+    logs_ends: bool = False  # the end of an error is an entry of 1003h too
+    pads: bool = False  # TPDOs are filled up to 8 bytes
     errors: tuple[StandingError, ...] = ()
-    starts: bool = True
-    answer_delay: float = 0.0
-    boot_time: float = 0.0
+    starts: bool = True  # obeys the NMT command that makes it operational
+    answer_delay: float = 0.0  # of SDO answers [s]
+    boot_time: float = 0.0  # from power-on, or an NMT reset of the node, to the boot-up message [s]
 
     @functools.cached_property
     def objects(self) -> dictionary.Objects:
-        """The object dictionary."""
         return dictionary.changed(self.absent, self.read_only, self.changes)
 
 
@@ -287,10 +256,8 @@ def as_wired(variant: Variant, node: NodeWiring, error_state: str | None) -> Var
 def choose(words: Iterable[str], boards: Iterable[str]) -> dict[str, Variant]:
     """Returns the variants that words name: "NAME" for all boards, or "can0/5=NAME" for one.
 
-    A word for one board overrides a word for all boards; a later word overrides an earlier one.
-
-    Raises:
-        ValueError: there is no such board or variant.
+    A word for one board overrides a word for all boards; a later word overrides an earlier one. Raises ValueError for
+    an unknown board or variant.
     """
     named = [word.rpartition("=")[::2] for word in words]
     names = list(boards)

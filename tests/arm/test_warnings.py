@@ -111,3 +111,11 @@ def test_degrees_of_joints_and_links_are_told(read):
     found = without_path(file_warnings(read({**PLANNED, "modules": [joint, fixed]})))
     paths = ["modules[1].angles[1]", "modules[1].angles[2]", "modules[1].link.orientation"]
     assert [warning.split(": ")[0] for warning in found] == [*paths, "modules[2].states[2].orientation"]
+
+
+def test_millimetres_and_degrees_of_a_tip_and_of_cylinders_are_told(read):
+    joint = {"type": "revolute", "cylinders": [[-0.2, 5]], "link": {"position": [0, 0.1]}}
+    tip = {"position": [0, 30], "orientation": 6}
+    found = without_path(file_warnings(read({**PLANNED, "modules": [joint, joint], "tip": tip})))
+    told = {warning.split(": ")[0] for warning in found}
+    assert {"tip.position", "tip.orientation", "modules[1].cylinders[1][2]"} <= told

@@ -147,6 +147,7 @@ def test_a_goal_that_cannot_be_planned_does_not_go(trouble: Trouble, driver: obj
 
 def test_a_goal_of_this_page_may_be_replaced(trouble: Trouble, driver: object) -> None:
     shown = planned(trouble, driver)
+    trouble.daemon.asked.clear()
     shown.press("#go")
     goals = eventually(lambda: [payload for key, payload in trouble.daemon.asked if key == "goal"])
     told(trouble, shown, mode="executing", goal=goals[-1]["id"], reason="to my goal")
@@ -176,3 +177,16 @@ def test_locks_of_one_kind_stand_together_with_one_advice(trouble: Trouble, driv
     shown.says("#faults", "1.left, 7.right", "1.left is locked", "7.right is locked")
     assert len(shown.all("#faults .advice")) == 1
     assert shown.run("return document.querySelector('header').offsetHeight") < 100, "the reason takes two lines"
+
+
+def test_progress_and_remaining_time_of_a_goal_are_shown(trouble: Trouble, driver: object) -> None:
+    shown = opened(trouble, driver, reason="before a goal")
+    assert not shown.one(".progress").is_displayed()
+    progress = {"waypoints": 5, "reached": 2, "begins": 90.0, "ends": 130.0}
+    told(trouble, shown, mode="executing", goal="g", reason="on the way", stamp=100.0, progress=progress)
+    shown.says(".progress", "2 of 5 points, ", "s left")
+    eventually(lambda: 0.2 < shown.run("return document.querySelector('.progress progress').value") < 1.0)
+    told(trouble, shown, mode="executing", goal="g", reason="late", stamp=140.0, progress=progress)
+    shown.says(".progress", "s late")
+    told(trouble, shown, reason="of an older daemon")
+    assert not shown.one(".progress").is_displayed()

@@ -218,3 +218,11 @@ def test_the_rules_for_adapters_are_whole() -> None:
         assert len(matches["NAME"]) <= 15
         assert any(fnmatch(matches["NAME"], pattern) for pattern in network)
     assert len(rules) == 3
+
+
+def test_the_page_removes_all_services() -> None:
+    text = (DEPLOY / "README.md").read_text().partition("## Remove")[2].partition("```\n\n")[0]
+    assert "systemctl stop 'hyperbit*'" in text
+    (disabled,) = [line for line in text.splitlines() if "systemctl disable" in line]
+    enabled = {path.stem for path in DEPLOY.glob("*.service") if "[Install]" in path.read_text()}
+    assert enabled <= set(disabled.split())

@@ -9,7 +9,6 @@ import signal
 import sys
 import tempfile
 from collections.abc import Iterable
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +64,7 @@ def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
     if mutant is not None:
         sitecustomize.plant(mutant.module, str(ROOT / mutant.file), mutant.source)
     try:
-        from tests.simulation.__main__ import KINDS, STEPS_A_SEED, world_of
+        from tests.simulation.__main__ import KINDS, STEPS_A_SEED, Turns, world_of
         from tests.simulation.whole.planner_process import LOGS
     except Exception as error:
         return {"found": True, "why": f"import: {_told(error)}"}
@@ -73,26 +72,22 @@ def simulate(mutant: Mutant | None, steps: int, first: int = 0) -> Result:
         return {"found": False, "why": "the simulation does not import the module"}
     for log in LOGS:
         log.setLevel(logging.CRITICAL + 1)
-    done = 0
-    for seed in count(first):
-        for kind in KINDS:
-            most = min(STEPS_A_SEED, steps - done)
-            if most <= 0:
-                return {"found": False, "why": "", "steps": done}
-            watch, why = _Watch(), ""
-            try:
-                world = watch.world = world_of(seed, kind)
-                world.run(most)
-            except Stuck:
-                why = "does not end"
-            except BaseException as error:
-                why = _told(error)
-            watch.end()
-            step = watch.step
-            done += step
-            if why:
-                return {"found": True, "why": why, "seed": seed, "kind": kind, "step": step, "steps": done}
-    raise AssertionError
+    turns = Turns(KINDS, first)
+    while turns.steps < steps:
+        kind, seed = turns.next()
+        watch, why = _Watch(), ""
+        try:
+            world = watch.world = world_of(seed, kind)
+            world.run(min(STEPS_A_SEED, steps - turns.steps))
+        except Stuck:
+            why = "does not end"
+        except BaseException as error:
+            why = _told(error)
+        watch.end()
+        turns.ran(kind, watch.step)
+        if why:
+            return {"found": True, "why": why, "seed": seed, "kind": kind, "step": watch.step, "steps": turns.steps}
+    return {"found": False, "why": "", "steps": turns.steps}
 
 
 class _Watch:

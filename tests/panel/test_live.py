@@ -131,7 +131,7 @@ def test_a_file_is_read_strictly(site: Site) -> None:
     assert answer["file"] == GOAL
     assert site.daemon.asked == [("plan", GOAL)]
     assert "alias" in page.ask("file", text="a: &x 1\nb: *x")["message"]
-    assert "an object" in page.ask("file", text="[1]")["message"]
+    assert "a mapping" in page.ask("file", text="[1]")["message"]
     assert "may have" in page.ask("file", text=" " * 60_000 + "{")["message"]
 
 

@@ -9,7 +9,19 @@ from random import Random
 
 from hyperbit.controller.executor.core.events import ClientGone, ClientId, FromClient
 from hyperbit.controller.planning.link import RETRY, Connection, ExecutorLink
-from hyperbit.controller.program import VERSION, Down, Goodbye, Hello, Stop, Up, decode_down, decode_up, encode
+from hyperbit.controller.program import (
+    VERSION,
+    Diagnostics,
+    Down,
+    Goodbye,
+    Hello,
+    Snapshot,
+    Stop,
+    Up,
+    decode_down,
+    decode_up,
+    encode,
+)
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 
@@ -55,10 +67,18 @@ class Socket(Connection):
 
         Raises:
             BrokenPipeError: the connection has ended.
+            BlockingIOError: the socket is full.
         """
         if self.ended or self.shut_down:
             raise BrokenPipeError
-        self.forth(lambda: self._network.to_executor(self.client, decode_down(data)))
+        self._network.take_place()
+        message = decode_down(data)
+        if not isinstance(message, Hello):
+            self._network.sends(message)
+        self.forth(lambda: self._network.to_executor(self.client, message))
+
+    def wait_writable(self, timeout: float) -> None:
+        """Waits in vain: no time passes in a step."""
 
     def shut(self) -> None:
         """Ends the connection."""
@@ -95,6 +115,7 @@ class Network:
     Attributes:
         sent: messages of planner and operator, by kind.
         wake: wakes the planner's process.
+        sends: takes what the planner sends, after its Hello.
         hears: takes what arrives at the planner's end; None: the end of the connection.
 
     Args:
@@ -107,17 +128,36 @@ class Network:
     def __init__(self, arm: str, agenda: Agenda, random: Random, executor: ExecutorProcess) -> None:
         self.sent: Counter[str] = Counter()
         self.wake: Callable[[], None] = lambda: None
+        self.sends: Callable[[Down], None] = lambda message: None
         self.hears: Callable[[Up | None], None] = lambda message: None
         self._arm, self._agenda, self._random, self._executor = arm, agenda, random, executor
         self._sockets: dict[ClientId, Socket] = {}
         self._numbers = 0
+        self._unread = random.choice([3, 20, 200])  # packets that fit into the executor's end of a socket
+        self._places: int | None = None  # packets that fit into the planner's socket; None: any number
+
+    def fill(self, places: int) -> None:
+        """Makes the planner's socket full after some packets."""
+        self._places = places
+
+    def drain(self) -> None:
+        """Makes the planner's socket writable again."""
+        self._places = None
+        self.wake()
+
+    def take_place(self) -> None:
+        """Takes the place of a packet in the planner's socket, or raises BlockingIOError."""
+        if self._places is not None:
+            if not self._places:
+                raise BlockingIOError
+            self._places -= 1
 
     def connect(self) -> Socket | None:
         """Returns a new connection of the planner; None if no executor listens."""
         if self._executor.core is None:
             return None
         client = self._new_client()
-        self._sockets[client] = Socket(self, client)
+        self._sockets[client], self._places = Socket(self, client), None
         return self._sockets[client]
 
     def halt(self) -> None:
@@ -132,6 +172,9 @@ class Network:
         """Sends a message of the executor; a `Goodbye` ends the connection."""
         socket = self._sockets.get(client)
         if socket is not None:
+            full = len(socket.arrived) >= self._unread
+            if full and isinstance(message, Snapshot | Diagnostics):
+                return  # the executor's server drops telemetry for a client that does not read
             socket.back(encode(message))
             if isinstance(message, Goodbye):
                 self._end(client)
@@ -169,8 +212,8 @@ class Network:
 class SimulatedLink(ExecutorLink):
     """The planner's link over simulated sockets."""
 
-    def __init__(self, network: Network, arm: str, digest: str, clock: Callable[[], float]) -> None:
-        super().__init__(Path(), arm, digest, clock)
+    def __init__(self, network: Network, arm: str, digest: str, clock: Callable[[], float], simulated: bool) -> None:
+        super().__init__(Path(), arm, digest, clock, simulated=simulated)
         self._network = network
 
     @property

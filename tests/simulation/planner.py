@@ -221,11 +221,11 @@ class ScriptedPlanner:
         self._wanted = self._number
         return self._number
 
-    def ask_to_switch(self, actuator: int, times: int = 1, pause: float = 0.0) -> None:
+    def ask_to_switch(self, actuator: int, times: int = 1, pause: float = 0.0, strict: bool = False) -> None:
         """Sends a program that switches one actuator, perhaps to and fro with pauses [s]."""
         assert self.snapshot is not None
         self._number += 1
-        self._drawn = self._author.switch(self.snapshot, self._number, actuator, times, pause)
+        self._drawn = self._author.switch(self.snapshot, self._number, actuator, times, pause, strict)
         self.connection.send(self._drawn.program)
         self._wanted = self._number
 
@@ -235,6 +235,11 @@ class ScriptedPlanner:
         if client is not None:
             message = Stop(INTERRUPTS) if self._random.random() < 0.5 else Cancel(INTERRUPTS, None, "interrupted")
             self._executor.hear(client, FromClient(client, message))
+
+    def cancel_now(self) -> None:
+        """Sends a cancel that arrives at once."""
+        if (client := self.connection.client) is not None:
+            self._executor.hear(client, FromClient(client, Cancel(INTERRUPTS, None, "interrupted")))
 
     def halt(self) -> None:
         """Makes an operator stop the arm, if an executor runs."""

@@ -27,6 +27,7 @@ from hyperbit.controller.planning.core.requests import ExecutorRequests, Queries
 from hyperbit.controller.planning.core.results import Results
 from hyperbit.controller.planning.core.stream import Stream
 from hyperbit.controller.planning.core.tasks import Planned
+from hyperbit.controller.planning.link import ExecutorLink
 from hyperbit.controller.program import Acknowledge, Clearance, Reset
 from tests.simulation.judge.verdict import Violation
 from tests.simulation.whole.planner_storage import Storage
@@ -74,6 +75,8 @@ _advance = Goals.advance
 _status = Stream.status
 _outcome_of = results.outcome_of
 _measure = GoalTracker.measure
+_flush = ExecutorLink.flush
+_send = ExecutorLink.send
 
 
 def _answer_twice(self: Programs, entry: int) -> None:
@@ -167,6 +170,18 @@ def _take_late_stamps(self: GoalTracker, position: Any, stamp: float | None, arr
     return _measure(self, position, None if stamp is None or stamp < arrival else stamp, arrival)
 
 
+def _lose_what_waits(self: ExecutorLink) -> None:
+    _flush(self)
+    self._queue.clear()
+
+
+def _overtake(self: ExecutorLink, message: Any) -> None:
+    queue = self._queue
+    _send(self, message)
+    if len(queue) > 1:
+        queue.appendleft(queue.pop())
+
+
 def _count_no_refusal(self: Stream) -> Any:
     return {**_status(self), "refused": 0}
 
@@ -203,6 +218,9 @@ DEFECTS: dict[str, list[Patch]] = {
     "each stage is clear": [(ObstacleOwner, "ask", _always_clear)],
     "late stamps are taken": [(GoalTracker, "measure", _take_late_stamps)],
     "payloads are never forgotten": [(RepeatedGoals, "_forget_payload", lambda self, goal: None)],
+    "messages are not sent to the executor": [(ExecutorLink, "send", lambda self, message: None)],
+    "messages that wait for the executor are lost": [(ExecutorLink, "flush", _lose_what_waits)],
+    "messages overtake those that wait for the executor": [(ExecutorLink, "send", _overtake)],
     "lost connections are not noticed": [(ExecutorView, "lost", lambda self, reason: None)],
 }
 
@@ -224,6 +242,9 @@ FOUND = {  # words of the violation
     "each stage is clear": "Clearance",
     "late stamps are taken": "'refused'",
     "payloads are never forgotten": "repeats|does not hold|no such program",
+    "messages are not sent to the executor": "has not sent",
+    "messages that wait for the executor are lost": "was handed out|has not sent",
+    "messages overtake those that wait for the executor": "was handed out",
     "lost connections are not noticed": "no connection to the executor|no explanation|state|the arm is at",
 }
 

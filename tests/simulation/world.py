@@ -87,7 +87,7 @@ class World:
         witness = Witnesses(
             record, Feed(judge, agenda, lambda counts: record.raised(counts, self.executor.journal.counts))
         )
-        self.habits = habits = Habits(drawn("habits"), simulated=planned is None)
+        self.habits = habits = Habits(drawn("habits"))
         self.executor = ExecutorProcess(arm, agenda, drawn("executor"), self.buses, witness, habits)
         judge.clients.playable = habits.simulation
         judge.log.simulated, judge.log.watchdog = habits.simulation is not None, habits.watchdog
@@ -103,7 +103,9 @@ class World:
             self.strangers = Strangers(*parts, lambda: judge.silence.connected)
         else:
             of = interface_judge(judge, arm, planned, record)
-            self.planner = self.daemon = Daemon(arm, planned, agenda, drawn, self.executor, self.note, of)
+            self.planner = self.daemon = Daemon(
+                arm, planned, agenda, drawn, self.executor, self.note, of, habits.simulation
+            )
             witness.add(InterfaceFeed(self.daemon.judge, agenda))
         cut_off = self.planner.cut_off if isinstance(self.planner, ScriptedPlanner) else self.planner.network.cut_off
         self.executor.connect(self.planner.connection.deliver, cut_off)

@@ -45,6 +45,9 @@ def check(
     picture: Annotated[
         Path | None, typer.Option(help="Draw the arm: PNG, PDF or SVG, by the suffix.", show_default=False)
     ] = None,
+    wiring: Annotated[
+        Path | None, typer.Option(help="Draw the wiring of each board, by the suffix as well.", show_default=False)
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Check an arm's file, name each fault by its line, and sum the arm up; --bus also reads the boards.
@@ -63,6 +66,8 @@ def check(
     fields, warnings = summarize(arm), file_warnings(arm)
     if picture is not None:
         draw(arm, picture)
+    if wiring is not None:
+        draw_wiring(arm, wiring)
     boards = compare(arm, eds, node) if eds is not None else []
     boards += ask_boards(arm, socket) if bus else []
     missing = [f"{board['board']}: {board['answer']}" for board in boards if not board["ok"]]
@@ -102,6 +107,16 @@ def draw(arm: Arm, picture: Path) -> None:
     try:
         subplot = plots.Subplot(arm.settings.name, drawn)
         plots.save(picture, arm.manipulator, None, [subplot], unit="arm's unit", obstacles=arm.obstacles)
+    except (OSError, ValueError) as error:
+        raise InputFaults(picture, [f"cannot be written: {error}"]) from None
+
+
+def draw_wiring(arm: Arm, picture: Path) -> None:
+    """Draws the outputs and inputs of each board, and what is connected to them."""
+    from hyperbit.controller.pictures import wiring_plots
+
+    try:
+        wiring_plots.save(picture, arm.settings)
     except (OSError, ValueError) as error:
         raise InputFaults(picture, [f"cannot be written: {error}"]) from None
 

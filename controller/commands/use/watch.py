@@ -70,6 +70,15 @@ def where_of(state: dict[str, Any]) -> str:
     return "unknown" if tip is None else ", ".join(f"{x:.4f}" for x in tip["position"])
 
 
+def progress_of(state: dict[str, Any]) -> str:
+    """Returns reached waypoints and remaining time of the running goal; "" if none runs."""
+    if (progress := state.get("progress")) is None:  # an older daemon has no such field
+        return ""
+    remaining = progress["ends"] - state["stamp"]
+    left = f"{remaining:.1f} s left" if remaining >= 0 else f"{-remaining:.1f} s late"
+    return f"{progress['reached']} of {progress['waypoints']} waypoints, {left}"
+
+
 def reason_and_faults(state: dict[str, Any]) -> list[str]:
     """Returns the reason of a state's mode, then its faults with their codes; a fault that is the reason comes once."""
     faults = {f"{fault['code']}: {fault['message']}": fault["message"] for fault in state["faults"]}
@@ -106,8 +115,7 @@ class View:
         table = Table.grid(padding=(0, 2))
         table.add_row("mode", Text(state["mode"], style=f"bold {COLOURS[state['mode']]}"), state["reason"])
         table.add_row("tip", where_of(state), f"configuration {state['configuration'] or 'unknown'}")
-        waypoint = f"waypoint {(state['waypoint'] or 0) + 1}" if state["goal"] else ""
-        table.add_row("goal", state["goal"] or "none", waypoint)
+        table.add_row("goal", state["goal"] or "none", progress_of(state))
         return table
 
     def _actuators(self, state: dict[str, Any]) -> RenderableType:

@@ -1,5 +1,3 @@
-"""Services and their clients."""
-
 import contextlib
 import itertools
 import logging
@@ -28,22 +26,17 @@ class NoReply(TimeoutError):
 
 
 class Request:
-    """One request of a service's client. It is replied to once, now or later, from any thread.
-
-    Attributes:
-        received: the request's message, and whose it is.
-    """
+    """One request of a service's client. Any thread replies to it once, now or later."""
 
     def __init__(self, received: Received, reply: Callable[[Any], None]) -> None:
-        self.received = received
+        self.received = received  # the request's message and its sender
         self.message = received.message
         self._reply = reply
 
     def reply(self, value: Any) -> None:
-        """Sends the response, or the response that has these fields by name. Further replies are ignored.
+        """Sends the response, or the response with these fields by name. Further replies are ignored.
 
-        Raises:
-            BadMessage: a field is missing, or its value does not fit; the request stays open.
+        Raises BadMessage if a field is missing, or its value does not fit. The request stays open then.
         """
         self._reply(value)
 
@@ -52,17 +45,8 @@ class Service:
     """Hands the requests of one service to a handler, one after another, in a thread of Zenoh's.
 
     Attributes:
-        dropped: number of requests that were dropped, by reason: attachment, size, content, open if too many were open,
-            or callback if the handler raised before it replied. A dropped request gets an empty response, unless it has
-            no attachment.
-
-    Args:
-        session: Zenoh session.
-        token: the service's.
-        key: of the queries.
-        name: type of the service.
-        handler: called with each request; replies then or later.
-        types: all types.
+        dropped: number of requests dropped, by reason: attachment, size, content, open (too many were open) or callback
+            (the handler raised before it replied). A dropped request with an attachment gets an empty response.
     """
 
     def __init__(
@@ -79,13 +63,12 @@ class Service:
         self._key, self._name, self._handler, self._types = key, name, handler, types
         self._lock, self._numbers = threading.Lock(), itertools.count()
         self._open: dict[int, zenoh.Query] = {}
-        # Clients of rmw_zenoh query services that are complete only.
+        # Clients of rmw_zenoh query only services that are declared complete.
         self._queryable = session.declare_queryable(key, self._on_query, complete=True)
         self._token = session.liveliness().declare_token(token.text)
 
     @property
     def open(self) -> int:
-        """Number of requests that wait for their reply."""
         return len(self._open)
 
     def close(self) -> None:
@@ -139,15 +122,7 @@ class Service:
 
 
 class Client:
-    """Calls one service. Threads may share it; not for a callback, since it waits.
-
-    Args:
-        session: Zenoh session.
-        token: the client's.
-        key: of the queries.
-        name: type of the service.
-        types: all types.
-    """
+    """Calls one service. Thread-safe, but not for a callback, since it waits."""
 
     def __init__(self, session: zenoh.Session, token: Token, key: str, name: str, types: Types) -> None:
         self.token = token
@@ -182,6 +157,5 @@ class Client:
         raise NoReply(f"no service answered on {self._key} within {timeout:g} s")
 
     def close(self) -> None:
-        """Ends the client."""
         with contextlib.suppress(zenoh.ZError):
             self._token.undeclare()  # type: ignore[no-untyped-call]

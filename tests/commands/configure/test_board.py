@@ -131,3 +131,17 @@ def test_the_command_refuses_while_a_master_is_on_the_bus(board, boards, request
         code, _, err = board("can0/5", "reset", "--yes")
         task.stop()
     assert (code, "an executor is running (its heartbeat, node 127, is on can0): stop it first" in err) == (1, True)
+
+
+def test_an_executor_that_starts_during_the_question_is_noticed(board, boards, request, monkeypatch, brief_listening):
+    with boards.board("can0/5") as it:
+        it.objects.set_number(0x1017, 0, 777)
+    with can.Bus(interface="virtual", channel=request.node.name) as bus:
+        message = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)
+        tasks = []
+        monkeypatch.setattr("typer.confirm", lambda question, err: not tasks.append(bus.send_periodic(message, 0.05)))
+        code, _, err = board("can0/5", "reset")
+        tasks[0].stop()
+    assert (code, "an executor is running" in err) == (1, True)
+    with boards.board("can0/5") as it:
+        assert it.objects.number(0x1017) == 777

@@ -14,7 +14,7 @@ from rich.console import Console
 from hyperbit.controller.commands.connection import connected
 from hyperbit.controller.commands.operate import demo
 from hyperbit.controller.commands.use.fleet import line_of_arm
-from hyperbit.controller.commands.use.watch import View, line_of
+from hyperbit.controller.commands.use.watch import View, line_of, progress_of
 from hyperbit.controller.network.fleet import ArmAddress, ArmStatus
 from tests.gateway.conftest import endpoint as private_endpoint  # noqa: F401
 
@@ -93,6 +93,13 @@ def test_a_fault_that_is_the_reason_of_the_mode_is_printed_once():
     assert line_of(STATE) == f"fault: interlock: interlock gate is open; tip (unknown); {stuck}"
     ready = {**STATE, "mode": "ready", "reason": "holding", "faults": [STUCK]}
     assert line_of(ready) == f"ready: holding; tip (unknown); {stuck}"
+
+
+def test_the_progress_of_a_goal_is_told():
+    progress = {"waypoints": 5, "reached": 2, "begins": 95.0, "ends": 103.2}
+    assert progress_of({"stamp": 100.0, "progress": progress}) == "2 of 5 waypoints, 3.2 s left"
+    assert progress_of({"stamp": 104.0, "progress": progress}) == "2 of 5 waypoints, 0.8 s late"
+    assert progress_of({"stamp": 100.0, "progress": None}) == progress_of(STATE) == ""
 
 
 @pytest.mark.parametrize(

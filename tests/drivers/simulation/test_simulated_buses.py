@@ -104,6 +104,7 @@ def test_a_command_is_answered_and_help_names_all_verbs(rig):
     assert fault_commands.play(rig.buses, " silence  can1/5\n") == "done: silence can1/5"
     told = fault_commands.play(rig.buses, "help")
     assert all(f"  {verb} " in told for verb in fault_commands.VERBS)
+    assert len(told) < 1000, "an executor sends no longer answer"
 
 
 def test_names_that_are_not_there_are_refused_with_those_that_are(rig):

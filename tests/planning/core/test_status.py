@@ -128,6 +128,7 @@ def test_the_running_goal_is_told(bench: StatusBench) -> None:
     bench.show(mode="executing")
     state = bench.state()
     assert (state["goal"], state["waypoint"], state["target"]) == ("a", 1, target)
+    assert state["progress"] == {"ends": pytest.approx(bench.wall - bench.now)}
 
 
 def test_locked_actuators_are_told_by_the_planner_only(bench: StatusBench) -> None:
@@ -268,6 +269,13 @@ def test_faults_are_logged_once_with_their_fields(bench: StatusBench) -> None:
     assert (over.level, over.text) == (logging.INFO, "board-lost at can0/3 is over")
     assert begun.fields["HYPERBIT_BOARD"] == over.fields["HYPERBIT_BOARD"] == "3"
     assert begun.fields["MESSAGE_ID"] != over.fields["MESSAGE_ID"]
+
+
+def test_what_does_not_keep_the_arm_from_moving_is_logged_as_a_warning(bench: StatusBench) -> None:
+    bench.show(mode="fault", faults=(Fault("board-limits", "can0/3", "its heartbeat time is rounded"),))
+    bench.run(0.3)
+    (begun,) = bench.take(Log)
+    assert (begun.level, begun.text) == (logging.WARNING, "board-limits: its heartbeat time is rounded")
 
 
 def test_locks_are_logged_as_warnings_because_an_operator_may_want_them(bench: StatusBench) -> None:

@@ -60,6 +60,9 @@ class PlayedGoal:
     id: str
     report: PlayedReport
 
+    def progress(self, wall: float) -> dict[str, float]:
+        return {"ends": wall}
+
 
 @dataclass
 class PlayedPrograms:

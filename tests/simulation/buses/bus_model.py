@@ -76,11 +76,11 @@ class BusModel:
         self.log: list[Frame] | None = None
         self._agenda, self._random = agenda, random
         self._to_boards, self._to_executor = to_boards, to_executor
-        self._at_rpdo: Callable[[], None] = lambda: None
+        self._at_rpdo: list[Callable[[], None]] = []
         self._at_sync: Callable[[], None] = lambda: None
         self._queue: deque[OnItsWay] = deque()  # of the executor; the first ones are in the mailboxes
         self._others: deque[Frame] = deque()
-        self._echoes_to_lose = 0  # of the next RPDOs
+        self._echoes_to_lose, self._loses_syncs = 0, False  # of the next RPDOs or SYNCs
         self.echo_lost_at = -1e12
         self.echo_owed = self._command_unknown = False
         self._on_wire: OnItsWay | Frame | None = None  # of the executor, or of a board
@@ -88,7 +88,7 @@ class BusModel:
     @property
     def healthy(self) -> bool:
         """Whether frames of the executor are sent at once."""
-        return self._connected and self.capacity == CAPACITY
+        return self._sends and self.capacity == CAPACITY
 
     @property
     def _connected(self) -> bool:
@@ -107,8 +107,9 @@ class BusModel:
         if self.room is not None:
             self.room -= 1
         if split(frame.id)[0] in RPDOS:
-            happen, self._at_rpdo = self._at_rpdo, lambda: None
-            happen()
+            due, self._at_rpdo = self._at_rpdo, []
+            for happen in due:
+                happen()
         if frame.id == SYNC:
             happen, self._at_sync = self._at_sync, lambda: None
             happen()
@@ -138,7 +139,11 @@ class BusModel:
 
     def at_next_rpdo(self, happen: Callable[[], None]) -> None:
         """Calls a function once, when the executor hands out an RPDO."""
-        self._at_rpdo = happen
+        self._at_rpdo.append(happen)
+
+    def await_no_rpdo(self) -> None:
+        """Calls no function at the next RPDO."""
+        self._at_rpdo.clear()
 
     def at_next_sync(self, happen: Callable[[], None]) -> None:
         """Calls a function once, when the executor hands out a SYNC."""
@@ -167,9 +172,9 @@ class BusModel:
         if self.state == "active":
             self._change("passive", "")
 
-    def lose_echo(self, count: int = 1) -> None:
-        """Loses the echoes of the next RPDOs."""
-        self._echoes_to_lose = count
+    def lose_echo(self, count: int = 1, sync: bool = False) -> None:
+        """Loses the echoes of the next RPDOs, or of the next SYNCs."""
+        self._echoes_to_lose, self._loses_syncs = count, sync
 
     def hear_answers(self) -> None:
         """Ends the loss of SDO answers."""
@@ -219,8 +224,8 @@ class BusModel:
                 self._queue.appendleft(on_wire)  # it stays in the controller
         elif isinstance(on_wire, OnItsWay):
             self._note(on_wire.frame)
-            rpdo = split(on_wire.frame.id)[0] in RPDOS
-            loses = rpdo and self._echoes_to_lose > 0
+            lost_one = on_wire.frame.id == SYNC if self._loses_syncs else split(on_wire.frame.id)[0] in RPDOS
+            loses = lost_one and self._echoes_to_lose > 0
             self._echoes_to_lose -= loses
             heard = self.echoes and not loses
             self._note_echo(on_wire.frame, heard)

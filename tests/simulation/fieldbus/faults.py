@@ -9,6 +9,7 @@ from tests.simulation.fieldbus.command_faults import CommandFaults
 from tests.simulation.fieldbus.expected import Expected, Fault
 from tests.simulation.fieldbus.object_faults import ObjectFaults
 from tests.simulation.fieldbus.supervision_faults import SupervisionFaults
+from tests.simulation.fieldbus.unsent_faults import UnsentFaults
 from tests.simulation.judge.verdict import Violation, require
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ PROBES = 0.5  # [s] between two questions to lost boards
 BACK = 3.0  # [s] until a mended board is heard
 
 
-MAKERS = SupervisionFaults, BusFaults, ObjectFaults, CommandFaults
+MAKERS = SupervisionFaults, BusFaults, ObjectFaults, CommandFaults, UnsentFaults
 
 
 class Faults:

@@ -118,7 +118,7 @@ class BoardWorld:
                 self.boot(new=random.random() < 0.7)
                 continue
             self.use.happen()
-            for _ in range(random.choice([0, 1, 2, 3])):
+            for _ in range(random.choice([1, 2, 3, 4])):
                 if self.ready:
                     self.faults.happen()
             drawn = random.random()

@@ -31,6 +31,7 @@ class Commit:
         contracts: whether the arm contracts at the end of the executor.
         releases: whether the RPDOs switch nothing on, and change no state.
         given_up: whether no SYNC may follow any more.
+        unread: mask of the actuators without end-stops that were switched before, and not read back at its begin.
         switched: mask of the actuators that its SYNCs have switched.
         switched_at: time of the last of these switches [s].
         switched_to: states after it.
@@ -50,6 +51,7 @@ class Commit:
     contracts: bool = False
     releases: bool = True
     given_up: bool = False
+    unread: int = 0
     switched: int = 0
     switched_at: float = 0.0
     switched_to: int = 0

@@ -187,6 +187,8 @@ class Endings:
         if a.clear and a.quitting and self._contracts:
             left = states & ~a.locked & ~(a.homing & ~a.unknown)
             require(not left, f"on_stop is contract, and {left:b} are extended at the end")
+            moving = a.ground.surely_moving(a.now)
+            require(not moving, f"on_stop is contract, and {moving:b} travel at the end")
             left = self._unknown & ~a.ground.came_since(self._quit_at)
             require(not left, f"on_stop is contract, and the unknown states of {left:b} are never brought there")
         if a.clear and a.quitting and a.arm.contracts_at_end and states & ~a.locked & ~a.homing:

@@ -244,6 +244,13 @@ class Commands:
         delay, longest = a.now - commit.at, a.arm.timing.heartbeat_timeout / 2
         require(delay <= longest + EPSILON, f"{bus}: a SYNC {delay:g} s after the RPDOs, of {longest:g} s at most")
 
+    def sync_again(self, bus: str) -> None:
+        """Judges a SYNC in place of one that could not be sent: the boards have its RPDOs."""
+        commit = self._a.commit
+        assert commit is not None
+        wanted = any(not (commit.extends ^ states) & commit.mask for states in self._stages())
+        require(wanted or not commit.given_up, f"{bus}: a SYNC again, for RPDOs that were given up")
+
     def switched(self, states: int, changed: int, known: int, commit: Commit | None) -> None:
         """Judges what a SYNC has switched at the boards, and the times of those of known state."""
         sure = changed & ~self.suspect

@@ -93,6 +93,8 @@ class Judge:
         self.account.begin()
         parts = self.snapshots, self.programs, self.streams, self.requests, self.traffic, self.log
         self._commits: dict[str, Commit] = {}  # last one of each bus
+        self._unsent: dict[str, Commit] = {}  # of each bus whose last SYNC could not be sent
+        self._behind: dict[str, set[int]] = {}  # frames behind a SYNC: each echo tells that the SYNC was sent
         for part in (*parts, self.commands, self.silence, self.clients, self.travels, self.reasons, self.proofs):
             part.begin()
 
@@ -152,11 +154,21 @@ class Judge:
     def echoes(self, bus: str, frame_id: int) -> None:
         """The process hears that a frame of its own was sent."""
         self.close_step()
-        if frame_id == SYNC and self.account.commit is not None:
+        tells = frame_id == SYNC or frame_id in self._behind.get(bus, ())
+        if tells:
+            self._behind.pop(bus, None)
+        if tells and self.account.commit is not None:
             self.account.commit.awaited.discard(bus)
-        if frame_id == SYNC and bus in self._commits:
+        if tells and bus in self._commits:
             arm = self.arm
             self.proofs.switched(self._commits[bus], mask_of(k for k in range(arm.count) if arm.bus_of[k] == bus))
+
+    def fails(self, bus: str, frame_id: int) -> None:
+        """The process hears that a frame of its own could not be sent; a SYNC may be sent again without RPDOs."""
+        self.close_step()
+        if frame_id == SYNC and bus in self._commits:
+            self._unsent[bus] = self._commits[bus]
+            self._commits[bus].awaited.discard(bus)
 
     def _lose_silent(self) -> None:
         """The planner was silent for too long."""
@@ -172,13 +184,22 @@ class Judge:
         self.counts.hands_out(bus)
         if frame_id & 0x780 in RPDOS:
             if a.commit is None or a.commit.at != a.now:
-                a.commit = Commit(a.now, a.believed)
+                a.commit = Commit(a.now, a.believed, unread=self.proofs.unread)
                 self.programs.switches_for = a.run
             a.commit.open.add(bus)
             self._commits[bus] = a.commit
+            self._unsent.pop(bus, None)
             self.commands.commit(bus, frame_id, data)
+        elif frame_id > SYNC and bus in self._behind:
+            self._behind[bus].add(frame_id)
         elif frame_id == SYNC:
-            self.commands.sync(bus)
+            self._behind[bus] = set()
+            again = self._unsent.pop(bus, None)
+            if again is None:
+                self.commands.sync(bus)
+            else:
+                a.commit = again
+                self.commands.sync_again(bus)
             assert a.commit is not None
             a.commit.open.discard(bus)
             a.commit.awaited.add(bus)

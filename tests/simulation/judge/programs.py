@@ -161,6 +161,9 @@ class Programs:
         states = run.stages[k].states
         if a.clear and not run.delayed:
             self._judge_begun(run, k, at, before)
+        if commit is not None and run.strict_from <= at:
+            text = f"stage {k} of program {run.number} is strict"
+            require(not commit.unread, f"{text}, and began before {commit.unread:b} were read back")
         if a.clear:
             self._judge_switches(run, message.switches, f"stage {k} of program {run.number}")
         skipped = range(run.taken + 1, k)

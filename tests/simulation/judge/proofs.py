@@ -21,6 +21,7 @@ class Proofs:
     Attributes:
         missed: mask of the actuators whose last pulse was over before it was read; it may be given again.
         states: states of the last pulses.
+        heard_at: when the process heard that a SYNC was sent [s].
 
     Args:
         account: of the executor.
@@ -41,6 +42,7 @@ class Proofs:
         """Forgets the last process."""
         self._ready_at = math.inf  # end of the last boot [s]
         self.missed = self.states = self._open = 0
+        self.heard_at = -math.inf
         self._on: tuple[int, int] | None = None  # commanded last: extending outputs, contracting outputs of pairs
         self._known_at = [0.0] * self._a.arm.count  # when the process heard of each actuator's SYNC [s]
         self._asked: dict[tuple[str, int, int], float] = {}  # last request for each byte of outputs [s]
@@ -52,6 +54,7 @@ class Proofs:
 
     def switched(self, commit: Commit, here: int) -> None:
         """The process hears that the SYNC of a commit was sent to the boards of the actuators of a mask."""
+        self.heard_at = self._a.now
         a, paired, here = self._a, self._a.arm.paired, here & commit.mask
         extends, contracts = self._on or (0, 0)
         self._on = merged(here, commit.extends, extends), merged(here, commit.contracts_to & paired, contracts)

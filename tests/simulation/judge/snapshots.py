@@ -231,5 +231,6 @@ class Snapshots:
         if now - last > SEEN_WITHIN and last > a.ready_at:
             least = max(ground.due(k) for k in range(a.arm.count) if ground.switched_at[k] == last)
             require(snapshot.free_at >= least - EPSILON, f"free_at is {snapshot.free_at:.6f}, {least:.6f} at least")
-        most = max(last, a.ready_at, a.locks_changed_at) + max(map(max, a.arm.travel)) + SEEN_WITHIN
+        last = max(last, self._proofs.heard_at, a.ready_at, a.locks_changed_at)
+        most = last + max(map(max, a.arm.travel)) + SEEN_WITHIN
         require(snapshot.free_at <= most, f"free_at is {snapshot.free_at:.6f}, {most:.6f} at most")

@@ -16,7 +16,7 @@ from hyperbit.controller.planning.core.events import (
     Payload,
     Record,
 )
-from hyperbit.controller.program import Counted, Diagnostics, Snapshot, Up, unpack
+from hyperbit.controller.program import Counted, Diagnostics, Down, PlayableFaults, Snapshot, Up, unpack
 from tests.simulation.agenda import Agenda
 from tests.simulation.executor.process import ExecutorProcess
 from tests.simulation.judge.interface.facts import Request
@@ -70,6 +70,7 @@ class Daemon:
         executor: the executor's process.
         note: takes events for the story.
         judge: judges what clients see.
+        simulation: faults that can be played in simulated boards; None: the boards count as real.
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class Daemon:
         executor: ExecutorProcess,
         note: Callable[[object], None],
         judge: Callable[[Daemon], InterfaceJudge],
+        simulation: PlayableFaults | None,
     ) -> None:
         self.executed, self.arm, self.agenda, self.pace = executed, arm, agenda, pace_of(arm.settings)
         weights = drawn("weights")
@@ -102,6 +104,8 @@ class Daemon:
         self._errs = self._random.choice([0.0, 0.0, 0.3])
         self.awake_since, self.slow, self.congestion, self._offset = 0.0, 0.0, 0.0, UNIX
         self.judge = judge(self)
+        self.simulated, self.judge.gateway.playable = simulation is not None, simulation
+        self.judge.account.simulated = self.simulated
         self.witness = PlannerWitness(self.judge, agenda, self.mood, note)
         self.zenoh = ZenohModel(agenda, drawn("zenoh"), self, lambda: self.awake_since)
         self._claims = drawn("claims")
@@ -111,6 +115,7 @@ class Daemon:
         self.process: PlannerProcess | None = None
         self._processes = 0
         self.network.wake, self.network.hears = self._readable, self._hears
+        self.network.sends = self._sends
         agenda.after(0.0, self.start)
 
     # --- the process and its service manager
@@ -159,6 +164,11 @@ class Daemon:
         if isinstance(message, Counted | Diagnostics):
             self._counted.append((self.agenda.now, message.counts))
         self.judge.hears(message)
+
+    def _sends(self, message: Down) -> None:
+        """Takes what leaves the planner's end of the socket."""
+        self.judge.at(self.agenda.now)
+        self.judge.link.sends(message)
 
     @property
     def counted(self) -> tuple[int, ...]:
@@ -284,6 +294,19 @@ class Daemon:
         account.note("slow")
         account.note("congested")
 
+    def fill_socket(self, places: int) -> None:
+        """Makes the socket to the executor full after some packets."""
+        self.network.fill(places)
+        self.judge.at(self.agenda.now)
+        self.judge.account.full = True
+
+    def drain_socket(self) -> None:
+        """Makes the socket to the executor writable again."""
+        self.judge.at(self.agenda.now)
+        self.judge.account.full = False
+        self.judge.account.note("full")
+        self.network.drain()
+
     def set_clock(self) -> None:
         """Changes the wall clock."""
         by = self._random.choice([-3600.0, -1.0, -0.1, 0.1, 1.0, 3600.0])
@@ -298,6 +321,7 @@ class Daemon:
         self.search.errs, self.storage.marked = 0.0, nothing
         self.hold_up()
         self.lose_network(False)
+        self.drain_socket()
         self.storage.full, self.storage.fills_at = False, None
         self.saved.fill(False)
         if self.process is not None:

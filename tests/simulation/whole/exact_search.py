@@ -259,6 +259,8 @@ class ExactSearch:
                 where = f"waypoints[{k}].position"
                 position = ", ".join(f"{x:g}" for x in trajectory.positions[k])
                 return Refusal(Reason.OUT_OF_REACH, where=where, position=position, turned="", nearest="none is near")
+        if (free == graph.permitted).all():  # few switches at a time, and locks
+            return Refusal(Reason.NO_CONFIGURATION, where="waypoints", error="no way of allowed switches leads there")
         facts = {"where": "waypoints", "proof": "as all configurations show", "blocked": "obstacles"}
         return Refusal(Reason.NO_WAY, **facts)
 

@@ -126,7 +126,9 @@ class PlannerProcess:
         self._actions_left: int | None = None
         arm, storage, post = daemon.arm, daemon.storage, self.post
         self.inbox = SimulatedInbox(self)
-        self.link = SimulatedLink(daemon.network, arm.settings.name, daemon.executed.digest, self._now)
+        self.link = SimulatedLink(
+            daemon.network, arm.settings.name, daemon.executed.digest, self._now, daemon.simulated
+        )
         self.ledger = SimulatedLedger(self._agenda, random, storage, self._lives, post, daemon.record)
         self.searcher = Searcher(self._agenda, random, daemon.search, daemon.mood, post)
         self.session, self.goals = daemon.zenoh.open(), RepeatedGoals(self._now)
@@ -144,7 +146,14 @@ class PlannerProcess:
         )
         published, owed = dict(storage.published), storage.owed()
         beginning = Beginning(
-            f"p{number}-", Tables(0, locked), VersionedScene(0, True, ()), 0, storage.counts, published, owed
+            f"p{number}-",
+            Tables(0, locked),
+            VersionedScene(0, True, ()),
+            0,
+            storage.counts,
+            published,
+            owed,
+            simulated=daemon.simulated,
         )
         self.core = Core(arm, pace_of(arm.settings), beginning)
         clocks = self._now, daemon.wall

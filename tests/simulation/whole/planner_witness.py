@@ -69,7 +69,7 @@ class PlannerWitness:
         match action:
             case ToExecutor(message):
                 self._judge.at(self._agenda.now)
-                self._judge.link.sends(message)
+                self._judge.link.hands_out(message)
                 if isinstance(message, Setpoint):
                     self._judge.streams.sends(message)
                 if not isinstance(message, Alive):

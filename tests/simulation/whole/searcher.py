@@ -7,12 +7,22 @@ from collections.abc import Callable, Iterator
 from random import Random
 
 from hyperbit.controller.planning.core.events import Answered, Event
-from hyperbit.controller.planning.core.tasks import Answer, Done, Failed, FollowSetpoint, ImprovePlan, PlanGoal, Task
+from hyperbit.controller.planning.core.tasks import (
+    Answer,
+    DescribePlan,
+    Done,
+    Failed,
+    FollowSetpoint,
+    ImprovePlan,
+    PlanGoal,
+    Task,
+)
 from hyperbit.controller.planning.workers.pool import THREADS
 from tests.simulation.agenda import Agenda
 from tests.simulation.whole.exact_search import ExactSearch
 
 ABANDONED_WITHIN = 0.05  # [s]
+LONG_PLAN = 4.0  # times as long as other searches takes a plan that is only described
 USUAL_DELAY = 0.01  # [s], mean time of a task
 
 
@@ -99,7 +109,7 @@ class Searcher:
         elif self._random.random() < self._mood.fails:
             self._agenda.after(delay, lambda: self._end(number, Failed("ValueError: drawn")))
         else:
-            delay *= 0.3 if isinstance(task, FollowSetpoint) else 1.0
+            delay *= 0.3 if isinstance(task, FollowSetpoint) else LONG_PLAN if isinstance(task, DescribePlan) else 1.0
             self._agenda.after(delay, lambda: self._proceed(number, self._search.answers(task), task))
 
     def _proceed(self, number: int, answers: Iterator[Answer], task: Task) -> None:

@@ -40,6 +40,8 @@ class InterfaceAccount:
         scenes: number of scenes that workers build.
         slow: whether rounds of the planner's loop take long.
         congested: whether peers read slowly.
+        simulated: whether the executor simulates its boards.
+        full: whether the socket to the executor is full.
         lead: time of one stage [s]; `travel` and `rest` are the times of one actuator, of the arm's file.
         inrush: whether few actuators may switch at once, so that a stage waits for the one before.
         switched_at: time of the snapshot that showed the last switch of each actuator [s].
@@ -65,7 +67,7 @@ class InterfaceAccount:
         self.interlock_open: Callable[[], bool] = lambda: False
         self.bias: tuple[float, ...] | None = None
         self.offset, self.clamp, self.hold = (0.0, 0.0), 0.0, 0.0
-        self.slow = self.congested = False
+        self.slow = self.congested = self.full = self.simulated = False
         self.ledger_counts: tuple[int, ...] = ()
         self.disk_failed = False
         self.numbers = 0
@@ -150,6 +152,11 @@ class InterfaceAccount:
     def lately(self, kind: str, seconds: float) -> bool:
         """Returns whether there was an event of a kind in the last seconds that the process was awake."""
         return kind in self._last and self._last[kind][1] >= self.awake - seconds
+
+    @property
+    def full_lately(self) -> bool:
+        """Whether the socket to the executor is full, or was a moment ago."""
+        return self.full or self.lately("full", 0.5)
 
     # --- what held
 

@@ -6,6 +6,7 @@ import json
 from collections import Counter, deque
 from typing import Any
 
+from hyperbit.controller.program import PlayableFaults
 from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
 from tests.simulation.judge.interface.facts import Payload, Request
 from tests.simulation.judge.interface.messages import well_formed
@@ -28,6 +29,7 @@ class Gateway:
 
     Attributes:
         recorded: whether a recorder listens.
+        playable: faults that can be played in the boards; None: the boards count as real.
 
     Args:
         account: of the planner's side.
@@ -35,6 +37,7 @@ class Gateway:
 
     def __init__(self, account: InterfaceAccount) -> None:
         self._a, self.recorded = account, False
+        self.playable: PlayableFaults | None = None
         self.poses: dict[str, Any] = {}  # saved, by name
         self.unwritable = self.damaged = False
         self._homes = ""
@@ -177,6 +180,20 @@ class Gateway:
 
     # --- the description
 
+    def _judge_simulation(self, answer: Payload, text: str) -> None:
+        """Judges whether the boards are simulated, and which faults can be played while an executor is there."""
+        require(answer["simulated"] is (self.playable is not None), f"{text} says simulated: {answer['simulated']}")
+        told = answer["simulation"]
+        connected = {heard.snapshot is not None for heard in self._a.truths(DELAY + 0.5 * self._a.slow)}
+        require(told is not None or self.playable is None or False in connected, f"{text} tells no faults to play")
+        if told is not None:
+            require(self.playable is not None, f"{text} tells faults of real boards: {told}")
+            assert self.playable is not None
+            wanted = {kind: list(getattr(self.playable, kind)) for kind in ("boards", "buses", "interlocks")}
+            fields = ("verb", "target", "argument", "text")
+            faults = [{name: getattr(verb, name) for name in fields} for verb in self.playable.faults]
+            require(told == {**wanted, "faults": faults}, f"{text} tells the faults {told}")
+
     def description(self, request: Request, answer: Payload) -> None:
         """Judges the description of the arm."""
         a, text = self._a, f"the answer to {request}"
@@ -185,7 +202,7 @@ class Gateway:
         for part in ("running", "drawing", "file"):
             require((part in answer) == (part in wanted), f"{text}; {part} is asked for: {part in wanted}")
         require(answer["actuators"] == list(a.modules.labels), f"{text} has the actuators {answer['actuators']}")
-        require(answer["simulated"] is False and answer["simulation"] is None, f"{text} is simulated")
+        self._judge_simulation(answer, text)
         require(set(answer["daemon"]) == {"host", "pid"}, f"{text} has the daemon {answer['daemon']}")
         self._judge_list(request, answer["poses"], text)
         regions = answer["sent_obstacles"]

@@ -10,7 +10,7 @@ from hyperbit.controller.program import Snapshot, unpack
 from tests.simulation.judge.interface.account import DELAY, InterfaceAccount
 from tests.simulation.judge.interface.asked import barring, ends_at, lined, patience, posed, wanted
 from tests.simulation.judge.interface.facts import Heard, Request
-from tests.simulation.judge.interface.locks import leaves_states
+from tests.simulation.judge.interface.locks import may_leave_none
 from tests.simulation.judge.interface.messages import well_formed
 
 EPOCH_IN_FLIGHT = 0.1  # [s] from a new epoch of the executor to the planner, which may still be reading
@@ -114,6 +114,8 @@ def _behind(a: InterfaceAccount, request: Request) -> bool:
 
 
 def _lost(a: InterfaceAccount, request: Request) -> bool:
+    if a.full_lately and request.key in ("stop", "cancel"):  # sent at once, or not at all
+        return True
     return a.had("link", request.at) or _disconnected(a, request)
 
 
@@ -268,7 +270,7 @@ def _interlock(a: InterfaceAccount, request: Request) -> bool:
 def _without_state(a: InterfaceAccount, request: Request) -> bool:
     """No configuration has the locked actuators in their states."""
     k, state = a.modules.labels.index(request.body["actuator"]), request.body["state"]
-    return _any(a, request, lambda snapshot: not leaves_states(a.modules, snapshot, k, state))
+    return _any(a, request, lambda snapshot: may_leave_none(a.modules, snapshot, k, state))
 
 
 def _unknown_goal(a: InterfaceAccount, request: Request) -> bool:
@@ -331,6 +333,7 @@ GROUNDS: dict[str, Callable[[InterfaceAccount, Request], bool]] = {
     "line-with-pose": _line_with_pose,
     "line-too-fast": _too_fast,
     "plan-canceled": _plan_canceled,
-    "not-simulated": lambda a, request: request.key == "fault",
+    "not-simulated": lambda a, request: request.key == "fault" and not a.simulated,
+    "no-such-fault": lambda a, request: request.key == "fault" and a.simulated,
     "interlock-open": _interlock,
 }

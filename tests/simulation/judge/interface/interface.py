@@ -81,6 +81,7 @@ class InterfaceJudge:
         self._replacing: Replacement | None = None  # the last one that the executor took
         self._met = 0  # instance of the executor that the planner is connected to
         self._ticked = 0.0
+        self._epoch = -1  # that the executor told last
 
     # --- the planner's process
 
@@ -219,6 +220,10 @@ class InterfaceJudge:
         """The executor sends a message."""
         a = self.account
         match message:
+            case Snapshot():
+                if message.epoch != self._epoch:
+                    self._epoch = message.epoch
+                    a.note("epoch")
             case Accepted() if self._asked is not None:
                 self._accept(self._asked, message)
             case Replaced(accepted=True) if (ran := self._of(message.program)) is not None:

@@ -17,6 +17,10 @@ AGREE_WITHIN = 0.3  # [s], awake, between a state and the lines on its faults
 WATCHDOG = 1.3, 0.9  # [s], awake, longest and shortest time between two
 MANY = f"more than {MOST_LINES} requests are refused in this second"
 UNTOLD = {"clock-set", "network-lost", "ledger-unwritten"}  # warnings, which the shell logs itself
+WARNINGS = {  # of the executor's page
+    *("bus-passive", "board-limits", "outputs-off", "ledger-damaged", "journal", "in-obstacle", "unknown-state"),
+    *("unknown-position", "degraded"),
+}
 BY_GATEWAY = ("not-named", "busy", "unknown-goal")
 
 
@@ -61,7 +65,7 @@ class Journal:
             self._over[key] = self._a.awake
             return
         require(key not in self._faults, f"the journal tells {key} again")
-        wanted = logging.WARNING if key[0] == "degraded" else logging.ERROR
+        wanted = logging.WARNING if key[0] in WARNINGS else logging.ERROR
         require(text.startswith(f"{key[0]}: ") and level == wanted, f"the line {text} has the level {level}")
         self._faults[key] = self._a.awake
 
@@ -102,7 +106,8 @@ class Journal:
         for key in self._faults.keys() - told:
             since = awake - self._faults[key]
             require(since < AGREE_WITHIN, f"the journal tells {key} for {since:g} s, and state does not")
-        status = f"STATUS={payload['mode']}: {payload['reason']}"
+        boards = " (simulated)" if self._a.simulated else ""
+        status = f"STATUS={payload['mode']}{boards}: {payload['reason']}"
         lately = [text for at, text in self._statuses if awake - at < AGREE_WITHIN]
         before = [text for at, text in self._statuses if awake - at >= AGREE_WITHIN]
         permitted = [*before[-1:], *lately]

@@ -17,6 +17,7 @@ from tests.simulation.judge.interface.refusals import judge_refusal
 from tests.simulation.judge.verdict import require
 
 EXECUTOR_ANSWERS = 3.0  # [s], awake: the planner gives an executor up after 2 s without an answer
+SLOW_PEER = 0.15  # [s] that an answer waits for a peer that reads slowly, for each answer before it
 ANSWERED_WITHIN = {  # [s], awake, from the arrival to the answer
     **dict.fromkeys(("stop", "cancel", "reset", "degrade", "fault"), EXECUTOR_ANSWERS),
     **dict.fromkeys(("arm", "result", "poses"), 1.0),
@@ -131,6 +132,8 @@ class Requests:
                 self._locks(request)
             case "result":
                 self._judge_result(request, answer)
+            case "fault":
+                require(a.simulated, f"{text}; the boards are real")
             case "plan":
                 judge_plan(a, request, answer, text)
 
@@ -308,6 +311,8 @@ class Requests:
             if a.reconnecting:  # answers wait behind results
                 continue
             longest = ANSWERED_WITHIN.get(request.key, patience(request) + LATE + WRITTEN_WITHIN)
+            if a.congested or a.lately("congested", longest):
+                longest += SLOW_PEER * sum(r.query and r.answered_at >= request.at for r in a.requests)
             if request.key == "obstacles" and (a.scene_building or a.had("cubes", a.now - longest)):
                 continue
             require(waited <= longest, f"{request} has no answer after {waited:g} s, awake; {longest:g} s at most")

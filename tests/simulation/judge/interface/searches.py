@@ -199,7 +199,7 @@ class Searches:
         before, self._prepared = self._prepared, search
         if goal is None:
             same = before is not None and before.goal is None and basis(before) == basis(search)
-            kinds = ("motion asked", "scene")  # a scene that fails leaves the same obstacles, with another number
+            kinds = ("motion asked", "scene", "tables")  # what is built anew may be as before, with another number
             interrupted = before is not None and any(a.had(kind, before.at - 0.1) for kind in kinds)
             require(not same or interrupted, f"{text} was prepared before, and nothing has changed")
             return
@@ -220,9 +220,12 @@ class Searches:
         waiting = [r for r in a.requests if self._waits(r)]
         self._find_late(waiting)
         self._find_unprepared()
+        ended = [r.at for r in a.requests if r.accepted and ends_motion(r) and r.answered_at < a.now - STALE - 0.02]
         for search in self._running.values():
             if search.kind == "goal" and not search.abandoned:
                 self._judge_needed(search, waiting)
+            if search.kind == "follow" and not search.abandoned and ended:
+                require(search.at > ended[-1], f"the task {search.number} goes on, and its stream has ended")
 
     def _find_unprepared(self) -> None:
         """Finds a next search that is not prepared, though nothing has happened for a while."""
@@ -315,3 +318,8 @@ class Searches:
             return False
         runs = [ran for ran in self._a.programs.values() if ran.at >= request.at]
         return not any(ran.goal == request.goal or (ran.jog and request.key == "jog") for ran in runs)
+
+
+def ends_motion(request: Request) -> bool:
+    """Returns whether a request ends whatever runs."""
+    return request.key == "stop" or (request.key == "cancel" and request.goal is None)
