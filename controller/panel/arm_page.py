@@ -53,7 +53,7 @@ class RequestThreads:
     """The threads that send requests to daemons. Stops have their own threads, so that they never wait."""
 
     def __init__(self) -> None:
-        self.stops = ThreadPoolExecutor(4, "stop")
+        self.stops = ThreadPoolExecutor(32, "stop")  # pages ask a silent daemon again and again
         self.plans = ThreadPoolExecutor(4, "plan")
         self.others = ThreadPoolExecutor(8, "ask")
 

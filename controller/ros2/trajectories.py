@@ -121,9 +121,9 @@ def _configuration(manipulator: Manipulator, states: Sequence[int | None], where
 
 
 def _tolerances(goal: Any, axes: Sequence[str]) -> Fields:
-    """Returns the fields `tolerance` and `path_tolerance` of the daemon's goal.
+    """Returns `tolerance` and `path_tolerance` of the daemon's goal. 0 means the default, and -1 no tolerance.
 
-    In a message 0 means the default, and -1 no tolerance. A position has one always, that of the arm's file.
+    A position always has a tolerance: that of the arm's file.
     """
     result: Fields = {}
     for where, entries in (("goal_tolerance", goal.goal_tolerance), ("path_tolerance", goal.path_tolerance)):
