@@ -81,7 +81,7 @@ def test_the_file_has_every_field_of_the_reference() -> None:
 def test_commands_without_a_daemon(ran: Any, arm: Path, tmp_path: Path) -> None:
     file = str(arm)
     assert json.loads(ran("check", file, "--json", "--picture", "arm.png"))["warnings"] == []
-    told = json.loads(ran("fk", file, "0,0,0,0,0,0", "--json"))
+    told = json.loads(ran("fk", file, "0,0,0,0,0,0,0,0", "--json"))
     goal = ",".join(str(x) for x in told["position"])
     planned = json.loads(ran("plan", file, "--goal", goal, "--json", "--deadline", "2"))
     assert planned["within_tolerance"]
@@ -113,7 +113,7 @@ def test_commands_of_a_running_arm(ran: Any, arm: Path, tmp_path: Path) -> None:
         eventually(lambda: "serving the arm" in log.read_text() or daemon.poll() is not None, 90, told=log.read_text)
         assert "wrong-device" not in log.read_text()
         assert "every" in ran("fleet", *there)
-        ran("send", "every", "--configuration", "010101", *there)
+        ran("send", "every", "--configuration", "01010100", *there)
         ran("jog", "every", "2.1=extended", *there)
         ran("lock", "every", "5.1=contracted", *there)
         ran("lock", "every", "5.1=free", *there)
