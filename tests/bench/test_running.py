@@ -19,7 +19,7 @@ BEST = {(task.arm, task.start.tobytes(), task.position): task for task in TASKS}
 
 
 def known(arm: BenchArm, goal: hb.Goal, start: np.ndarray) -> Task:
-    return BEST[arm.name, start.tobytes(), goal.position]
+    return BEST[arm.name, start.tobytes(), tuple(goal.position)]
 
 
 def ran(answer) -> Row:
