@@ -20,13 +20,21 @@ from hyperbit.controller.library.goals import Goal, Number, ToleratedGoal, with_
 from hyperbit.controller.library.obstacles import Obstacle, build_obstacles
 from hyperbit.controller.manipulator.manipulator import Configuration
 from hyperbit.controller.motion.plans.transitions import TransitionPlanner
-from hyperbit.controller.motion.plans.whole import WHOLE_TIME, TipGoals, plan_whole, unhurried
+from hyperbit.controller.motion.plans.whole import (
+    PROOF_TIME,
+    WHOLE_TIME,
+    Means,
+    TipGoals,
+    plan_whole,
+    proof_means,
+    unhurried,
+)
 from hyperbit.controller.motion.stages.pacing import pace_of
 from hyperbit.controller.motion.trajectory import MOST_POINTS
 from hyperbit.controller.refusals.refusal import Refusal
 from hyperbit.controller.search import solver as search
 from hyperbit.controller.search.method import METHODS, MINIMUM_SWITCH, Method
-from hyperbit.controller.search.solution import Certificate, SearchTime, Solution
+from hyperbit.controller.search.solution import Certificate, SearchTime, Solution, gap
 
 GOAL_DEADLINE, PATH_DEADLINE = search.TIMEOUT, WHOLE_TIME
 
@@ -73,6 +81,11 @@ class Path:
     def lower_bound(self) -> float | None:
         """The lower bound; None if nothing is proven."""
         return None if self.certificate == "unknown" else self.bound
+
+    @property
+    def gap(self) -> float | None:
+        """Share by which the cost exceeds the lower bound; None if nothing is proven."""
+        return gap(self.certificate, self.bound, self.cost)
 
 
 class Solver:
@@ -191,8 +204,9 @@ class Solver:
         *,
         path_tolerance: Number | None = None,
         method: Method = MINIMUM_SWITCH,
-        deadline: Number = GOAL_DEADLINE,
+        deadline: Number | None = None,
         path_deadline: Number = PATH_DEADLINE,
+        prove: bool = False,
     ) -> Path:
         """Returns a path through goals.
 
@@ -204,15 +218,20 @@ class Solver:
             start: configuration (B,) as an array or text, or a solution or path whose end is the start; None: `home`.
             path_tolerance: greatest distance of the tip from the straight lines between the goals; None: no limit.
             method: one of `METHODS`.
-            deadline: average time for the search of each point [s].
+            deadline: average time for the search of each point [s]; None: 50 ms. With `prove`: time for the search over
+                the whole path; None: 60 s.
             path_deadline: time for the search over the whole path [s]; the search for stages follows after it.
+            prove: whether the search over the whole path goes on until `deadline`, or until its lower bound meets the
+                cost. It uses all processors, and up to 1.5 GB.
 
         Raises:
             GoalError: there is no goal, a goal has another dimension than the arm, or a deadline is not positive.
             ConfigurationError: the start is no configuration of the arm.
             PathError: a goal is out of reach, or an obstacle blocks the path.
         """
-        check_search(method, deadline=deadline, path_deadline=path_deadline)
+        point = GOAL_DEADLINE if deadline is None or prove else float(deadline)
+        whole = (PROOF_TIME if deadline is None else float(deadline)) if prove else float(path_deadline)
+        check_search(method, deadline=point, path_deadline=whole)
         if not 1 <= len(goals) <= MOST_POINTS:
             raise GoalError(f"1 to {MOST_POINTS} goals are needed, got {len(goals)}")
         asked = [self._with_tolerances(goal) for goal in goals]
@@ -221,8 +240,9 @@ class Solver:
         try:
             trajectory = unhurried(self._goals(asked, line), pace, line)
             planner = TransitionPlanner(self._search, trajectory, pace)
-            first = search.search_time(float(deadline) * len(trajectory.times))
-            found = plan_whole(planner, before, method, first, float(path_deadline))
+            first = search.search_time(point * len(trajectory.times))
+            means = proof_means() if prove else Means()
+            found = plan_whole(planner, before, method, first, whole, means)
         except Refusal as refusal:
             raise PathError(str(refusal)) from None
         solutions = tuple(self._whole(solution) for solution in found.solutions)

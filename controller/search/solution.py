@@ -181,6 +181,13 @@ def certificate(feasible: bool, bound: float, cost: float) -> Certificate:
     return "bound" if bound > 0 else "unknown"
 
 
+def gap(kind: Certificate, bound: float, cost: float) -> float | None:
+    """Returns the share by which a cost exceeds its lower bound; None if nothing is proven."""
+    if kind not in ("optimal", "bound"):
+        return None
+    return 0.0 if proves(bound, cost) else cost / bound - 1
+
+
 def proof(kind: Certificate, bound: float) -> dict[str, str | bool | float | None]:
     """Returns the fields `optimal`, `lower_bound` and `certificate` for JSON, which has no infinity."""
     known = kind in ("optimal", "bound")

@@ -1,6 +1,7 @@
 """Goals, paths and pictures of the library."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,10 +100,11 @@ def test_paths_begin_where_the_last_ended(arm: hb.Arm, ik: hb.Solver) -> None:
     assert again.solutions[0].switches == arm.switches(before, again.configurations[0])
 
 
-def test_paths_of_fewest_switches_are_proven(arm: hb.Arm, ik: hb.Solver) -> None:
+@pytest.mark.parametrize("means", [{"path_deadline": DEADLINE}, {"deadline": DEADLINE, "prove": True}])
+def test_paths_of_fewest_switches_are_proven(arm: hb.Arm, ik: hb.Solver, means: dict[str, Any]) -> None:
     rows = arm.sample(3, seed=4)
     goals = arm.frames(rows)[:, :2, 3]
-    path = ik.follow(list(goals), path_deadline=DEADLINE)
+    path = ik.follow(list(goals), **means)
     states = np.array([arm.actuator_states(row) for row in EVERY]).astype(int)
     near = [np.linalg.norm(arm.frames(EVERY)[:, :2, 3] - goal, axis=1) <= arm.tolerance for goal in goals]
     costs, before = np.zeros(1), arm.actuator_states(arm.home).astype(int)[None]
@@ -110,6 +112,7 @@ def test_paths_of_fewest_switches_are_proven(arm: hb.Arm, ik: hb.Solver) -> None
         steps = (states[served][:, None] != before[None]).sum(axis=2)
         costs, before = (costs + steps).min(axis=1), states[served]
     assert path.certificate == "optimal"
+    assert path.gap == 0.0
     assert path.switches == path.cost == path.bound == path.lower_bound == costs.min()
 
 

@@ -51,6 +51,7 @@ ANGLE_TOLERANCE = "Orientation tolerance [rad]. Default: the arm's."
 DEADLINE = "Longest time of planning [s], also for a goal that is not found. Default: see `planning` of the arm's file."
 EFFORT = "Work of each search instead of a deadline, about one unit a millisecond: the same answers on every run."
 APART = "Search each goal of --goals by itself, from --previous or from its own `previous`."
+PROVE = "Search the whole trajectory of --goals until its switches are proven fewest, or until --deadline (60 s)."
 OUTPUT = "Write the results of --goals to a file as JSON lines; started again, the command goes on where it ended."
 START = "Configuration to start from. Default: all contracted."
 MOST_ROWS = 300  # of a table, which is printed at the end
@@ -69,6 +70,7 @@ def plan(
     deadline: Annotated[float | None, typer.Option(help=DEADLINE)] = None,
     effort: Annotated[float | None, typer.Option(help=EFFORT)] = None,
     apart: Annotated[bool, typer.Option("--apart", help=APART)] = False,
+    prove: Annotated[bool, typer.Option("--prove", help=PROVE)] = False,
     workers: Workers = 1,
     dask: Dask = None,
     output: Annotated[Path | None, typer.Option(metavar="FILE.jsonl", help=OUTPUT)] = None,
@@ -76,7 +78,7 @@ def plan(
 ) -> None:
     """Search configurations for goals, without hardware."""
     tolerances = tolerance, angle_tolerance, path_tolerance
-    options = PlanOptions(goal, goals, configuration, previous, *tolerances, method, deadline, effort, apart)
+    options = PlanOptions(goal, goals, configuration, previous, *tolerances, method, deadline, effort, apart, prove)
     sharing = checked_sharing(workers, dask)
     if goals is None and (given := sharing.given or (output and "--output")):
         raise InputFaults(Path(given), ["it is for many goals: give --goals FILE.csv"])
@@ -85,7 +87,7 @@ def plan(
     home = np.zeros(len(arm.reduced.modules), dtype=np.int64)
     start = home if previous is None else unlocked(arm, previous, "--previous")
     if goals is not None:
-        study_goals(PlanJob(arm, options, start, silent=as_json), sharing, output, as_json=as_json)
+        study_goals(PlanJob(arm, options, start, sharing.workers, silent=as_json), sharing, output, as_json=as_json)
         return
     wanted = None if goal is None else WantedGoal(*parse_goal(goal.split(","), arm.manipulator.dimension, "--goal"))
     shape = home if configuration is None else unlocked(arm, configuration, "--configuration")
@@ -115,6 +117,8 @@ def check_options(options: PlanOptions) -> None:
         raise InputFaults(Path("--path-tolerance"), ["lines need several goals: give --goals FILE.csv"])
     if options.apart and (options.goals is None or options.path_tolerance is not None):
         raise InputFaults(Path("--apart"), ["it is for --goals FILE.csv, without --path-tolerance"])
+    if options.prove and (options.goals is None or options.apart):
+        raise InputFaults(Path("--prove"), ["it is for a trajectory: give --goals FILE.csv, without --apart"])
     if options.effort is not None and options.goals is not None and not options.apart:
         raise InputFaults(
             Path("--effort"), ["a trajectory is planned by time; add --apart to search each goal by itself"]
@@ -137,6 +141,7 @@ class PlanJob(NamedTuple):
     arm: Arm
     options: PlanOptions
     start: Configuration
+    processes: int  # that share the processors of this computer
     silent: bool  # show no progress of the tables
 
     def prepare(self) -> Run:
@@ -145,7 +150,7 @@ class PlanJob(NamedTuple):
 
         def run(goals: list[WantedGoal]) -> Iterator[Row]:
             apart = (search_one(search, goal, self.start) for goal in goals)
-            for point in apart if self.options.apart else follow(search, goals, self.start):
+            for point in apart if self.options.apart else follow(search, goals, self.start, self.processes):
                 yield row_of(self.arm, self.options, point)
 
         return run

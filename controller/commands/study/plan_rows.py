@@ -59,6 +59,7 @@ class PlanOptions(NamedTuple):
     deadline: float | None
     effort: float | None
     apart: bool
+    prove: bool
 
 
 class WantedGoal(NamedTuple):

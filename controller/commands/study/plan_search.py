@@ -67,14 +67,17 @@ def search_one(search: GoalSearch, goal: WantedGoal, start: Configuration) -> Po
     return PointSolution(goal.position, goal.orientation, found)
 
 
-def follow(search: GoalSearch, goals: list[WantedGoal], start: Configuration) -> Iterator[PointSolution]:
+def follow(
+    search: GoalSearch, goals: list[WantedGoal], start: Configuration, processes: int
+) -> Iterator[PointSolution]:
     """Yields the solution of each point of a trajectory from `start` (B,), as the daemon answers `plan`.
 
     The trajectory leaves enough time for all switches. Goals that cannot be planned as one trajectory are searched
-    separately, each from the solution before. Lines between goals that cannot be followed end the command.
+    separately, each from the solution before. Lines between goals that cannot be followed end the command. Some
+    processes share the processors.
     """
     from hyperbit.controller.motion.plans.transitions import TransitionPlanner
-    from hyperbit.controller.motion.plans.whole import first_time, plan_whole, unhurried
+    from hyperbit.controller.motion.plans.whole import PROOF_TIME, Means, first_time, plan_whole, proof_means, unhurried
     from hyperbit.controller.motion.stages.pacing import pace_of
     from hyperbit.controller.search.solver import search_time
 
@@ -84,7 +87,10 @@ def follow(search: GoalSearch, goals: list[WantedGoal], start: Configuration) ->
         trajectory = unhurried(as_arrays(search, goals), pace, options.path_tolerance)
         planner = TransitionPlanner(search.solver, trajectory, pace)
         first = search_time(first_time(trajectory), planning.seconds_per_switch, options.deadline)
-        found = plan_whole(planner, start, search.method, first, options.deadline)
+        whole_time, means = options.deadline, Means()
+        if options.prove:
+            whole_time, means = options.deadline or PROOF_TIME, proof_means(processes)
+        found = plan_whole(planner, start, search.method, first, whole_time, means)
     except Refusal as refusal:
         if options.path_tolerance is not None:
             raise CommandFailed(str(refusal)) from None
@@ -94,7 +100,7 @@ def follow(search: GoalSearch, goals: list[WantedGoal], start: Configuration) ->
             start = point.solution.configuration
             yield point
         return
-    whole = {"switches": found.switches, "cost": found.cost, **found.proof()}
+    whole = {"switches": found.switches, "cost": found.cost, **found.proof(), "gap": found.gap}
     for k, solution in enumerate(found.solutions):
         between, goal = trajectory.between(k), goals[trajectory.next(k)]
         position = trajectory.positions[k].tolist() if between else goal.position

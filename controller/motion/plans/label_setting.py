@@ -1,42 +1,57 @@
-"""Fewest switches over a whole trajectory: label setting over complete candidate sets.
+"""Fewest switches over a whole trajectory: label setting from the start, guided by labels from the end.
 
 A layer holds configurations that serve one point, each with the cost of the cheapest known sequence that ends in it.
-The next layer holds all configurations within the tolerances of the next point, up to a cost. A configuration stays as
-long as it serves: switching sooner saves nothing, as costs obey the triangle inequality. Narrow layers give a plan.
-Complete layers contain every configuration that a sequence within the cost can pass. They give the optimum, or prove
-that each sequence costs more.
+The next layer holds all configurations within the tolerances of the next point, up to a cost of the whole trajectory,
+by the lower bound of the cost to go. A configuration stays as long as it serves. Narrow layers are a beam search, which
+gives a plan. Complete layers contain every configuration that a sequence within the cost can pass. They give the
+optimum, or prove that each sequence costs more.
 """
 
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperbit.controller.manipulator.manipulator import Configuration
-from hyperbit.controller.motion.plans.candidate_sets import CandidateSets
-from hyperbit.controller.motion.plans.lookahead import LookAhead
-from hyperbit.controller.motion.plans.points import FARTHEST, TrajectoryPoints
-from hyperbit.controller.motion.trajectory import Trajectory
+from hyperbit.controller.motion.plans.cost_to_go import CostToGo
+from hyperbit.controller.motion.plans.labels import Neighbours, Pairs, cheapest, joined, scan
+from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.search.chain import keys_of, states_of
 from hyperbit.controller.search.solution import EPSILON, SearchTime, proves
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-WIDTHS = (4, 16, 64, 256, 1024, 4096, 16384)  # of layers, one after the other while there is time
+WIDTHS = tuple(4**n for n in range(1, 11))  # of layers, one after the other while there is time
 GROWTH = 5.0  # expected factor of the time from one width, or one ceiling of a proof, to the next
-WIDER = 4  # most steps of one least weight by which the ceiling rises to fill a layer
-FIRST = SearchTime(0.01, unfound=0.5)  # to find one configuration that serves a point; its cost is the first ceiling
-MOST = 1 << 18  # configurations of a complete layer
+WIDER = 12  # most steps of one least weight by which the ceiling rises to fill a layer
+FIRST = SearchTime(0.01, unfound=0.5)  # to find one configuration that serves a point
+MOST = 1 << 21  # configurations of a complete layer
+# Shares of the time: narrow layers, a proof, labels, narrow layers with labels; a proof with labels follows.
+BEAM, PROOF, SWEEP, GUIDED = 0.1, 0.2, 0.4, 0.15
+BEAM_ALONE = 0.6  # share of narrow layers if the time is too short for labels
+LEAST_SWEEP = 5.0  # [s] for labels; less is not worth the while
+SCANNED = 10e-9  # [s] to compare a configuration with a label
+DEEPER = 4  # most steps of one least weight by which neighbours are listed farther, so that fewer labels are compared
+PRICE_OF_PLACE = 400e-6  # [s] to list neighbours for one place in a narrow layer
+PRICE_OF_ONE = 5e-3  # [s] to list the neighbours of a configuration of a narrow layer, at most
+ENOUGH = 4  # neighbours that are listed for each place in a narrow layer
+PRICE_OF_LARGE, MOST_LARGE = 0.05, 256  # [s] from which on all that serves a point is tried; for so many configurations
+FEW_KEYS = 256  # that one thread lists
 
 
 class Layer(NamedTuple):
     """Configurations that serve a point."""
 
-    configurations: NDArray[np.uint16]  # shape (n, B)
+    keys: Integers  # shape (n, words)
     costs: Array  # of the cheapest sequence to each, shape (n,)
     before: Integers  # index of the predecessor in the layer before, shape (n,)
+    rest: Array  # lower bound of the cost to go, shape (n,)
+    exits: Integers  # shape (n,)
 
 
 class BestSequence(NamedTuple):
@@ -50,22 +65,30 @@ class BestSequence(NamedTuple):
 class LabelSetting:
     """The search for fewest switches over one trajectory.
 
-    It begins in the configuration `start` (B,), and ends early if `stop` returns true.
+    It begins in the configuration `start` (B,), and ends early if `stop` returns true. `memory` is the greatest number
+    of labels, of 16 bytes each; half as many tips of the upper modules are listed, of 20 bytes each.
 
     Attributes:
         best: the cheapest sequence found and the proven lower bound.
     """
 
     def __init__(
-        self, points: TrajectoryPoints, start: Configuration, stop: Callable[[], bool] = lambda: False
+        self,
+        points: TrajectoryPoints,
+        start: Configuration,
+        stop: Callable[[], bool] = lambda: False,
+        threads: int = 1,
+        memory: int = 1 << 22,
     ) -> None:
-        self._points, self._stop = points, stop
-        self._solver, self._trajectory = solver, trajectory = points.solver, points.trajectory
-        self._sets = CandidateSets(solver.manipulator, solver.weights)
-        self._until = np.inf
-        self._start = Layer(np.asarray(start, np.uint16)[None], np.zeros(1), np.zeros(1, dtype=np.int64))
-        self._rest = least_remaining_cost(trajectory, solver.least_weight)
-        self.best = BestSequence(None, np.inf, float(self._rest[0]))
+        self._points, self._stop, self._solver, self._until = points, stop, points.solver, np.inf
+        self._to_go = CostToGo(points, threads, memory, memory >> 1)
+        key, nothing = keys_of(self._to_go.chain, start), np.zeros(1, dtype=np.int64)
+        self._most = memory >> 1  # configurations of all layers together
+        self._most_listed = self._to_go.counts.affordable(PRICE_OF_LARGE)
+        self._most_budget = self._to_go.counts.affordable(PRICE_OF_ONE)
+        self._start = Layer(key, np.zeros(1), nothing, np.zeros(1), nothing)
+        self.best = BestSequence(None, np.inf, 0.0)
+        self._raise(self._first_bound())
 
     @property
     def optimal(self) -> bool:
@@ -73,43 +96,48 @@ class LabelSetting:
 
     def offer(self, configurations: Integers, cost: float, first: float = 0.0) -> None:
         """Takes a sequence (n, B) if it is cheaper than the best; `first` is a lower bound of the first step's cost."""
-        self.best = self.best._replace(bound=max(self.best.bound, first + float(self._rest[0])))
         if cost < self.best.cost * (1 - EPSILON):
             self.best = self.best._replace(configurations=configurations, cost=cost)
+        self._raise(first + float(self._to_go.least[: self._to_go.labels.last[0] + 1].min()))
+
+    def _raise(self, bound: float) -> None:
+        """Raises the bound. Labels leave out what costs more than the best sequence, and so prove no more."""
+        self.best = self.best._replace(bound=max(self.best.bound, min(bound, self.best.cost)))
 
     def run(self, seconds: float) -> BestSequence:
-        """Searches for a time [s], of which a fifth is for a proof; returns the best sequence and its bound."""
-        began = time.perf_counter()
-        self._until = began + 0.8 * seconds
-        self._look_ahead()
-        taken = 0.0
-        for width in WIDTHS:
-            now = time.perf_counter()
-            if self.optimal or now + GROWTH * taken > self._until or self._narrow(width) < width:
-                break
-            taken = time.perf_counter() - now
-        self._until = began + seconds
-        self.prove()
+        """Searches for a time [s]; returns the best sequence and its bound."""
+        began, sweep = time.perf_counter(), SWEEP * seconds >= LEAST_SWEEP
+        with suppress(MemoryError):  # what is proven stays
+            self._widen(began + (BEAM if sweep else BEAM_ALONE) * seconds)
+            if not self.optimal and seconds > 0:
+                self._to_go.list_tips(seconds)
+            if sweep and not self.optimal:
+                self._until = began + (BEAM + PROOF) * seconds
+                self.prove()
+                self._until = began + (BEAM + PROOF + SWEEP) * seconds
+                if not self.optimal:
+                    left = self._until - time.perf_counter()
+                    self._to_go.sweep(self._start.keys, self.best.cost, left, self._late)
+                self._widen(began + (BEAM + PROOF + SWEEP + GUIDED) * seconds)
+            self._until = began + seconds
+            self.prove()
         return self.best
 
-    def _look_ahead(self) -> None:
-        """Offers the result of look-ahead; if the time is short, its beginning with the end of the best sequence."""
-        trajectory, solver, count = self._trajectory, self._solver, 0
-        search = LookAhead(self._points, self._start.configurations[0].astype(np.int64))
-        while count < len(trajectory.times) and not self._late():
-            search.extend()
-            count += 1
-        if count < len(trajectory.times) and (count == 0 or self.best.configurations is None):
-            return
-        rest = [] if self.best.configurations is None else list(self.best.configurations[count:])
-        rows = np.array([self._start.configurations[0], *search.decide(count), *rest], dtype=np.int64)
-        if not all(solver.feasible(point.target, row) for point, row in zip(self._points, rows[1:], strict=True)):
-            return
-        self.offer(rows[1:], float(solver.cost(rows[1:], rows[:-1]).sum()))
+    def _widen(self, until: float) -> None:
+        """Searches sequences through wider and wider layers."""
+        taken, self._until = 0.0, until
+        for width in WIDTHS:
+            now = time.perf_counter()
+            if self.optimal or now + GROWTH * taken > self._until or width * len(self._points) > self._most:
+                break
+            if self._narrow(width) < width:
+                break
+            taken = time.perf_counter() - now
 
     def prove(self) -> None:
         """Raises the lower bound until it meets the best cost or the time is over."""
         taken = 0.0
+        self._raise(self._first_bound())
         while not self.optimal and not self._late():
             began = time.perf_counter()
             ceiling = self.best.bound + (0.0 if self._solver.whole_weights else self._solver.least_weight)
@@ -117,13 +145,21 @@ class LabelSetting:
                 return
             taken = time.perf_counter() - began
 
+    def _first_bound(self) -> float:
+        """Returns what the thresholds and labels prove without a search."""
+        rest, exits = self._to_go.judged(0, self._start.keys)
+        if exits[0] >= 0:
+            return float(rest[0])
+        step = 0.0 if self._to_go.places.fixed[0] else self._solver.least_weight
+        return float(self._to_go.least[: self._to_go.labels.last[0] + 1].min()) + step
+
     def _late(self) -> bool:
         return time.perf_counter() > self._until or self._stop()
 
     def _narrow(self, width: int) -> int:
         """Searches a sequence through layers of the cheapest configurations; returns the width of the widest layer."""
         layers = [self._start]
-        for k in range(len(self._trajectory.times)):
+        for k in range(len(self._points)):
             following = self._cheapest(layers[-1], k, width)
             if following is None:
                 self._join(layers)
@@ -137,108 +173,180 @@ class LabelSetting:
         k, rows = len(layers) - 1, self.best.configurations
         if k == 0 or rows is None:
             return
-        costs = layers[-1].costs + self._solver.cost(layers[-1].configurations, rows[k])
+        costs = layers[-1].costs + self._solver.cost(states_of(self._to_go.chain, layers[-1].keys), rows[k])
         n, rest = int(np.argmin(costs)), float(self._solver.cost(rows[k + 1 :], rows[k:-1]).sum())
-        self.offer(np.vstack([trace(layers, n), rows[k:]]), float(costs[n]) + rest)
+        self._offer_rows(np.vstack([self._trace(layers, n), rows[k:]]), float(costs[n]) + rest)
 
     def _complete(self, ceiling: float) -> bool:
         """Proves that each sequence costs more than `ceiling`, or finds the cheapest; False without time or space."""
-        layers = [self._start]
-        for k, rest in enumerate(self._rest):
-            following = self._next_layer(layers[-1], k, ceiling - float(rest), MOST)
+        layers, room = [self._start], self._most
+        for k in range(len(self._points)):
+            following = self._next_layer(layers[-1], k, ceiling, min(MOST, room))
             if following is None:
                 return False
             layers.append(following)
+            room -= len(following.costs)
             if not len(following.costs):
                 break
         unit = self._solver.least_weight if self._solver.whole_weights else 0.0
-        least = float(layers[-1].costs.min()) if len(layers[-1].costs) else ceiling + unit
-        if len(layers[-1].costs):
+        found = len(layers[-1].costs) > 0
+        if found:
             self._offer_through(layers)
-        self.best = self.best._replace(bound=max(self.best.bound, least))
+        self._raise(float(layers[-1].costs.min()) if found else ceiling + unit)
         return True
 
     def _offer_through(self, layers: list[Layer]) -> None:
         n = int(np.argmin(layers[-1].costs))
-        self.offer(trace(layers, n), float(layers[-1].costs[n]))
+        self._offer_rows(self._trace(layers, n), float(layers[-1].costs[n]))
+
+    def _offer_rows(self, rows: Integers, cost: float) -> None:
+        """Offers a sequence (n, B) if it is within the tolerances, without the slack of the kernels."""
+        if cost < self.best.cost and all(
+            self._solver.feasible(point.target, row) for point, row in zip(self._points, rows, strict=True)
+        ):
+            self.offer(rows, cost)
 
     def _cheapest(self, layer: Layer, k: int, width: int) -> Layer | None:
         """Returns about `width` of the cheapest configurations for point k; None if none is found in time."""
-        least, solver, point = float(layer.costs.min()), self._solver, self._points[k]
-        seed = layer.configurations[int(np.argmin(layer.costs))].astype(np.int64)
-        if point.states is not None:
-            return self._next_layer(layer, k, np.inf, MOST)
-        solution = solver.solve(point.target, seed, timeout=FIRST)
-        if not solution.within_tolerance or self._late():
-            return None
-        row, before = solution.configuration.astype(np.uint16)[None], np.array([np.argmin(layer.costs)])
-        found = Layer(row, np.array([least + solution.cost]), before)
-        for more in range(WIDER):
-            wider = self._next_layer(layer, k, least + solution.cost + more * solver.least_weight, 64 * width + 1024)
+        least, found = self._solver.least_weight, None
+        ceiling = float((layer.costs + self._low(k)).min())
+        for steps in range(WIDER + 1):
+            budgets = np.minimum(ceiling + least * steps - self._low(k) - layer.costs, self._most_budget)
+            if found is not None and self._to_go.counts.prices(budgets).sum() > PRICE_OF_PLACE * width:
+                break
+            wider = self._next_layer(layer, k, ceiling + least * steps, ENOUGH * width + FEW_KEYS, True)
             if wider is None:
                 break
             found = wider
             if len(found.costs) >= width:
                 break
-        if self._late():
+        if found is None or not len(found.costs):
+            found = self._far(layer, k)
+        if found is None or self._late():
             return None
         # Of two labels of equal cost the one that serves longer is better: a point is worth the mean cost so far.
-        served = self._points.count_served(found.configurations, k + 1)
-        worth = found.costs - float(found.costs.min()) / (k + 1) * served
+        worth = found.costs + found.rest - float(found.costs.min()) / (k + 1) * (found.exits - k)
         chosen = np.argsort(worth, kind="stable")[:width]
-        return Layer(found.configurations[chosen], found.costs[chosen], found.before[chosen])
+        return Layer(*(array[chosen] for array in found))  # type: ignore[arg-type]
 
-    def _next_layer(self, layer: Layer, k: int, ceiling: float, most: int) -> Layer | None:
-        """Returns all configurations for point k at the end of sequences within a cost; None if more than `most`."""
-        solver, point = self._solver, self._points[k]
-        if (given := point.configuration) is not None:
-            return self._given_layer(layer, given, ceiling)
-        served = self._trajectory.serve(solver.manipulator.tips(layer.configurations), slice(k, k + 1))[:, 0]
+    def _far(self, layer: Layer, k: int) -> Layer | None:
+        """Returns one configuration for a point that no neighbour serves, by a search for this goal alone."""
+        n, chain, point = int(np.argmin(layer.costs)), self._to_go.chain, self._points[k]
+        seed = states_of(chain, layer.keys[n : n + 1])[0]
+        if point.configuration is not None:
+            configuration = point.configuration
+        else:
+            solution = self._solver.solve(point.target, seed, timeout=FIRST, hurried=self._stop)
+            if not solution.within_tolerance:
+                return None
+            configuration = solution.configuration
+        key, cost = keys_of(chain, configuration), float(self._solver.cost(configuration, seed))
+        return self._layer(k, key, layer.costs[n : n + 1] + cost, np.array([n]), np.inf)
+
+    def _low(self, k: int) -> float:
+        """Returns the least threshold of a configuration that serves point k."""
+        labels = self._to_go.labels
+        return float(labels.thresholds[k : labels.last[k] + 1].min())
+
+    def _layer(self, k: int, keys: Integers, costs: Array, before: Integers, ceiling: float) -> Layer:
+        """Returns the cheapest of equal configurations for point k, up to a cost of the whole trajectory."""
+        rest, exits = self._to_go.judged(k, keys)
+        keep = np.flatnonzero(costs + rest <= ceiling * (1 + EPSILON))
+        chosen = keep[cheapest(keys[keep], costs[keep])]
+        return Layer(keys[chosen], costs[chosen], before[chosen], rest[chosen], exits[chosen])
+
+    def _next_layer(self, layer: Layer, k: int, ceiling: float, most: int, part: bool = False) -> Layer | None:
+        """Returns all configurations for point k of sequences within a cost of the whole trajectory.
+
+        Returns None if there are more than `most`, or if it is late. With `part`, some `most` of them suffice.
+        """
+        to_go, low, least, deeper = self._to_go, self._low(k), self._solver.least_weight, 0
+        rest, _ = to_go.judged(k, layer.keys)
         room = ceiling * (1 + EPSILON) - layer.costs
-        staying, moving = np.flatnonzero(served & (room >= 0)), np.flatnonzero(~served & (room >= solver.least_weight))
-        moving = moving[np.argsort(-room[moving], kind="stable")]
-        found = self._sets.find(point.target, layer.configurations[moving], room[moving], most, self._late)
+        serves, (labels, values) = np.isfinite(rest), self._labels(k)
+        staying = np.flatnonzero(serves & (room >= rest))
+        moving = np.flatnonzero(~serves & (room >= self._low_of_all(k)))
+        budgets = room[moving] - low
+        if part:
+            order = np.random.default_rng(k).permutation(len(moving))
+            moving, budgets = moving[order], np.minimum(budgets[order], self._most_budget)
+        price = float(to_go.counts.prices(budgets).sum())
+        while not part and deeper < DEEPER and len(values):
+            compared = np.count_nonzero(values < low - deeper * least * (1 - EPSILON))
+            further = float(to_go.counts.prices(budgets + (deeper + 1) * least).sum()) - price
+            if compared * len(moving) * SCANNED < further:
+                break
+            deeper += 1
+        found = self._neighbours(k, layer.keys[moving], budgets + deeper * least, most, part)
         if found is None:
             return None
-        before = np.concatenate([staying, moving[found.sources]])
-        rows = np.concatenate([layer.configurations[staying], found.configurations])
-        costs = layer.costs[before] + solver.cost(rows, layer.configurations[before])
-        order = np.argsort(costs, kind="stable")
-        _, first = np.unique(rows[order].view(f"V{2 * rows.shape[1]}"), return_index=True)
-        chosen = order[first]
-        return Layer(rows[chosen], costs[chosen], before[chosen])
+        before, parts = [staying, moving[found.sources]], [layer.keys[staying], found.keys]
+        sums = [layer.costs[staying], layer.costs[moving][found.sources] + found.costs]
+        few = np.flatnonzero(values < low - deeper * least * (1 - EPSILON))
+        if part:
+            few = few[np.argsort(values[few], kind="stable")[: int(price / (len(moving) * SCANNED + 1e-9))]]
+        if len(few) and len(moving):
+            sources, targets, costs = self._scan(layer.keys[moving], room[moving], labels[few], values[few])
+            before.append(moving[sources])
+            parts.append(targets[:, None])
+            sums.append(layer.costs[moving][sources] + costs)
+        return self._layer(k, np.concatenate(parts), np.concatenate(sums), np.concatenate(before), ceiling)
 
-    def _given_layer(self, layer: Layer, configuration: Configuration, ceiling: float) -> Layer:
-        """Returns the layer of one configuration (B,); it is empty if each sequence to it costs more than `ceiling`."""
-        costs = layer.costs + self._solver.cost(layer.configurations, configuration)
-        n = int(np.argmin(costs)) if len(costs) else 0
-        count = int(len(costs) > 0 and costs[n] <= ceiling)
-        rows = np.asarray(configuration, np.uint16)[None]
-        return Layer(rows[:count], costs[n : n + count], np.full(count, n))
+    def _low_of_all(self, k: int) -> float:
+        """Returns the least cost to go of a configuration that serves point k."""
+        return float(self._to_go.least[k : self._to_go.labels.last[k] + 1].min())
 
+    def _labels(self, k: int) -> tuple[Integers, Array]:
+        """Returns keys (n,) and values (n,) of labels below the least threshold of a configuration for point k."""
+        labels, low = self._to_go.labels, self._low(k)
+        parts = [slice(labels.begins[e], labels.ends[e]) for e in range(k, labels.last[k] + 1)]
+        keys, values = (np.concatenate([array[part] for part in parts]) for array in (labels.keys, labels.values))
+        below = values < low * (1 - EPSILON)
+        return keys[below], values[below]
 
-def trace(layers: list[Layer], n: int) -> Integers:
-    """Returns the sequence (len(layers) - 1, B) that ends in configuration `n` of the last layer."""
-    rows = np.empty((len(layers) - 1, layers[0].configurations.shape[1]), dtype=np.int64)
-    for k in range(len(layers) - 1, 0, -1):
-        rows[k - 1] = layers[k].configurations[n]
-        n = int(layers[k].before[n])
-    return rows
+    def _scan(self, keys: Integers, rooms: Array, labels: Integers, values: Array) -> tuple[Integers, Integers, Array]:
+        """Returns sources, labels and costs of all pairs of keys (n, 1) and labels (m,) within the keys' rooms."""
+        size = 1 << 16
+        while True:
+            sources, targets, costs = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
+            count = scan(self._to_go.chain, keys, rooms, labels, values, sources, targets, costs)
+            if count >= 0:
+                return sources[:count], targets[:count], costs[:count]
+            size *= 4
 
+    def _neighbours(self, k: int, keys: Integers, budgets: Array, most: int, part: bool) -> Pairs | None:
+        """Lists neighbours in all threads, see Neighbours.near."""
+        large = np.flatnonzero(budgets > self._most_listed)
+        if self._to_go.tips is None or self._to_go.places.fixed[k] or not len(large):
+            return self._listed(k, keys, budgets, most, part)
+        listed = self._listed(k, keys, np.where(budgets > self._most_listed, -1.0, budgets), most, part)
+        parts = [] if listed is None else [listed]
+        for n in large[:MOST_LARGE].tolist():
+            for found, costs in self._to_go.all_near(k, keys[n : n + 1], float(budgets[n])):
+                parts.append(Pairs(np.full(len(costs), n), found, costs))
+                if self._late() or sum(len(pairs.costs) for pairs in parts) > most:
+                    return None
+        return joined(parts) if listed is not None and len(large) <= MOST_LARGE else None
 
-def least_remaining_cost(trajectory: Trajectory, least: float) -> Array:
-    """Returns a lower bound of the cost of the points after each point, for any configuration there, shape (n,).
+    def _listed(self, k: int, keys: Integers, budgets: Array, most: int, part: bool) -> Pairs | None:
+        threads = self._to_go.neighbours if len(keys) >= FEW_KEYS else self._to_go.neighbours[:1]
+        shares = [np.arange(n, len(keys), len(threads)) for n in range(len(threads))]
 
-    Two points that are farther apart than the sum of their tolerances need a switch between them.
-    """
-    count = len(trajectory.times)
-    result = np.zeros(count)
-    slack = EPSILON * (1.0 + float(np.abs(trajectory.positions).max(initial=0.0)))
-    for k in range(count - 2, -1, -1):
-        result[k] = result[k + 1]
-        ahead = slice(k + 1, min(k + 1 + FARTHEST, count))
-        apart = np.linalg.norm(trajectory.positions[ahead] - trajectory.positions[k], axis=1)
-        out_of_range = np.flatnonzero(apart > trajectory.tolerances[ahead] + trajectory.tolerances[k] + slack)
-        if len(out_of_range):
-            result[k] = max(result[k], least + result[k + 1 + int(out_of_range[0])])
-    return result
+        def listed(neighbours: Neighbours, share: Integers) -> Pairs | None:
+            found = neighbours.near(k, keys[share], budgets[share], most // len(threads), self._late, part)
+            return None if found is None else found._replace(sources=share[found.sources])
+
+        if len(threads) == 1:
+            return listed(threads[0], shares[0])
+        with ThreadPoolExecutor(len(threads)) as pool:
+            found = list(pool.map(listed, threads, shares))
+        parts = [part for part in found if part is not None]
+        return joined(parts) if len(parts) == len(found) else None
+
+    def _trace(self, layers: list[Layer], n: int) -> Integers:
+        """Returns the sequence (len(layers) - 1, B) that ends in configuration `n` of the last layer."""
+        keys = np.empty((len(layers) - 1, layers[0].keys.shape[1]), dtype=np.int64)
+        for k in range(len(layers) - 1, 0, -1):
+            keys[k - 1] = layers[k].keys[n]
+            n = int(layers[k].before[n])
+        return states_of(self._to_go.chain, keys)

@@ -11,7 +11,7 @@ from hyperbit.controller.motion.plans.transitions import TransitionPlanner
 from hyperbit.controller.motion.stages.pacing import Infeasible, Staged
 from hyperbit.controller.motion.trajectory import Trajectory
 from hyperbit.controller.refusals.refusal import Refusal
-from hyperbit.controller.search.solution import Certificate, Solution, certificate, proof
+from hyperbit.controller.search.solution import Certificate, Solution, certificate, gap, proof
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +43,11 @@ class TrajectoryPlan:
     def proof(self) -> dict[str, str | bool | float | None]:
         """Returns the certificate of the whole plan's cost, as fields for JSON."""
         return proof(self.certificate, self.bound)
+
+    @property
+    def gap(self) -> float | None:
+        """Share by which the cost exceeds its lower bound; None if nothing is proven."""
+        return gap(self.certificate, self.bound, self.cost)
 
     def proven(self, bound: float) -> "TrajectoryPlan":
         """Returns the plan with a lower bound, if that is greater than the present one."""

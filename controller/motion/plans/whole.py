@@ -1,5 +1,6 @@
 """Plans of whole trajectories, for `hyperbit plan`, the daemon's `plan` key and the library."""
 
+import os
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -18,8 +19,21 @@ from hyperbit.controller.search.solution import SearchTime
 from hyperbit.controller.search.solver import TIMEOUT, search_time
 
 FIRST_TIME, WHOLE_TIME = 3.0, 4.0  # [s]: most for the first answers of all points; for the search of the whole
+PROOF_TIME = 60.0  # [s] for the search of the whole if a proof is asked for
 
 Array = NDArray[np.float64]
+
+
+class Means(NamedTuple):
+    """What the search over a whole trajectory may use."""
+
+    threads: int = 1
+    labels: int = 1 << 22  # see LabelSetting; with this number a thread takes about 150 MB
+
+
+def proof_means(processes: int = 1) -> Means:
+    """Returns the means of a proof: all processors, or the share of one of some processes, and up to 1.5 GB."""
+    return Means(max(len(os.sched_getaffinity(0)) // processes, 1), 1 << 25)
 
 
 class TipGoals(NamedTuple):
@@ -37,6 +51,7 @@ def plan_whole(
     method: Method,
     first: SearchTime | None = None,
     seconds: float | None = None,
+    means: Means = Means(),
 ) -> TrajectoryPlan:
     """Returns the cheapest plan found from a configuration (B,): point by point first, then over the whole trajectory.
 
@@ -48,7 +63,7 @@ def plan_whole(
     """
     allowed = search_time(first_time(planner.trajectory)) if first is None else first
     found = PointByPoint(planner, method, allowed).plan(previous)
-    return found if method != MINIMUM_SWITCH else look_ahead(planner, found, previous, seconds)
+    return found if method != MINIMUM_SWITCH else look_ahead(planner, found, previous, seconds, means=means)
 
 
 def first_time(trajectory: Trajectory) -> float:
@@ -62,12 +77,13 @@ def look_ahead(
     previous: Configuration,
     seconds: float | None = None,
     stop: Callable[[], bool] = lambda: False,
+    means: Means = Means(),
 ) -> TrajectoryPlan:
     """Returns a plan from a configuration (B,) that costs at most as much as `found`, with the proven lower bound.
 
     The search takes `seconds`, None: WHOLE_TIME, or ends if `stop` returns true. Staging its answer takes extra time.
     """
-    search = LabelSetting(planner.points, previous, stop)
+    search = LabelSetting(planner.points, previous, stop, *means)
     search.offer(
         np.array([solution.configuration for solution in found.solutions]), found.cost, found.solutions[0].bound
     )

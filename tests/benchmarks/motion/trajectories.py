@@ -14,6 +14,7 @@ from hyperbit.controller.manipulator.manipulator import Configuration, Manipulat
 from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.lookahead import LookAhead
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
+from hyperbit.controller.motion.plans.whole import proof_means
 from hyperbit.controller.motion.trajectory import Trajectory, through
 from hyperbit.controller.search.solver import Solver
 from tests.benchmarks.harness import PAPER_ARM, CommandLine, show, write_figures
@@ -54,7 +55,7 @@ def measured(solver: Solver, start: Configuration, trajectory: Trajectory, secon
     times, costs, search = (
         [time.perf_counter()],
         list[float](),
-        LabelSetting(TrajectoryPoints(solver, trajectory), start),
+        LabelSetting(TrajectoryPoints(solver, trajectory), start, lambda: False, *proof_means()),
     )
     for method in (ahead, greedy):
         rows = method(solver, start, trajectory)
@@ -73,7 +74,7 @@ def measured(solver: Solver, start: Configuration, trajectory: Trajectory, secon
 def main() -> None:
     parser = CommandLine(__doc__)
     parser.add_argument("--curves", type=int, default=20)
-    parser.add_argument("--seconds", type=float, default=4.0, help="for each curve, a fifth of it for the proof")
+    parser.add_argument("--seconds", type=float, default=4.0, help="for each curve")
     parser.add_argument("--spacing", type=float, action="append", help="between waypoints; may be given again")
     given = parser.parse()
     solver = ready_solver(load(PAPER_ARM))

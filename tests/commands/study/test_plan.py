@@ -98,11 +98,18 @@ def test_goals_of_a_file_are_planned_as_the_library_plans_a_path(hyperbit, tmp_p
     lines = [json.loads(text) for text in hyperbit("plan", str(file), "--goals", str(goals), "--json")[1].splitlines()]
     path = hb.Solver(arm).follow(list(arm.frames(rows)[:, :2, 3]))
     proven = {"switches": path.switches, "cost": path.cost, "optimal": True}
-    proven |= {"lower_bound": path.lower_bound, "certificate": "optimal"}
+    proven |= {"lower_bound": path.lower_bound, "certificate": "optimal", "gap": 0.0}
     assert [line["trajectory"] for line in lines] == [proven] * 3
     assert sum(line["switches"] for line in lines) == path.switches == path.lower_bound
-    words = hyperbit("plan", str(file), "--goals", str(goals))[1]
+    words = hyperbit("plan", str(file), "--goals", str(goals), "--prove", "--deadline", "60")[1]
     assert f"{path.switches} switches in all; proven to be the fewest" in words
+
+
+@pytest.mark.parametrize("given", [("--goal", "0.55,2.9"), ("--goals", "goals.csv", "--apart")])
+def test_only_trajectories_are_proven_as_a_whole(hyperbit, given):
+    code, _, err = hyperbit("plan", ARM, *given, "--prove")
+    assert code != 0
+    assert "it is for a trajectory: give --goals FILE.csv, without --apart" in err
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperbit.controller.manipulator.frame_kernels import angle_between
-from hyperbit.controller.motion.plans.label_setting import LabelSetting, least_remaining_cost
+from hyperbit.controller.motion.plans.label_setting import LabelSetting
 from hyperbit.controller.motion.plans.points import TrajectoryPoints
 from hyperbit.controller.motion.trajectory import Trajectory, through
 from hyperbit.controller.obstacles.clearance import BodyClearance
 from hyperbit.controller.search.solver import Solver
 from hyperbit.controller.workspace.mapping import map_densities
 from tests.arms import every_configuration, paper_arm, short_arms, spatial_arm
+from tests.motion.plans.exact_trajectories import least_cost, random_case
 from tests.obstacles.dense import Disc, obstacles_of
 
 LONG = 3600.0  # [s], far more than small arms take on any machine; a proof ends the search before
@@ -113,19 +114,6 @@ def brute_force_pair(solver, trajectory, start, every, clear) -> float:
     return min(float(solver.cost(a, start) + solver.cost(every[near[1]], a).min()) for a in every[near[0]])
 
 
-@given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
-def test_what_the_rest_costs_at_least_never_rises(seed):
-    rng = np.random.default_rng(seed)
-    trajectory = through(np.arange(9.0), rng.normal(size=(9, 2)) * 0.01, 0.005)
-    rest = least_remaining_cost(trajectory, 2.0)
-    assert rest[-1] == 0
-    assert (np.diff(rest) <= 0).all()
-    apart = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
-    assert rest[0] <= 2.0 * 8
-    assert rest[0] >= 2.0 * (apart.max() > 0.01)
-
-
 def test_without_time_nothing_wrong_is_claimed(arm, densities):
     solver = Solver(arm.manipulator, densities)
     points = np.array([[0.3, 2.6], [0.32, 2.6], [0.34, 2.6]])
@@ -133,4 +121,69 @@ def test_without_time_nothing_wrong_is_claimed(arm, densities):
         TrajectoryPoints(solver, through(np.arange(3.0), points, 0.002)), np.zeros(16, dtype=np.int64)
     ).run(0.0)
     assert found.configurations is None
-    assert found.bound == 2.0
+    assert found.bound == 3.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_bound_is_above_and_no_plan_below_the_truth(seed):
+    case = random_case(seed, 1 << 13)
+    least = least_cost(case)
+    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, threads=2)
+    found = search.run(LONG)
+    assert found.bound <= least * (1 + 1e-9)
+    assert found.cost >= least * (1 - 1e-9)
+    assert search.optimal
+
+
+def labels_only(search: LabelSetting, stop=lambda: False) -> None:
+    search._to_go.list_tips(1.0)
+    search._to_go.sweep(search._start.keys, np.inf, 0.5, stop)
+
+
+@pytest.mark.parametrize("seed", range(20, 28))
+def test_labels_alone_give_valid_bounds(seed):
+    case = random_case(seed, 1 << 13)
+    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, threads=2)
+    labels_only(search)
+    assert search._first_bound() <= least_cost(case) * (1 + 1e-9)
+
+
+def test_a_cancel_while_labels_are_computed_keeps_what_is_proven():
+    case = random_case(1, 1 << 13)
+    calls = iter(range(10**9))
+    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, lambda: next(calls) > 3)
+    labels_only(search, search._late)
+    assert 0 < search._first_bound() <= least_cost(case) * (1 + 1e-9)
+
+
+def test_what_a_cancel_raises_ends_all_threads():
+    case = random_case(1, 1 << 13)
+
+    def cancel() -> bool:
+        raise KeyboardInterrupt
+
+    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start, cancel, 2)
+    with pytest.raises(KeyboardInterrupt):
+        search.run(LONG)
+
+
+def test_without_memory_for_labels_what_is_proven_stays(monkeypatch):
+    case = random_case(2, 1 << 13)
+    search = LabelSetting(TrajectoryPoints(case.solver, case.trajectory), case.start)
+
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(search._to_go, "sweep", fail)
+    found = search.run(1.0)
+    assert 0 < found.bound <= least_cost(case) * (1 + 1e-9)
+
+
+def test_ten_thousand_equal_points_need_no_switch_after_the_first(arm, densities):
+    solver = Solver(arm.manipulator, densities)
+    points = np.tile(arm.manipulator.tip(np.zeros(16, dtype=np.int64))[:2, 3], (10_000, 1))
+    search = LabelSetting(
+        TrajectoryPoints(solver, through(np.arange(10_000.0), points, 0.002)), np.zeros(16, dtype=np.int64)
+    )
+    assert search.best.bound == 0.0
+    assert search._to_go.labels.last[0] == 9_999

@@ -1,0 +1,205 @@
+"""One step of the labels from behind: from the configurations that serve a point to those that leave the one before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyperbit.controller.motion.plans.labels import Late, Neighbours, cheapest
+from hyperbit.controller.search.chain import Chain, states_of
+from hyperbit.controller.search.serving import Walk, serving, walks
+from hyperbit.controller.search.solution import EPSILON
+
+if TYPE_CHECKING:
+    from hyperbit.controller.motion.plans.cost_to_go import CostToGo
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+SHARE = 1 << 14  # configurations that a thread takes at once
+LABELS_OF_POINT = 1 << 21  # labels of one point, at most
+MOST_FOUND = 1 << 22  # labels found from SHARE configurations
+SHALLOWEST, DEEPEST_STEP = -8, 12  # least and greatest rise of a threshold in one step, in least weights
+# Prices [s]: a configuration of the lower modules; one that serves a point, found and judged; its neighbours, among n
+# configurations: 2 us + 10 ns * n^0.75, and 2 us for each of them that serves.
+LEAF, COMPARED, JUDGED, FOUND, FIRST_PRICE, PRICE, POWER = 40e-9, 15e-9, 0.6e-6, 2e-6, 2e-6, 10e-9, 0.75
+SLACK_OF_WORK = 4.0  # a step that takes so many times as long as expected is given up
+PARTS, DEEPEST = 4, 40  # steps of prices in a least weight; greatest budget with a price of its own
+
+
+class Counts:
+    """About how many configurations of the lowest modules are within a cost of one, and how long lists of them take."""
+
+    def __init__(self, chain: Chain, modules: int) -> None:
+        self._unit = chain.least / PARTS
+        counts = np.zeros(PARTS * DEEPEST)
+        counts[0] = 1.0
+        for i, k in enumerate(chain.states[:modules].tolist()):
+            following = np.zeros_like(counts)
+            for shift in np.floor(chain.costs[i, 0, :k] / self._unit + 1e-6).astype(int).tolist():
+                following[shift:] += counts[: len(counts) - shift] if shift < len(counts) else 0.0
+            counts = following
+        self._counts = np.cumsum(counts)
+        self.all = float(np.prod(chain.states[:modules].astype(float)))
+
+    def within(self, budget: float) -> float:
+        """Returns the number within a budget."""
+        at = int(min(budget / self._unit + 1e-6, len(self._counts)))
+        return self.all if at == len(self._counts) else float(self._counts[at]) if at >= 0 else 0.0
+
+    def prices(self, budgets: Array, share: float = 0.0) -> Array:
+        """Returns the times [s] of lists of neighbours within budgets (...), a share of which serves a point."""
+        at = np.clip(np.floor(budgets / self._unit + 1e-6), -1, len(self._counts) - 1).astype(int)
+        counts = self._counts[at]
+        return np.where(at < PARTS, JUDGED, FIRST_PRICE + PRICE * counts**POWER + FOUND * share * counts)
+
+    def affordable(self, price: float) -> float:
+        """Returns the greatest budget whose list takes at most a time [s]."""
+        most = (max(price - FIRST_PRICE, 0.0) / PRICE) ** (1 / POWER)
+        return self._unit * max(int(np.searchsorted(self._counts, most, side="right")) - 1, PARTS)
+
+
+class Step:
+    """The step from the configurations that serve point k + 1 to labels of those with exit k."""
+
+    def __init__(self, to_go: CostToGo, k: int, near: Array, incumbent: float, late: Late) -> None:
+        self._to_go, self._k, self._near, self._incumbent, self._late = to_go, k, near, incumbent, late
+        self.spent = 0.0  # [s], see PRICE
+        labels, self._far = to_go.labels, int(to_go.labels.last[k + 1])
+        exits = range(k + 1, self._far + 1)
+        self._base = float(labels.thresholds[k + 1 : self._far + 1].min())
+        self._values = np.concatenate([labels.values[labels.begins[e] : labels.ends[e]] for e in exits])
+        least = float(to_go.least[k + 1 : self._far + 1].min())
+        self._limit = (incumbent - to_go.unit - least) * (1 + EPSILON)  # greatest cost from the start
+        self._fixed = bool(to_go.places.fixed[k + 1])
+
+    def depth(self, limit: float, deepest: int) -> int | None:
+        """Returns how many least weights the threshold rises over the least of the next ones within a time [s]."""
+        for depth in range(deepest, SHALLOWEST - 1, -1):
+            if self._expected(depth) <= limit:
+                return depth
+        return None
+
+    def _target(self, depth: int) -> float:
+        return self._base + depth * self._to_go.chain.least
+
+    def _most(self, depth: int) -> float:
+        """Returns the most that a label to be found may have."""
+        return self._target(depth) - self._to_go.unit
+
+    def _budget(self, depth: int) -> float:
+        """Returns the greatest budget of a configuration without a label."""
+        return self._most(depth) - self._base
+
+    def _expected(self, depth: int) -> float:
+        to_go, share = self._to_go, self._to_go.share(self._k)
+        time = float(to_go.counts.prices(self._most(depth) - self._values, share).sum())
+        if self._enumerates(depth):
+            thresholds = to_go.labels.thresholds[self._k + 1 : self._far + 1]
+            shares = to_go.shares(self._k + 1)
+            listing, count = to_go.expected(self._k + 1, self._limit)
+            time += listing + count * float((shares * to_go.counts.prices(self._most(depth) - thresholds, share)).sum())
+        return time
+
+    def _enumerates(self, depth: int) -> bool:
+        """Returns whether configurations without labels must be listed."""
+        return self._fixed or self._budget(depth) >= self._to_go.chain.least * (1 - EPSILON)
+
+    def run(self, depth: int) -> bool:
+        """Sets the labels and the threshold of point k; returns False if there is no time or room for this depth."""
+        to_go, labels = self._to_go, self._to_go.labels
+        self._allowed = self.spent + SLACK_OF_WORK * self._expected(depth) + 1.0
+        parts: SimpleQueue[Walk | Integers] = SimpleQueue()
+        for part in self._parts(depth):
+            parts.put(part)
+        results = list[tuple[Integers, Array] | None]()
+
+        def work(neighbours: Neighbours) -> None:
+            with suppress(Empty):
+                while self._allowed >= self.spent:
+                    for keys in self._keys(parts.get_nowait()):
+                        results.append(found := self._found(neighbours, keys, depth))
+                        if found is None:
+                            self._allowed = -np.inf  # the other threads end, too
+                            return
+
+        if len(to_go.neighbours) == 1:
+            work(to_go.neighbours[0])
+        else:
+            with ThreadPoolExecutor(len(to_go.neighbours)) as pool:
+                try:
+                    list(pool.map(work, to_go.neighbours))
+                except BaseException:
+                    self._allowed = -np.inf  # the other threads end, too
+                    raise
+        listed = [found for found in results if found is not None]
+        if len(listed) < len(results) or self.spent > self._allowed:
+            return False
+        keys = np.concatenate([np.empty((0, 1), np.int64), *(keys for keys, _ in listed)])
+        values = np.concatenate([np.empty(0), *(values for _, values in listed)])
+        chosen = cheapest(keys, values)
+        keys, values, threshold = keys[chosen, 0], values[chosen], self._target(depth)
+        most = min(LABELS_OF_POINT, len(labels.keys) - to_go.used)
+        if len(keys) > most:
+            threshold = float(np.partition(values, most)[most])
+            keys, values = keys[values < threshold], values[values < threshold]
+        begin = to_go.used
+        to_go.used = end = begin + len(keys)
+        labels.keys[begin:end], labels.values[begin:end] = keys, values
+        labels.begins[self._k], labels.ends[self._k], labels.thresholds[self._k] = begin, end, threshold
+        to_go.least[self._k] = min(threshold, float(values.min(initial=np.inf)))
+        return True
+
+    def _parts(self, depth: int) -> Iterable[Walk | Integers]:
+        """Returns what the threads share: walks through the configurations that serve point k + 1, or their keys."""
+        k, to_go, labels = self._k + 1, self._to_go, self._to_go.labels
+        if self._fixed:
+            return [to_go.places.given[k : k + 1]]
+        if self._enumerates(depth):
+            assert to_go.tips is not None
+            self.spent += to_go.expected(k, self._limit)[0]
+            return walks(to_go.chain, to_go.tips, self._near)
+        keys = [labels.keys[labels.begins[e] : labels.ends[e]] for e in range(k, self._far + 1)]
+        own = np.concatenate(keys)[self._most(depth) - self._values >= to_go.chain.least * (1 - EPSILON)]
+        return np.array_split(own[:, None], max(len(own) // SHARE, 1))
+
+    def _keys(self, part: Walk | Integers) -> Iterator[Integers]:
+        """Yields the keys (n, 1) of a part."""
+        if not isinstance(part, Walk):
+            yield part
+            return
+        to_go, k = self._to_go, self._k + 1
+        assert to_go.tips is not None
+        where = to_go.places.positions[k], float(to_go.places.radii[k])
+        for found in serving(to_go.chain, to_go.tips, part, self._near, self._limit, *where):
+            yield found[:, None]
+
+    def _found(self, neighbours: Neighbours, keys: Integers, depth: int) -> tuple[Integers, Array] | None:
+        """Returns keys and values of labels of point k that are near keys (n, 1) which serve point k + 1."""
+        to_go, k = self._to_go, self._k
+        rest, _ = neighbours.judged(to_go.labels, k + 1, keys)
+        budgets = self._most(depth) - rest
+        use = np.flatnonzero(budgets >= (0.0 if self._fixed else to_go.chain.least * (1 - EPSILON)))
+        self.spent += float(to_go.counts.prices(budgets, to_go.share(k)).sum())
+        if self.spent > self._allowed:
+            return None
+        found = neighbours.near(k, keys[use], budgets[use], MOST_FOUND, self._late)
+        if found is None:
+            return None
+        near, values = found.keys, rest[use][found.sources] + found.costs
+        if to_go.labels.last[k] > k:
+            _, exits = neighbours.judged(to_go.labels, k, near)
+            keep = exits == k
+            near, values = near[keep], values[keep]
+        states = states_of(to_go.chain, near)
+        from_start = self._near[np.arange(states.shape[1]), states].sum(axis=1)
+        keep = (from_start + values < self._incumbent * (1 - EPSILON)) & (values < self._target(depth) * (1 - EPSILON))
+        near, values = near[keep], values[keep]
+        chosen = cheapest(near, values)
+        return near[chosen], values[chosen]

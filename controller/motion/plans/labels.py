@@ -1,0 +1,180 @@
+"""Labels: lower bounds of the cost to go, and lists of configurations near others."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import int64, njit, types
+from numpy.typing import NDArray
+
+from hyperbit.controller.manipulator.kernel_types import F1, I1, I2, UNCOUNTED, named
+from hyperbit.controller.obstacles.scene import Scene, for_scenes
+from hyperbit.controller.search.chain import CHAIN, PLACES, Chain, Places, fits, state_of
+from hyperbit.controller.search.changes import CHANGED, Changed, Found, room_for_changes
+from hyperbit.controller.search.neighbours import list_near
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+LISTED, ROWS = 1 << 16, 1 << 12  # configurations and changes for which there is room at first
+AT_ONCE, AT_ONCE_IN_PART = 512, 64  # those between two checks of the deadline, or of the number found
+
+
+class Labels(NamedTuple):
+    """Lower bounds of the cost to go of configurations with exit k: labels, and the threshold of all others."""
+
+    keys: Integers  # of all labels, those of each point sorted, shape (m,)
+    values: Array  # shape (m,)
+    begins: Integers  # first label of each point, shape (n,)
+    ends: Integers  # shape (n,)
+    thresholds: Array  # shape (n,)
+    last: Integers  # farthest exit of a configuration that serves each point, shape (n,)
+
+
+class Pairs(NamedTuple):
+    """Configurations near others."""
+
+    sources: Integers  # number of the other, shape (n,)
+    keys: Integers  # shape (n, words)
+    costs: Array  # between the two, shape (n,)
+
+
+Late = Callable[[], bool]
+LABELS = named(Labels, I1, F1, I1, I1, F1, I1)
+
+
+@njit(
+    for_scenes(lambda scene: types.void(CHAIN, PLACES, LABELS, scene, int64, I2, CHANGED, F1, I1)),
+    **UNCOUNTED,
+    error_model="numpy",
+)
+def judge(
+    chain: Chain,
+    places: Places,
+    labels: Labels,
+    scene: Scene | None,
+    k: int,
+    keys: Integers,
+    changed: Changed,
+    rest: Array,
+    exits: Integers,
+) -> None:
+    """Writes a lower bound of the cost to go of keys (n, words) at point k, and their exits.
+
+    It is infinite for a configuration that does not serve point k, or collides.
+    """
+    for n in range(len(keys)):
+        if not fits(chain, places, k, scene, changed.frames, keys, n, changed.module_states):
+            rest[n], exits[n] = np.inf, -1
+            continue
+        exit = k
+        while exit < labels.last[k] and fits(
+            chain, places, exit + 1, None, changed.frames, keys, n, changed.module_states
+        ):
+            exit += 1
+        low, high = labels.begins[exit], labels.ends[exit]
+        end, key = high, keys[n, 0]
+        while low < high:
+            middle = (low + high) >> 1
+            if labels.keys[middle] < key:
+                low = middle + 1
+            else:
+                high = middle
+        rest[n], exits[n] = labels.thresholds[exit], exit
+        if low < end and labels.keys[low] == key:
+            rest[n] = labels.values[low]
+
+
+@njit(int64(CHAIN, I2, F1, I1, F1, I1, I1, F1), **UNCOUNTED)
+def scan(
+    chain: Chain,
+    keys: Integers,
+    rooms: Array,
+    labels: Integers,
+    values: Array,
+    sources: Integers,
+    targets: Integers,
+    costs: Array,
+) -> int:
+    """Lists the pairs of a key (n, 1) and a label (m,) whose cost and value are within the key's room (n,).
+
+    Returns their number, or -1 if there is no room for them.
+    """
+    count, modules = 0, len(chain.states)
+    for n in range(len(keys)):
+        for m in range(len(labels)):
+            most, cost = rooms[n] - values[m], 0.0
+            i, differ = 0, keys[n, 0] ^ labels[m]
+            while differ != 0 and i < modules and cost <= most:
+                if (differ >> chain.shifts[i]) & chain.masks[i] != 0:
+                    one = (labels[m] >> chain.shifts[i]) & chain.masks[i]
+                    cost += chain.costs[i, state_of(chain, keys, n, i), one]
+                i += 1
+            if cost <= most:
+                if count == len(sources):
+                    return -1
+                sources[count], targets[count], costs[count] = n, labels[m], cost
+                count += 1
+    return count
+
+
+class Neighbours:
+    """Lists configurations near others for one thread; holds the memory for it."""
+
+    def __init__(self, chain: Chain, places: Places, scene: Scene | None, most_rows: int) -> None:
+        self.chain, self.places, self.scene, self._most_rows = chain, places, scene, most_rows
+        self.changed, self._found = room_for_changes(chain, ROWS), self._room(LISTED)
+
+    def _room(self, rows: int) -> Found:
+        words = int(self.chain.words[-1]) + 1
+        return Found(np.empty(rows, np.int64), np.empty((rows, words), np.int64), np.empty(rows), np.zeros(1, np.int64))
+
+    def judged(self, labels: Labels, k: int, keys: Integers) -> tuple[Array, Integers]:
+        """Returns lower bounds of the cost to go, and exits, of keys (n, words) at point k, see `judge`."""
+        rest, exits = np.empty(len(keys)), np.empty(len(keys), np.int64)
+        judge(self.chain, self.places, labels, self.scene, k, keys, self.changed, rest, exits)
+        return rest, exits
+
+    def near(self, k: int, keys: Integers, budgets: Array, most: int, late: Late, part: bool = False) -> Pairs | None:
+        """Returns configurations that serve point k within a budget (n,) of keys (n, words).
+
+        Returns None if they are more than `most`, if `late()` becomes true, or if a budget is too large. With `part`,
+        some `most` of them suffice.
+        """
+        if not len(keys):
+            return Pairs(np.empty(0, np.int64), keys, budgets)
+        parts, first, total = list[Pairs](), 0, 0
+        while first < len(keys):
+            self._found.written[0] = 0
+            some = slice(first, first + (AT_ONCE_IN_PART if part else AT_ONCE))
+            done = list_near(
+                self.chain, self.places, k, self.scene, keys[some], budgets[some], self.changed, self._found
+            )
+            rows, count = len(self.changed.links), int(self._found.written[0])
+            if done < 0:
+                if rows >= self._most_rows:
+                    return None
+                self.changed = room_for_changes(self.chain, 4 * rows)
+            elif count == 0 and done == 0:
+                self._found = self._room(4 * len(self._found.sources))
+            found = self._found
+            parts.append(Pairs(found.sources[:count] + first, found.keys[:count].copy(), found.costs[:count].copy()))
+            first, total = first + (done if done >= 0 else -done - 1), total + count
+            if part and total >= most:
+                break
+            if total > most or (first < len(keys) and late()):
+                return None
+        return joined(parts)
+
+
+def joined(parts: Sequence[Pairs]) -> Pairs:
+    return Pairs(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def cheapest(keys: Integers, values: Array) -> Integers:
+    """Returns the rows of the least value of each key (n, words), in the order of the keys."""
+    order = np.lexsort((values, *keys.T[::-1]))
+    ordered = keys[order]
+    new = np.ones(len(order), dtype=np.bool_)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    return order[new]
