@@ -61,11 +61,11 @@ class Manipulator:
 
     def tips(self, configurations: ArrayLike) -> Frame:
         """Returns the tip frames (n, 4, 4) of configurations (n, B)."""
-        return np.asarray(tips(self.base, self.frames, np.require(configurations, np.int64, "CW")))
+        return np.asarray(tips(self.base, self.frames, np.require(configurations, np.int64, ("C", "W"))))
 
     def tip(self, configuration: ArrayLike) -> Frame:
         """Returns the tip frame (4, 4) of one configuration (B,)."""
-        return np.asarray(tip(self.base, self.frames, np.require(configuration, np.int64, "CW")))
+        return np.asarray(tip(self.base, self.frames, np.require(configuration, np.int64, ("C", "W"))))
 
     def chain(self, configuration: ArrayLike) -> Frame:
         """Returns the frames F_0 to F_B (B+1, 4, 4) of one configuration (B,)."""
