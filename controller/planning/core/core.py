@@ -6,7 +6,6 @@ import logging
 import math
 import traceback
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from hyperbit.controller import program
@@ -46,9 +45,9 @@ class Beginning(NamedTuple):
     obstacles: int  # their number
     counts: tuple[int, ...]  # switches of each actuator, of the ledger
     # Results that earlier planner processes published, and goals that they accepted without a result in the ledger.
-    published: Mapping[events.Identity, events.ResultEntry] = MappingProxyType({})
-    owed: Mapping[events.Identity, events.AcceptanceEntry] = MappingProxyType({})
-    simulated: bool = False  # whether this process serves an executor with simulated boards; it connects to no other
+    published: Mapping[events.Identity, events.ResultEntry]
+    owed: Mapping[events.Identity, events.AcceptanceEntry]
+    simulated: bool  # whether this process serves an executor with simulated boards; it connects to no other
 
 
 class Core:
